@@ -1,0 +1,1 @@
+"""Bayesian finite-element model updating."""

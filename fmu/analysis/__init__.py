@@ -1,0 +1,1 @@
+"""The diagnosis: traces, convergence, comparison of samplers, prediction."""

@@ -1,0 +1,1 @@
+"""The structure: theta -> K(theta), M(theta) -> frequencies, shapes and their derivatives."""

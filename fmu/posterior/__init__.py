@@ -1,0 +1,1 @@
+"""The question: what was known, what was measured, and how probable theta is."""
