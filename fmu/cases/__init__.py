@@ -1,1 +1,52 @@
 """Ready problems."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+_CASES = {
+    "cantilever-young": "the paper's section 5.1: Young's moduli of five parts of a cantilever",
+    "cantilever-section": "the paper's section 5.2: second moments of area and areas of its two halves",
+}
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the built-in cases."""
+    return tuple(_CASES)
+
+
+def describe(name: str) -> str:
+    """Return one line on a case.
+
+    Raises
+    ------
+    ValueError
+        If there is no such case.
+    """
+    if name not in _CASES:
+        raise ValueError(f"case: must be one of {', '.join(_CASES)} (got {name!r})")
+    return _CASES[name]
+
+
+def load(name: str, pairing: str = "shape") -> UpdatingProblem:
+    """Return a built-in problem.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    pairing : {"shape", "index"}
+        By MAC, or by number in the sorted spectrum as in the paper.
+
+    Raises
+    ------
+    ValueError
+        If there is no such case or pairing.
+    """
+    describe(name)
+    from fmu.cases import cantilever
+
+    return {"cantilever-young": cantilever.young, "cantilever-section": cantilever.section}[name](pairing)

@@ -1,0 +1,158 @@
+"""The 3-D Euler–Bernoulli beam element with rotary inertia, as a sum of unit matrices.
+
+Node order (i, j); degrees of freedom per node in local axes: u, v, w, θx, θy, θz, with x along the element.
+Bending in the local x–z plane (w, θy) has stiffness E·Iy, in the x–y plane (v, θz) E·Iz, where
+Iy = ∫z² dA and Iz = ∫y² dA. Displacements are interpolated linearly (bar, torsion) and by cubic Hermite
+polynomials (bending); the mass matrix is consistent with them and includes the rotary inertia of the section
+(Rayleigh 1894; Przemieniecki 1968, *Theory of Matrix Structural Analysis*, ch. 11).
+
+The element matrices are ``K = EA·K_EA + EIy·K_EIy + EIz·K_EIz + GJ·K_GJ`` and
+``M = ρA·M_ρA + ρIy·M_ρIy + ρIz·M_ρIz``: this module gives the unit matrices, which depend on the length alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+_AXIAL = (0, 6)
+_TORSION = (3, 9)
+# (displacement, rotation) of both nodes; in the x–z plane a positive θy lowers w, hence the sign.
+_BENDING_XZ = (2, 4, 8, 10)
+_BENDING_XY = (1, 5, 7, 11)
+_ROTATION_SIGN: dict[tuple[int, ...], float] = {_BENDING_XY: 1.0, _BENDING_XZ: -1.0}
+
+
+def stiffness_terms(length: ArrayLike) -> dict[str, FloatArray]:
+    """Return the unit stiffness matrices of beam elements.
+
+    Parameters
+    ----------
+    length : array_like, shape (n,)
+        Element lengths in m.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n, 12, 12)
+        ``"EA"``, ``"EIy"``, ``"EIz"``, ``"GJ"``: multiply each by the rigidity of that name and add.
+    """
+    L = _lengths(length)
+    bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / L[:, None, None]
+    return {
+        "EA": _embed(bar, _AXIAL),
+        "EIy": _bending_stiffness(L, _BENDING_XZ),
+        "EIz": _bending_stiffness(L, _BENDING_XY),
+        "GJ": _embed(bar, _TORSION),
+    }
+
+
+def mass_terms(length: ArrayLike) -> dict[str, FloatArray]:
+    """Return the unit consistent mass matrices of beam elements.
+
+    Parameters
+    ----------
+    length : array_like, shape (n,)
+        Element lengths in m.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n, 12, 12)
+        ``"rhoA"`` (translation), ``"rhoIy"`` and ``"rhoIz"`` (rotary inertia in the plane of that bending,
+        and that part of the torsional inertia ρ(Iy + Iz)).
+    """
+    L = _lengths(length)
+    bar = np.array([[2.0, 1.0], [1.0, 2.0]]) * L[:, None, None] / 6.0
+    translation = _embed(bar, _AXIAL) + _translational_mass(L, _BENDING_XY) + _translational_mass(L, _BENDING_XZ)
+    torsion = _embed(bar, _TORSION)
+    return {
+        "rhoA": translation,
+        "rhoIy": _rotary_mass(L, _BENDING_XZ) + torsion,
+        "rhoIz": _rotary_mass(L, _BENDING_XY) + torsion,
+    }
+
+
+def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
+    """Return the rotation matrices from global to local coordinates.
+
+    Parameters
+    ----------
+    axis : array_like, shape (n, 3)
+        Vectors from node i to node j.
+    y_direction : array_like, shape (3,) or (n, 3)
+        A vector in the local x–y plane; its part normal to `axis` is the local y axis.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        Rows are the local x, y, z axes in global coordinates.
+
+    Raises
+    ------
+    ValueError
+        If `y_direction` is parallel to an element.
+    """
+    x = np.asarray(axis, dtype=float)
+    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    y = np.broadcast_to(np.asarray(y_direction, dtype=float), x.shape)
+    y = y - np.sum(x * y, axis=1, keepdims=True) * x
+    norm = np.linalg.norm(y, axis=1, keepdims=True)
+    parallel = norm[:, 0] < 1e-8 * max(1.0, float(np.max(np.abs(y_direction))))
+    if np.any(parallel):
+        raise ValueError(
+            f"y_direction: must not be parallel to an element (parallel to element {int(np.argmax(parallel))})"
+        )
+    y = y / norm
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def to_global(matrices: FloatArray, axes: FloatArray) -> FloatArray:
+    """Rotate element matrices from local to global axes: ``Tᵀ K T``.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (n, 12, 12)
+    axes : ndarray, shape (n, 3, 3)
+        From `local_axes`.
+    """
+    T = np.zeros((len(axes), 12, 12))
+    for k in range(4):
+        T[:, 3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = axes
+    return np.swapaxes(T, 1, 2) @ matrices @ T
+
+
+def _lengths(length: ArrayLike) -> FloatArray:
+    L = np.atleast_1d(np.asarray(length, dtype=float))
+    if not np.all(L > 0.0):
+        raise ValueError(f"length: must be positive (got {float(np.min(L))} m)")
+    return L
+
+
+def _embed(small: FloatArray, dofs: tuple[int, ...]) -> FloatArray:
+    matrix = np.zeros((len(small), 12, 12))
+    matrix[:, np.array(dofs)[:, None], np.array(dofs)] = small
+    return matrix
+
+
+def _signed(rows: list[list[FloatArray]], plane: tuple[int, ...]) -> FloatArray:
+    small = np.array(rows).transpose(2, 0, 1)
+    sign = np.array([1.0, _ROTATION_SIGN[plane]] * 2)
+    return _embed(small * sign[:, None] * sign, plane)
+
+
+def _bending_stiffness(L: FloatArray, plane: tuple[int, ...]) -> FloatArray:
+    a, b, c, d = 12 / L**3, 6 / L**2, 4 / L, 2 / L
+    return _signed([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]], plane)
+
+
+def _translational_mass(L: FloatArray, plane: tuple[int, ...]) -> FloatArray:
+    a, b, c = 156 * L / 420, 22 * L**2 / 420, 54 * L / 420
+    d, e, f = 13 * L**2 / 420, 4 * L**3 / 420, 3 * L**3 / 420
+    return _signed([[a, b, c, -d], [b, e, d, -f], [c, d, a, -b], [-d, -f, -b, e]], plane)
+
+
+def _rotary_mass(L: FloatArray, plane: tuple[int, ...]) -> FloatArray:
+    a, b = 36 / (30 * L), 3.0 / 30 * np.ones_like(L)
+    c, d = 4 * L / 30, L / 30
+    return _signed([[a, b, -a, b], [b, c, -b, -d], [-a, -b, a, -b], [b, -d, -b, c]], plane)

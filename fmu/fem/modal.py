@@ -1,0 +1,192 @@
+"""Modes of K φ = λ M φ, how alike two shapes are, and how eigenvalues move with the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+import scipy.sparse.linalg as ssl
+from numpy.typing import NDArray
+
+from fmu.fem.separable import SeparableModel, Term, coefficient_gradients, coefficients, weighted_sum
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
+DENSE_LIMIT = 400
+
+
+class SingularMassError(ValueError):
+    """The mass matrix is not positive definite, or the eigensolver failed."""
+
+
+def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
+    """Return √λ / 2π. A λ that rounding left just below zero (a rigid-body mode) counts as zero."""
+    return np.sqrt(np.where(eigenvalue < 0.0, 0.0, eigenvalue)) / (2.0 * np.pi)
+
+
+def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -> FloatArray:
+    """Return ∂f/∂θ = ∂λ/∂θ / (8 π² f); not finite for a rigid-body mode.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (n, m), Hz
+    eigenvalue_gradient : ndarray, shape (n, m, n_parameters)
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return eigenvalue_gradient / (8.0 * np.pi**2 * frequency[..., None])
+
+
+def eigen(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest modes of K φ = λ M φ.
+
+    Parameters
+    ----------
+    K, M : sparse arrays, shape (n_dof, n_dof)
+        Symmetric; M positive definite. K may be singular (a free structure).
+    count : int
+        How many modes.
+
+    Returns
+    -------
+    eigenvalues : ndarray, shape (count,), (rad/s)², ascending
+    shapes : ndarray, shape (n_dof, count), with φᵀ M φ = 1
+
+    Raises
+    ------
+    ValueError
+        If the structure has fewer than `count` modes.
+    SingularMassError
+        If the solver fails, as it does when M is not positive definite.
+    """
+    n = K.shape[0]
+    if not 1 <= count <= n:
+        raise ValueError(f"count: must lie in 1..{n}, the degrees of freedom (got {count})")
+    try:
+        if n <= DENSE_LIMIT or count >= n - 1:
+            return sl.eigh(_dense(K), _dense(M), subset_by_index=[0, count - 1], check_finite=False)
+        return _lanczos(K, M, count)
+    except (np.linalg.LinAlgError, RuntimeError) as error:
+        raise SingularMassError(f"eigenproblem of {n} DOF: {error}") from error
+
+
+def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
+    # A shift slightly below zero keeps K − σM regular when K has rigid-body modes; the start vector is fixed
+    # so that a repeated solve repeats its bits.
+    shift = -1e-6 * K.diagonal().sum() / M.diagonal().sum()
+    start = np.random.default_rng(0).standard_normal(K.shape[0])
+    lam, phi = ssl.eigsh(sp.csc_array(K), count, sp.csc_array(M), sigma=shift, v0=start, tol=1e-12)
+    order = np.argsort(lam)
+    return lam[order], phi[:, order]
+
+
+def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return the modal assurance criterion between two sets of shapes (Allemang & Brown 1982).
+
+    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. A shape that is zero there has MAC 0 with all.
+
+    Parameters
+    ----------
+    phi : ndarray, shape (..., n_coordinates, m)
+    reference : ndarray, shape (..., n_coordinates, r)
+
+    Returns
+    -------
+    ndarray, shape (..., r, m)
+    """
+    cross = np.swapaxes(reference, -1, -2) @ phi
+    size = np.sum(reference**2, axis=-2)[..., :, None] * np.sum(phi**2, axis=-2)[..., None, :]
+    return np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0)
+
+
+class FullBlock:
+    """One decoupled part of a structure, solved as it stands, a theta at a time.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    dofs : ndarray of int
+        The block's degrees of freedom in the model, one of ``model.blocks``.
+    """
+
+    def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
+        self.dofs = dofs
+        self.n_parameters = model.n_parameters
+        self.K_terms = _restricted(model.K_terms, dofs)
+        self.M_terms = _restricted(model.M_terms, dofs)
+        self.size = len(dofs)
+
+    def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
+
+        A theta at which the solver fails gives NaN.
+        """
+        lam = np.full((len(theta), count), np.nan)
+        phi = np.full((len(theta), self.size, count), np.nan)
+        K_weights, M_weights = coefficients(self.K_terms, theta), coefficients(self.M_terms, theta)
+        for i in range(len(theta)):
+            K, M = weighted_sum(self.K_terms, K_weights[i]), weighted_sum(self.M_terms, M_weights[i])
+            if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
+                continue
+            try:
+                lam[i], phi[i] = eigen(K, M, count)
+            except SingularMassError:
+                continue
+        return lam, phi
+
+    def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
+        """Return the lowest eigenvalues, shape (n, count)."""
+        return self.modes(theta, count)[0]
+
+    def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return ∂λ/∂θ, shape (n, m, n_parameters), for modes from `modes` (Fox & Kapoor 1968, eq. 5).
+
+        ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1; for simple eigenvalues.
+        """
+        K_forms = np.stack([_quadratic_forms(t.matrix, phi) for t in self.K_terms], axis=-1)
+        M_forms = np.stack([_quadratic_forms(t.matrix, phi) for t in self.M_terms], axis=-1)
+        return combine_forms(self.K_terms, self.M_terms, theta, lam, K_forms, M_forms)
+
+    def observe(
+        self, dofs: IntArray, reference: FloatArray
+    ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return what picks `dofs` out of shapes (n, size, m), and the references there as they are."""
+        return lambda phi: phi[:, dofs], reference
+
+
+def combine_forms(
+    K_terms: tuple[Term, ...],
+    M_terms: tuple[Term, ...],
+    theta: FloatArray,
+    lam: FloatArray,
+    K_forms: FloatArray,
+    M_forms: FloatArray,
+) -> FloatArray:
+    """Combine φᵀK_kφ and φᵀM_mφ, shapes (n, m, n_terms), to ∂λ/∂θ, shape (n, m, n_parameters)."""
+    gradient = np.zeros((*lam.shape, theta.shape[1]))
+    for terms, forms, factor in ((K_terms, K_forms, None), (M_terms, M_forms, -lam)):
+        slopes = coefficient_gradients(terms, theta)
+        for k, term in enumerate(terms):
+            form = forms[..., k] if factor is None else forms[..., k] * factor
+            for j, power in enumerate(term.powers):
+                if power:
+                    gradient[..., j] += form * slopes[:, None, k, j]
+    return gradient
+
+
+def _quadratic_forms(matrix: Any, phi: FloatArray) -> FloatArray:
+    return np.stack([np.sum(shape * (matrix @ shape), axis=0) for shape in phi])
+
+
+def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
+    restricted = (Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
+    nonzero = tuple(t for t in restricted if abs(t.matrix).max() > 0.0)
+    return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), terms[0].powers),)
+
+
+def _dense(matrix: Any) -> FloatArray:
+    return matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix)

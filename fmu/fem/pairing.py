@@ -1,0 +1,263 @@
+"""Which computed mode answers to which measured one.
+
+By number: the k-th of the sorted spectrum, whatever it looks like (the paper). By shape: a one-to-one
+assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple, so that the
+assignment by shape usually cannot change inside a decoupled block: where it is verified constant, it is a fixed
+rank within the block, and eigenvalues suffice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from fmu.fem.model import BlockModel
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PairedModes:
+    """The modes paired with the measured ones, at n parameter vectors.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray, shape (n, n_modes), (rad/s)²
+    gradient : ndarray, shape (n, n_modes, n_parameters), or None
+    block, rank : ndarray of int, shape (n, n_modes)
+        The mode's block and its number (from 0) within it.
+    """
+
+    eigenvalues: FloatArray
+    gradient: FloatArray | None
+    block: IntArray
+    rank: IntArray
+
+
+class PairedSolve(Protocol):
+    """A pairing rule bound to a model: solve at theta (n, n_parameters), and pick the measured modes."""
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> PairedModes:
+        """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
+        ...
+
+
+class Pairing(Protocol):
+    """A rule that picks one computed mode for each measured one."""
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that pairs the modes of `model`."""
+        ...
+
+
+@dataclass(frozen=True)
+class IndexPairing:
+    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum."""
+
+    numbers: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
+            raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
+        return partial(self._pair, model)
+
+    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> PairedModes:
+        picked = np.array(self.numbers) - 1
+        lam, block, rank = model.spectrum(theta, max(self.numbers))
+        lam, block, rank = lam[:, picked], block[:, picked], rank[:, picked]
+        slopes = picked_gradient(model, theta, block, rank) if gradient else None
+        return PairedModes(lam, slopes, block, rank)
+
+
+@dataclass(frozen=True)
+class RankPairing:
+    """Measured mode i is number ``rank[i]`` (from 0) of block ``block[i]``, wherever theta is."""
+
+    block: tuple[int, ...]
+    rank: tuple[int, ...]
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
+        return partial(self._pair, model)
+
+    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> PairedModes:
+        shape = (len(theta), len(self.rank))
+        lam = np.empty(shape)
+        slopes = np.empty((*shape, model.n_parameters)) if gradient else None
+        for b in sorted(set(self.block)):
+            columns = [i for i, owner in enumerate(self.block) if owner == b]
+            ranks = [self.rank[i] for i in columns]
+            if slopes is None:
+                lam[:, columns] = model.blocks[b].eigenvalues(theta, max(ranks) + 1)[:, ranks]
+                continue
+            values, phi = model.blocks[b].modes(theta, max(ranks) + 1)
+            lam[:, columns] = values[:, ranks]
+            slopes[:, columns] = model.blocks[b].eigenvalue_gradient(theta, values[:, ranks], phi[:, :, ranks])
+        block = np.broadcast_to(np.array(self.block), shape)
+        return PairedModes(lam, slopes, block, np.broadcast_to(np.array(self.rank), shape))
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePairing:
+    """One-to-one assignment of computed modes to reference shapes by MAC.
+
+    Attributes
+    ----------
+    dofs : ndarray of int, shape (q,)
+        The model's degrees of freedom at which shapes are compared.
+    shapes : ndarray, shape (q, n_modes)
+        Reference shapes there: measured ones, or those of the model before updating.
+    margin : int
+        How many modes beyond the number of references each block offers as candidates.
+    """
+
+    dofs: IntArray
+    shapes: FloatArray
+    margin: int = 3
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""
+        observed = {}
+        for b, block in enumerate(model.blocks):
+            position = {dof: i for i, dof in enumerate(block.dofs)}
+            inside = np.array([i for i, dof in enumerate(self.dofs) if dof in position], dtype=np.int64)
+            if np.any(self.shapes[inside]):
+                local = np.array([position[self.dofs[i]] for i in inside])
+                observed[b] = block.observe(local, self.shapes[inside])
+        return partial(self._pair, model, observed, np.sum(self.shapes**2, axis=0))
+
+    def _pair(
+        self,
+        model: BlockModel,
+        observed: dict[int, tuple[Callable[[FloatArray], FloatArray], FloatArray]],
+        reference_size: FloatArray,
+        theta: FloatArray,
+        gradient: bool = False,
+    ) -> PairedModes:
+        values, shapes, similarity, label = {}, {}, [], []
+        for b, (observe, reference) in observed.items():
+            count = min(self.shapes.shape[1] + self.margin, model.blocks[b].size)
+            values[b], shapes[b] = model.blocks[b].modes(theta, count)
+            seen = observe(shapes[b])
+            cross = reference.T @ seen
+            size = reference_size[:, None] * np.sum(seen**2, axis=1)[:, None, :]
+            similarity.append(np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0))
+            label += [(b, r) for r in range(count)]
+        column = assign(np.nan_to_num(np.concatenate(similarity, axis=2)))
+        block, rank = np.array(label)[column, 0], np.array(label)[column, 1]
+        lam = np.take_along_axis(np.concatenate(list(values.values()), axis=1), column, axis=1)
+        if not gradient:
+            return PairedModes(lam, None, block, rank)
+        slopes = np.concatenate(
+            [model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in observed], axis=1
+        )
+        return PairedModes(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+
+
+def reference_modes(
+    model: BlockModel, theta: FloatArray, sensors: IntArray, dofs: IntArray, n_modes: int
+) -> ShapePairing:
+    """Return the pairing with the first `n_modes` modes of a reference model that the sensors can see.
+
+    Where no shapes were measured, a mode that moves none of the sensors cannot have been measured either;
+    of the others the lowest are taken, in ascending order.
+
+    Parameters
+    ----------
+    model : BlockModel
+        Unreduced.
+    theta : ndarray, shape (n_parameters,)
+        The reference: as a rule the model before updating.
+    sensors, dofs : ndarray of int
+        Degrees of freedom that were measured, and those at which the shapes will be compared.
+
+    Raises
+    ------
+    ValueError
+        If the sensors see fewer than `n_modes` modes.
+    """
+    n_total = sum(block.size for block in model.blocks)
+    count = min(4 * n_modes, n_total)
+    while True:
+        shapes = _visible_shapes(model, theta, sensors, dofs, count)
+        if len(shapes) >= n_modes:
+            return ShapePairing(dofs, np.stack(shapes[:n_modes], axis=1))
+        if count == n_total:
+            raise ValueError(f"sensors: must see the {n_modes} measured modes (they see {len(shapes)})")
+        count = min(2 * count, n_total)
+
+
+def constant_rank(pairing: ShapePairing, model: BlockModel, theta: FloatArray) -> RankPairing | None:
+    """Return the assignment by MAC as fixed ranks if it is the same at every theta given, else None.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n, n_parameters)
+        Points that cover the parameter box, its corners among them.
+    """
+    paired = pairing.bind(model)(theta)
+    if np.any(paired.block != paired.block[0]) or np.any(paired.rank != paired.rank[0]):
+        return None
+    return RankPairing(tuple(map(int, paired.block[0])), tuple(map(int, paired.rank[0])))
+
+
+def assign(mac: FloatArray) -> IntArray:
+    """Return, for each reference, the column of its mode under the one-to-one assignment of largest total MAC.
+
+    Parameters
+    ----------
+    mac : ndarray, shape (n, n_modes, n_candidates)
+
+    Returns
+    -------
+    ndarray of int, shape (n, n_modes)
+
+    Notes
+    -----
+    Where every reference has its own best candidate, that is the optimum; the assignment solver is called only
+    for the rows in conflict.
+    """
+    best = np.argmax(mac, axis=2)
+    ordered = np.sort(best, axis=1)
+    for i in np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1)):
+        best[i] = linear_sum_assignment(mac[i], maximize=True)[1]
+    return best
+
+
+def picked_gradient(model: BlockModel, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
+    """Return ∂λ/∂θ, shape (n, n_modes, n_parameters), of the modes that `block` and `rank` (n, n_modes) name."""
+    gradient = np.empty((*block.shape, model.n_parameters))
+    for b in np.unique(block):
+        here = block == b
+        count = int(rank[here].max()) + 1
+        rows = np.flatnonzero(here.any(axis=1))
+        lam, phi = model.blocks[b].modes(theta[rows], count)
+        slopes = model.blocks[b].eigenvalue_gradient(theta[rows], lam, phi)
+        i, j = np.nonzero(here[rows])
+        gradient[rows[i], j] = slopes[i, rank[rows[i], j]]
+    return gradient
+
+
+def _visible_shapes(
+    model: BlockModel, theta: FloatArray, sensors: IntArray, dofs: IntArray, count: int
+) -> list[FloatArray]:
+    point = np.atleast_2d(theta)
+    _, block, rank = model.spectrum(point, count)
+    n_dof = max(int(b.dofs.max()) for b in model.blocks) + 1
+    shapes = []
+    for b, r in zip(block[0], rank[0], strict=True):
+        shape = np.zeros(n_dof)
+        shape[model.blocks[b].dofs] = model.blocks[b].modes(point, r + 1)[1][0, :, r]
+        if np.max(np.abs(shape[sensors])) > 1e-3 * np.max(np.abs(shape[dofs])):
+            shapes.append(shape[dofs])
+    return shapes

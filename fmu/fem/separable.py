@@ -1,0 +1,196 @@
+"""Structures of the form K(theta) = Σ c_k(theta) K_k, M(theta) = Σ c_m(theta) M_m.
+
+Every structure given by beam elements or by exported matrices has this form; the coefficients are constants or
+monomials of the parameters, so that derivatives are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Term:
+    """One matrix with its coefficient, the monomial Π theta_j ** powers[j].
+
+    Attributes
+    ----------
+    matrix : scipy.sparse array, shape (n_dof, n_dof)
+        Symmetric; holds the constant factor of the coefficient.
+    powers : tuple of int or float, length n_parameters
+        All zero for a term that no parameter changes.
+    """
+
+    matrix: Any
+    powers: tuple[float, ...]
+
+    @property
+    def constant(self) -> bool:
+        """Whether no parameter changes this term."""
+        return not any(self.powers)
+
+
+class SeparableModel:
+    """A structure whose matrices are sums of fixed matrices with monomial coefficients.
+
+    Parameters
+    ----------
+    K_terms, M_terms : sequence of Term
+        Stiffness (N/m, N·m/rad, …) and mass terms on the same free degrees of freedom.
+    dofs : sequence of tuple (node, direction), optional
+        Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. Without names every
+        one counts as a translation of its own node.
+
+    Raises
+    ------
+    ValueError
+        If there is no stiffness or mass term, or a term's shape or symmetry is wrong.
+    """
+
+    def __init__(
+        self,
+        K_terms: Sequence[Term],
+        M_terms: Sequence[Term],
+        dofs: Sequence[tuple[Any, str]] | None = None,
+    ) -> None:
+        if not K_terms or not M_terms:
+            raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
+        self.K_terms = tuple(K_terms)
+        self.M_terms = tuple(M_terms)
+        self.n_dof = int(K_terms[0].matrix.shape[0])
+        self.n_parameters = len(K_terms[0].powers)
+        self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
+        _check_terms(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"SeparableModel({self.n_dof} DOF, {len(self.K_terms)} stiffness and {len(self.M_terms)} mass terms, "
+            f"{len(self.blocks)} decoupled blocks, {self.n_parameters} parameters)"
+        )
+
+    def K(self, theta: ArrayLike) -> Any:
+        """Return the sparse stiffness matrix at `theta`, shape (n_parameters,), SI units."""
+        return weighted_sum(
+            self.K_terms, coefficients(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
+        )
+
+    def M(self, theta: ArrayLike) -> Any:
+        """Return the sparse mass matrix at `theta`, shape (n_parameters,), SI units."""
+        return weighted_sum(
+            self.M_terms, coefficients(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
+        )
+
+    @cached_property
+    def blocks(self) -> tuple[IntArray, ...]:
+        """Degrees of freedom of each decoupled part of the structure, ascending.
+
+        Connected components of the graph of nonzeros of all |K_k| + |M_m|: the eigenproblem splits exactly.
+        Entries that only rounding (a rotated element) keeps from being zero do not connect.
+        """
+        rows, columns = [], []
+        for term in (*self.K_terms, *self.M_terms):
+            entries = term.matrix.tocoo()
+            diagonal = np.abs(term.matrix.diagonal())
+            size = np.sqrt(diagonal[entries.row] * diagonal[entries.col])
+            keep = np.abs(entries.data) > 1e-12 * size
+            rows.append(entries.row[keep])
+            columns.append(entries.col[keep])
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        graph = sp.coo_array((np.ones(len(row)), (row, column)), shape=(self.n_dof, self.n_dof))
+        count, label = connected_components(graph.tocsr(), directed=False)
+        return tuple(np.flatnonzero(label == k) for k in range(count))
+
+    @cached_property
+    def translations(self) -> IntArray:
+        """Indices of the translational degrees of freedom."""
+        return np.array([i for i, (_, d) in enumerate(self.dofs) if d in ("x", "y", "z")], dtype=np.int64)
+
+    def dof(self, node: Any, direction: str) -> int:
+        """Return the index of a degree of freedom.
+
+        Raises
+        ------
+        ValueError
+            If the model has no such free degree of freedom.
+        """
+        try:
+            return self._dof_index[(node, direction)]
+        except KeyError:
+            raise ValueError(
+                f"sensor: the model has no free degree of freedom (got node {node!r}, {direction!r})"
+            ) from None
+
+    @cached_property
+    def _dof_index(self) -> dict[tuple[Any, str], int]:
+        return {name: i for i, name in enumerate(self.dofs)}
+
+
+def coefficients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
+    """Return the coefficients of `terms`, shape (n, n_terms), for theta of shape (n, n_parameters)."""
+    return np.stack([monomial(theta, t.powers) for t in terms], axis=1)
+
+
+def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
+    """Return ∂c_k/∂theta_j, shape (n, n_terms, n_parameters)."""
+    result = np.zeros((len(theta), len(terms), theta.shape[1]))
+    for k, term in enumerate(terms):
+        for j, power in enumerate(term.powers):
+            if power:
+                lowered = tuple(p - (i == j) for i, p in enumerate(term.powers))
+                result[:, k, j] = power * monomial(theta, lowered)
+    return result
+
+
+def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
+    """Return Π theta[:, j] ** powers[j]; whole powers by multiplication, so that a batch changes no bit."""
+    value = np.ones(len(theta))
+    for j, power in enumerate(powers):
+        if power == 0:
+            continue
+        if power == int(power) and 0 < power <= 8:
+            for _ in range(int(power)):
+                value = value * theta[:, j]
+        else:
+            value = value * np.array([float(x) ** power for x in theta[:, j]])
+    return value
+
+
+def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Add up the matrices of terms with the same coefficient."""
+    merged: dict[tuple[float, ...], Any] = {}
+    for term in terms:
+        merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
+    return tuple(Term(sp.csr_array(matrix), powers) for powers, matrix in merged.items())
+
+
+def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
+    """Return the sparse Σ weights[k] · K_k."""
+    total = terms[0].matrix * weights[0]
+    for term, weight in zip(terms[1:], weights[1:], strict=True):
+        total = total + term.matrix * weight
+    return total
+
+
+def _check_terms(model: SeparableModel) -> None:
+    if len(model.dofs) != model.n_dof:
+        raise ValueError(f"dofs: must name {model.n_dof} degrees of freedom (got {len(model.dofs)})")
+    for name, terms in (("K_terms", model.K_terms), ("M_terms", model.M_terms)):
+        for k, term in enumerate(terms):
+            if term.matrix.shape != (model.n_dof, model.n_dof):
+                raise ValueError(f"{name}.{k}: must have shape {(model.n_dof,) * 2} (got {term.matrix.shape})")
+            if len(term.powers) != model.n_parameters:
+                raise ValueError(f"{name}.{k}: must have {model.n_parameters} powers (got {len(term.powers)})")
+            difference = abs(term.matrix - term.matrix.T).max()
+            if not difference <= 1e-9 * abs(term.matrix).max():
+                raise ValueError(f"{name}.{k}: must be symmetric and finite (asymmetry {difference:.3g})")

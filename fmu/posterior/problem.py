@@ -1,0 +1,226 @@
+"""The updating problem: THE log-probability callable that every sampler shares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.fem.model import ModalModel
+from fmu.fem.separable import SeparableModel
+from fmu.fem.structure import PairedStructure
+from fmu.posterior.likelihood import FrequencyError
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Parameter
+
+FloatArray = NDArray[np.float64]
+
+
+class UpdatingProblem:
+    """A model, a measurement and what was known: the posterior of eq. (8).
+
+    Parameters
+    ----------
+    model : SeparableModel or ModalModel
+        The structure; or any map from theta to the frequencies of the measured modes, already paired.
+    data : ModalData
+    parameters : sequence of Parameter
+        In the order of theta.
+    pairing : {"shape", "index"}
+        Which computed mode answers to which measured one (`fmu.fem.pairing`), for a SeparableModel: by MAC with
+        the modes of the model before updating, or by number in the sorted spectrum.
+    beta : float or array_like, shape (n_modes,)
+        Trust in the data, 1/Hz²: β = 1/(2σ²) (eq. 4).
+    name : str
+
+    Attributes
+    ----------
+    ndim : int
+    names, units : tuple of str
+    lower, upper, start : ndarray, shape (ndim,), SI units
+    offset, scale : ndarray, shape (ndim,)
+        (theta − offset)/scale is of order one: the unit box where there are bounds.
+    failures : list of ndarray
+        Every theta inside the bounds at which the model gave no finite frequencies.
+
+    Raises
+    ------
+    ValueError
+        If the model does not fit the parameters or the data, or two parameters share a name.
+
+    Notes
+    -----
+    theta is in SI units throughout. ``log_prob`` maps ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; it
+    is ``-inf`` outside the bounds, and never an exception for a finite theta.
+    """
+
+    def __init__(
+        self,
+        model: SeparableModel | ModalModel,
+        data: ModalData,
+        parameters: Sequence[Parameter],
+        *,
+        pairing: str = "shape",
+        beta: ArrayLike = 1.0,
+        name: str = "problem",
+    ) -> None:
+        self.data = data
+        self.parameters = tuple(parameters)
+        self.name = name
+        self.likelihood = FrequencyError(np.asarray(data.frequencies_hz), beta)
+        self.ndim = len(self.parameters)
+        self.names = tuple(p.name for p in self.parameters)
+        self.units = tuple(p.unit for p in self.parameters)
+        self.lower = np.array([p.lower for p in self.parameters], dtype=float)
+        self.upper = np.array([p.upper for p in self.parameters], dtype=float)
+        self.start = np.array([p.start for p in self.parameters], dtype=float)
+        scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
+        self.offset = np.array([offset for offset, _ in scales])
+        self.scale = np.array([scale for _, scale in scales])
+        self.failures: list[FloatArray] = []
+        self._log_prior_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in self.parameters)
+        self.model = self._paired(model, pairing) if isinstance(model, SeparableModel) else model
+        self._check()
+
+    def __repr__(self) -> str:
+        return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"
+
+    def log_prob(self, theta: ArrayLike) -> Any:
+        """Return log P(θ|D) up to the evidence: the sum of `log_likelihood` and `log_prior`."""
+        points, single = self._points(theta)
+        value = np.full(len(points), -np.inf)
+        inside = self._inside(points)
+        if np.any(inside):
+            likelihood = self._terms(points[inside]).sum(axis=1)
+            value[inside] = likelihood + self._log_prior_inside(points[inside])
+        return float(value[0]) if single else value
+
+    def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
+        """Return the log-probability and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
+        points, single = self._points(theta)
+        value = np.full(len(points), -np.inf)
+        gradient = np.full(points.shape, np.nan)
+        inside = self._inside(points)
+        if np.any(inside):
+            x = points[inside]
+            frequencies, slopes = self.model.frequencies_and_gradient(x)
+            terms = self._recorded(self.likelihood.log_prob_terms(frequencies), x)
+            value[inside] = terms.sum(axis=1) + self._log_prior_inside(x)
+            weights = self.likelihood.gradient(frequencies)
+            gradient[inside] = np.sum(weights[..., None] * slopes, axis=1) + self._log_prior_gradient(x)
+        return (float(value[0]), gradient[0]) if single else (value, gradient)
+
+    def log_likelihood(self, theta: ArrayLike) -> Any:
+        """Return log P(D|θ), eq. (4) with its normaliser (5); defined outside the bounds too."""
+        points, single = self._points(theta)
+        value = self._terms(points).sum(axis=1)
+        return float(value[0]) if single else value
+
+    def log_likelihood_terms(self, theta: ArrayLike) -> FloatArray:
+        """Return the log-likelihood of each measured mode, shape (n_modes,) or (n, n_modes)."""
+        points, single = self._points(theta)
+        terms = self._terms(points)
+        return terms[0] if single else terms
+
+    def log_prior(self, theta: ArrayLike) -> Any:
+        """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
+        points, single = self._points(theta)
+        value = np.full(len(points), -np.inf)
+        inside = self._inside(points)
+        value[inside] = self._log_prior_inside(points[inside])
+        return float(value[0]) if single else value
+
+    def frequencies(self, theta: ArrayLike) -> FloatArray:
+        """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).
+
+        Works outside the bounds too.
+        """
+        points, single = self._points(theta)
+        frequencies = self.model.frequencies(points)
+        return frequencies[0] if single else frequencies
+
+    def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Draw `n` parameter vectors from the truncated prior, shape (n, ndim)."""
+        return np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
+
+    def simulate_data(self, rng: np.random.Generator, frequencies: FloatArray) -> FloatArray:
+        """Return computed frequencies (Hz) with measurement noise added."""
+        return self.likelihood.simulate(rng, frequencies)
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what defines the posterior, in plain Python types."""
+        return {
+            "name": self.name,
+            "model": self._model_description(),
+            "data": self.data.as_dict(),
+            "likelihood": self.likelihood.as_dict(),
+            "parameters": [
+                {
+                    "name": p.name,
+                    "unit": p.unit,
+                    "start": p.start,
+                    "lower": p.lower,
+                    "upper": p.upper,
+                    "prior": p.prior.as_dict(),
+                }
+                for p in self.parameters
+            ],
+        }
+
+    def _paired(self, model: SeparableModel, pairing: str) -> PairedStructure:
+        if model.n_parameters != self.ndim:
+            raise ValueError(f"parameters: the model takes {model.n_parameters} (got {self.ndim})")
+        box = np.array([p.prior.box(p.lower, p.upper) for p in self.parameters])
+        return PairedStructure(
+            model,
+            pairing=pairing,
+            numbers=self.data.numbers,
+            sensors=self.data.sensors,
+            reference=self.start,
+            lower=box[:, 0],
+            upper=box[:, 1],
+        )
+
+    def _model_description(self) -> Any:
+        describe = getattr(self.model, "configuration", None)
+        return describe() if callable(describe) else repr(self.model)
+
+    def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
+        points = np.asarray(theta, dtype=float)
+        if points.ndim not in (1, 2) or points.shape[-1] != self.ndim:
+            raise ValueError(f"theta: must have shape ({self.ndim},) or (n, {self.ndim}) (got {points.shape})")
+        return np.atleast_2d(points), points.ndim == 1
+
+    def _inside(self, points: FloatArray) -> NDArray[np.bool_]:
+        return np.all((points >= self.lower) & (points <= self.upper), axis=1)
+
+    def _terms(self, points: FloatArray) -> FloatArray:
+        return self._recorded(self.likelihood.log_prob_terms(self.model.frequencies(points)), points)
+
+    def _recorded(self, terms: FloatArray, points: FloatArray) -> FloatArray:
+        """Return `terms` with -inf in place of what is not finite, after noting where that happened."""
+        failed = ~np.all(np.isfinite(terms), axis=1)
+        if np.any(failed):
+            self.failures.extend(points[failed])
+            terms = np.where(failed[:, None], -np.inf, terms)
+        return terms
+
+    def _log_prior_inside(self, points: FloatArray) -> FloatArray:
+        value = np.full(len(points), -self._log_prior_mass)
+        for j, p in enumerate(self.parameters):
+            value = value + p.prior.log_pdf(points[:, j])
+        return value
+
+    def _log_prior_gradient(self, points: FloatArray) -> FloatArray:
+        return np.stack([p.prior.log_pdf_gradient(points[:, j]) for j, p in enumerate(self.parameters)], axis=1)
+
+    def _check(self) -> None:
+        if len(set(self.names)) < self.ndim:
+            twice = sorted({n for n in self.names if self.names.count(n) > 1})
+            raise ValueError(f"parameters: names must be distinct (got twice: {twice})")
+        if self.model.n_parameters != self.ndim:
+            raise ValueError(f"parameters: the model takes {self.model.n_parameters} (got {self.ndim})")
+        if self.model.n_modes != self.data.n_modes:
+            raise ValueError(f"data: the model pairs {self.model.n_modes} modes (got {self.data.n_modes})")
