@@ -1,0 +1,52 @@
+"""The mass matrix of Hamiltonian Monte Carlo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .kernel import FloatArray
+from .settings import cholesky_factor, fits
+
+
+class Metric:
+    """Kinetic energy W(p) = pᵀ M⁻¹ p / 2, with momenta p ~ N(0, M).
+
+    The best inverse mass is the covariance of the target: the sampler is then blind to its correlations.
+
+    Parameters
+    ----------
+    inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
+        M⁻¹; the identity if None, a diagonal matrix if a vector.
+    ndim : int
+
+    Attributes
+    ----------
+    inverse : ndarray, shape (ndim, ndim)
+        M⁻¹.
+
+    Raises
+    ------
+    ValueError
+        If `inverse_mass` has the wrong length or is not symmetric positive definite.
+    """
+
+    def __init__(self, inverse_mass: Any, ndim: int) -> None:
+        array = np.ones(ndim) if inverse_mass is None else fits("inverse_mass", inverse_mass, ndim)
+        self.inverse: FloatArray = array if array.ndim == 2 else np.diag(np.broadcast_to(array, ndim))
+        # M = L⁻ᵀ L⁻¹ with M⁻¹ = L Lᵀ, so that p = L⁻ᵀ z has covariance M.
+        self._inverse_factor = np.linalg.inv(cholesky_factor("inverse_mass", self.inverse))
+
+    def sample_momentum(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Draw `n` momenta from N(0, M), shape (n, ndim)."""
+        z = rng.standard_normal((n, len(self.inverse)))
+        return z @ self._inverse_factor
+
+    def velocity(self, momentum: FloatArray) -> FloatArray:
+        """Return v = M⁻¹ p, shape (n, ndim)."""
+        return momentum @ self.inverse
+
+    def kinetic(self, momentum: FloatArray) -> FloatArray:
+        """Return pᵀ M⁻¹ p / 2, shape (n,)."""
+        return 0.5 * np.sum(momentum * self.velocity(momentum), axis=-1)
