@@ -1,1 +1,50 @@
 """The answer: Markov-chain samplers, which see a log-density and nothing of finite elements."""
+
+from __future__ import annotations
+
+from .ensemble import Ensemble
+from .hamiltonian import HamiltonianMonteCarlo
+from .kernel import Info, Kernel, LogDensity, Sampler, State
+from .metropolis import MetropolisHastings
+from .proposals import Independence, LogNormalWalk, RandomWalk
+from .run import Draws, RunResult, run
+from .slice import Slice
+
+__all__ = [
+    "Draws",
+    "Ensemble",
+    "HamiltonianMonteCarlo",
+    "Independence",
+    "Info",
+    "Kernel",
+    "LogDensity",
+    "LogNormalWalk",
+    "MetropolisHastings",
+    "RandomWalk",
+    "RunResult",
+    "Sampler",
+    "Slice",
+    "State",
+    "named",
+    "run",
+]
+
+
+def named(name: str) -> Sampler:
+    """Return a sampler with its default settings.
+
+    Parameters
+    ----------
+    name : {"mh", "slice", "hmc", "emcee"}
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown, with those that are known.
+    """
+    samplers: dict[str, type[Sampler]] = {
+        kind.name: kind for kind in (MetropolisHastings, Slice, HamiltonianMonteCarlo, Ensemble)
+    }
+    if name not in samplers:
+        raise ValueError(f"sampler: must be one of {', '.join(samplers)} (got {name!r})")
+    return samplers[name]()
