@@ -91,17 +91,18 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     Raises
     ------
     ValueError
-        If `y_direction` is parallel to an element.
+        If `y_direction` is zero or parallel to an element, or an element has no length.
     """
     x = np.asarray(axis, dtype=float)
-    x = x / np.linalg.norm(x, axis=1, keepdims=True)
-    y = np.broadcast_to(np.asarray(y_direction, dtype=float), x.shape)
-    y = y - np.sum(x * y, axis=1, keepdims=True) * x
+    x = x / _lengths(np.linalg.norm(x, axis=1))[:, None]
+    direction = np.broadcast_to(np.asarray(y_direction, dtype=float), x.shape)
+    y = direction - np.sum(x * direction, axis=1, keepdims=True) * x
     norm = np.linalg.norm(y, axis=1, keepdims=True)
-    parallel = norm[:, 0] < 1e-8 * max(1.0, float(np.max(np.abs(y_direction))))
+    # Closer to parallel than this, what is left of the direction is rounding; "not >" catches zero and NaN.
+    parallel = ~(norm > 1e-6 * np.linalg.norm(direction, axis=1, keepdims=True))[:, 0]
     if np.any(parallel):
         raise ValueError(
-            f"y_direction: must not be parallel to an element (parallel to element {int(np.argmax(parallel))})"
+            f"y_direction: must not be zero or parallel to an element (wrong for element {int(np.argmax(parallel))})"
         )
     y = y / norm
     return np.stack([x, y, np.cross(x, y)], axis=1)
