@@ -11,7 +11,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from numpy.typing import NDArray
 
-from fmu.fem.separable import SeparableModel, Term, coefficient_gradients, coefficients, weighted_sum
+from fmu.fem.separable import CoefficientMap, SeparableModel, Term, weighted_sum
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -118,7 +118,9 @@ class FullBlock:
         self.n_parameters = model.n_parameters
         self.K_terms = _restricted(model.K_terms, dofs)
         self.M_terms = _restricted(model.M_terms, dofs)
-        self.size = len(dofs)
+        self._K_map = CoefficientMap(self.K_terms)
+        self._M_map = CoefficientMap(self.M_terms)
+        self.size = self.trusted = len(dofs)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
@@ -127,7 +129,7 @@ class FullBlock:
         """
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
-        K_weights, M_weights = coefficients(self.K_terms, theta), coefficients(self.M_terms, theta)
+        K_weights, M_weights = self._K_map(theta), self._M_map(theta)
         for i in range(len(theta)):
             K, M = weighted_sum(self.K_terms, K_weights[i]), weighted_sum(self.M_terms, M_weights[i])
             if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
@@ -147,9 +149,8 @@ class FullBlock:
 
         ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1; for simple eigenvalues.
         """
-        K_forms = np.stack([_quadratic_forms(t.matrix, phi) for t in self.K_terms], axis=-1)
-        M_forms = np.stack([_quadratic_forms(t.matrix, phi) for t in self.M_terms], axis=-1)
-        return combine_forms(self.K_terms, self.M_terms, theta, lam, K_forms, M_forms)
+        gradient = self._K_map.contract(theta, _quadratic_forms(self.K_terms, phi))
+        return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))
 
     def observe(
         self, dofs: IntArray, reference: FloatArray
@@ -158,28 +159,11 @@ class FullBlock:
         return lambda phi: phi[:, dofs], reference
 
 
-def combine_forms(
-    K_terms: tuple[Term, ...],
-    M_terms: tuple[Term, ...],
-    theta: FloatArray,
-    lam: FloatArray,
-    K_forms: FloatArray,
-    M_forms: FloatArray,
-) -> FloatArray:
-    """Combine φᵀK_kφ and φᵀM_mφ, shapes (n, m, n_terms), to ∂λ/∂θ, shape (n, m, n_parameters)."""
-    gradient = np.zeros((*lam.shape, theta.shape[1]))
-    for terms, forms, factor in ((K_terms, K_forms, None), (M_terms, M_forms, -lam)):
-        slopes = coefficient_gradients(terms, theta)
-        for k, term in enumerate(terms):
-            form = forms[..., k] if factor is None else forms[..., k] * factor
-            for j, power in enumerate(term.powers):
-                if power:
-                    gradient[..., j] += form * slopes[:, None, k, j]
-    return gradient
-
-
-def _quadratic_forms(matrix: Any, phi: FloatArray) -> FloatArray:
-    return np.stack([np.sum(shape * (matrix @ shape), axis=0) for shape in phi])
+def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:
+    """Return φᵀ K_k φ, shape (n, n_terms, m), for shapes (n, size, m)."""
+    return np.stack(
+        [np.stack([np.sum(shape * (term.matrix @ shape), axis=0) for shape in phi]) for term in terms], axis=1
+    )
 
 
 def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:

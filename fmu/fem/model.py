@@ -42,6 +42,7 @@ class Block(Protocol):
 
     dofs: IntArray
     size: int
+    trusted: int
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
         """Return the lowest eigenvalues, shape (n, count), (rad/s)²."""
@@ -67,6 +68,29 @@ class Block(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Modes:
+    """Chosen modes of a structure at n parameter vectors.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray, shape (n, m), (rad/s)²; NaN where a solve failed or is not to be trusted
+    gradient : ndarray, shape (n, m, n_parameters), or None
+    block, rank : ndarray of int, shape (n, m)
+        The mode's block and its number (from 0) within it.
+    """
+
+    eigenvalues: FloatArray
+    gradient: FloatArray | None
+    block: IntArray
+    rank: IntArray
+
+    def columns(self, picked: IntArray) -> Modes:
+        """Return the modes at the given columns alone."""
+        gradient = None if self.gradient is None else self.gradient[:, picked]
+        return Modes(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
+
+
 @dataclass(frozen=True, eq=False)
 class BlockModel:
     """A structure as its independent blocks, full or reduced.
@@ -85,19 +109,37 @@ class BlockModel:
         """Return the unreduced blocks of `model`."""
         return cls(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
 
-    def spectrum(self, theta: FloatArray, count: int) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return the lowest `count` modes of the whole structure, sorted over the blocks.
+    def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> Modes:
+        """Return the lowest `count` modes of the whole structure, ascending over the blocks.
 
-        Returns
-        -------
-        eigenvalues : ndarray, shape (n, count), ascending
-        block, rank : ndarray of int, shape (n, count)
-            Which block a mode belongs to and its number (from 0) there.
+        A reduced block gives only the modes that it was trained for. Where one more of them might have been
+        among the lowest, the row is NaN: it takes the full model.
+
+        Raises
+        ------
+        ValueError
+            If the structure has fewer modes.
         """
-        parts = [block.eigenvalues(theta, min(count, block.size)) for block in self.blocks]
-        label = np.array([(b, r) for b, part in enumerate(parts) for r in range(part.shape[1])])
-        merged = np.concatenate(parts, axis=1)
-        if merged.shape[1] < count:
-            raise ValueError(f"count: the structure has {merged.shape[1]} modes (got {count})")
+        available = sum(min(count, block.size) for block in self.blocks)
+        if not 1 <= count <= available:
+            raise ValueError(f"count: must lie in 1..{available}, the modes of the structure (got {count})")
+        values, slopes = [], []
+        for block in self.blocks:
+            trusted = min(count, block.trusted)
+            if gradient:
+                lam, phi = block.modes(theta, trusted)
+                slopes.append(block.eigenvalue_gradient(theta, lam, phi))
+            else:
+                lam = block.eigenvalues(theta, trusted)
+            values.append(lam)
+        merged = np.concatenate(values, axis=1)
         order = np.argsort(merged, axis=1, kind="stable")[:, :count]
-        return np.take_along_axis(merged, order, axis=1), label[order, 0], label[order, 1]
+        lowest = np.take_along_axis(merged, order, axis=1)
+        for block, lam in zip(self.blocks, values, strict=True):
+            if lam.shape[1] < min(count, block.size):
+                lowest[~(lowest[:, -1] < lam[:, -1])] = np.nan
+        label = np.array([(b, r) for b, lam in enumerate(values) for r in range(lam.shape[1])])
+        chosen = None
+        if gradient:
+            chosen = np.take_along_axis(np.concatenate(slopes, axis=1), order[..., None], axis=1)
+        return Modes(lowest, chosen, label[order, 0], label[order, 1])

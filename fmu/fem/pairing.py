@@ -8,7 +8,7 @@ rank within the block, and eigenvalues suffice.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -17,34 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from fmu.fem.model import BlockModel
+from fmu.fem.model import BlockModel, Modes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-
-@dataclass(frozen=True)
-class PairedModes:
-    """The modes paired with the measured ones, at n parameter vectors.
-
-    Attributes
-    ----------
-    eigenvalues : ndarray, shape (n, n_modes), (rad/s)²
-    gradient : ndarray, shape (n, n_modes, n_parameters), or None
-    block, rank : ndarray of int, shape (n, n_modes)
-        The mode's block and its number (from 0) within it.
-    """
-
-    eigenvalues: FloatArray
-    gradient: FloatArray | None
-    block: IntArray
-    rank: IntArray
+# what maps a block's shapes to the coordinates of comparison, and the reference shapes there
+Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
 
 
 class PairedSolve(Protocol):
     """A pairing rule bound to a model: solve at theta (n, n_parameters), and pick the measured modes."""
 
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> PairedModes:
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
         """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
         ...
 
@@ -71,12 +56,9 @@ class IndexPairing:
         """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
         return partial(self._pair, model)
 
-    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> PairedModes:
+    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
         picked = np.array(self.numbers) - 1
-        lam, block, rank = model.spectrum(theta, max(self.numbers))
-        lam, block, rank = lam[:, picked], block[:, picked], rank[:, picked]
-        slopes = picked_gradient(model, theta, block, rank) if gradient else None
-        return PairedModes(lam, slopes, block, rank)
+        return model.spectrum(theta, max(self.numbers), gradient).columns(picked)
 
 
 @dataclass(frozen=True)
@@ -90,7 +72,7 @@ class RankPairing:
         """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
         return partial(self._pair, model)
 
-    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> PairedModes:
+    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
         shape = (len(theta), len(self.rank))
         lam = np.empty(shape)
         slopes = np.empty((*shape, model.n_parameters)) if gradient else None
@@ -104,7 +86,7 @@ class RankPairing:
             lam[:, columns] = values[:, ranks]
             slopes[:, columns] = model.blocks[b].eigenvalue_gradient(theta, values[:, ranks], phi[:, :, ranks])
         block = np.broadcast_to(np.array(self.block), shape)
-        return PairedModes(lam, slopes, block, np.broadcast_to(np.array(self.rank), shape))
+        return Modes(lam, slopes, block, np.broadcast_to(np.array(self.rank), shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +109,33 @@ class ShapePairing:
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""
+        return partial(self._pair, model, self.observe(model))
+
+    def _pair(
+        self,
+        model: BlockModel,
+        observed: Mapping[int, Observation],
+        theta: FloatArray,
+        gradient: bool = False,
+    ) -> Modes:
+        values, shapes = {}, {}
+        for b in observed:
+            values[b], shapes[b] = model.blocks[b].modes(theta, self.offered(model, b))
+        block, rank, column = self._assigned(observed, shapes)
+        lam = np.take_along_axis(np.concatenate(list(values.values()), axis=1), column, axis=1)
+        if not gradient:
+            return Modes(lam, None, block, rank)
+        slopes = np.concatenate(
+            [model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in observed], axis=1
+        )
+        return Modes(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+
+    def offered(self, model: BlockModel, b: int) -> int:
+        """Return how many modes block `b` offers as candidates."""
+        return min(self.shapes.shape[1] + self.margin, model.blocks[b].size)
+
+    def observe(self, model: BlockModel) -> dict[int, Observation]:
+        """Return, for every block that a reference moves in, how its shapes are compared."""
         observed = {}
         for b, block in enumerate(model.blocks):
             position = {dof: i for i, dof in enumerate(block.dofs)}
@@ -134,34 +143,35 @@ class ShapePairing:
             if np.any(self.shapes[inside]):
                 local = np.array([position[self.dofs[i]] for i in inside])
                 observed[b] = block.observe(local, self.shapes[inside])
-        return partial(self._pair, model, observed, np.sum(self.shapes**2, axis=0))
+        return observed
 
-    def _pair(
-        self,
-        model: BlockModel,
-        observed: dict[int, tuple[Callable[[FloatArray], FloatArray], FloatArray]],
-        reference_size: FloatArray,
-        theta: FloatArray,
-        gradient: bool = False,
-    ) -> PairedModes:
-        values, shapes, similarity, label = {}, {}, [], []
+    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+        """Return the assignment by MAC as fixed ranks if it is the same at every theta sampled, else None.
+
+        Parameters
+        ----------
+        shapes : mapping of int to ndarray, shape (n, size, offered)
+            Modes of each observed block at points that cover the parameter box, its corners among them.
+        """
+        block, rank, _ = self._assigned(self.observe(model), shapes)
+        if np.any(block != block[0]) or np.any(rank != rank[0]):
+            return None
+        return RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
+
+    def _assigned(
+        self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
+    ) -> tuple[IntArray, IntArray, IntArray]:
+        """Return block, rank and column among all candidates of the mode assigned to each reference."""
+        reference_size = np.sum(self.shapes**2, axis=0)[:, None]
+        similarity, label = [], []
         for b, (observe, reference) in observed.items():
-            count = min(self.shapes.shape[1] + self.margin, model.blocks[b].size)
-            values[b], shapes[b] = model.blocks[b].modes(theta, count)
             seen = observe(shapes[b])
             cross = reference.T @ seen
-            size = reference_size[:, None] * np.sum(seen**2, axis=1)[:, None, :]
+            size = reference_size * np.sum(seen**2, axis=1)[:, None, :]
             similarity.append(np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0))
-            label += [(b, r) for r in range(count)]
+            label += [(b, r) for r in range(seen.shape[2])]
         column = assign(np.nan_to_num(np.concatenate(similarity, axis=2)))
-        block, rank = np.array(label)[column, 0], np.array(label)[column, 1]
-        lam = np.take_along_axis(np.concatenate(list(values.values()), axis=1), column, axis=1)
-        if not gradient:
-            return PairedModes(lam, None, block, rank)
-        slopes = np.concatenate(
-            [model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in observed], axis=1
-        )
-        return PairedModes(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+        return np.array(label)[column, 0], np.array(label)[column, 1], column
 
 
 def reference_modes(
@@ -197,20 +207,6 @@ def reference_modes(
         count = min(2 * count, n_total)
 
 
-def constant_rank(pairing: ShapePairing, model: BlockModel, theta: FloatArray) -> RankPairing | None:
-    """Return the assignment by MAC as fixed ranks if it is the same at every theta given, else None.
-
-    Parameters
-    ----------
-    theta : ndarray, shape (n, n_parameters)
-        Points that cover the parameter box, its corners among them.
-    """
-    paired = pairing.bind(model)(theta)
-    if np.any(paired.block != paired.block[0]) or np.any(paired.rank != paired.rank[0]):
-        return None
-    return RankPairing(tuple(map(int, paired.block[0])), tuple(map(int, paired.rank[0])))
-
-
 def assign(mac: FloatArray) -> IntArray:
     """Return, for each reference, the column of its mode under the one-to-one assignment of largest total MAC.
 
@@ -234,28 +230,14 @@ def assign(mac: FloatArray) -> IntArray:
     return best
 
 
-def picked_gradient(model: BlockModel, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
-    """Return ∂λ/∂θ, shape (n, n_modes, n_parameters), of the modes that `block` and `rank` (n, n_modes) name."""
-    gradient = np.empty((*block.shape, model.n_parameters))
-    for b in np.unique(block):
-        here = block == b
-        count = int(rank[here].max()) + 1
-        rows = np.flatnonzero(here.any(axis=1))
-        lam, phi = model.blocks[b].modes(theta[rows], count)
-        slopes = model.blocks[b].eigenvalue_gradient(theta[rows], lam, phi)
-        i, j = np.nonzero(here[rows])
-        gradient[rows[i], j] = slopes[i, rank[rows[i], j]]
-    return gradient
-
-
 def _visible_shapes(
     model: BlockModel, theta: FloatArray, sensors: IntArray, dofs: IntArray, count: int
 ) -> list[FloatArray]:
     point = np.atleast_2d(theta)
-    _, block, rank = model.spectrum(point, count)
+    spectrum = model.spectrum(point, count)
     n_dof = max(int(b.dofs.max()) for b in model.blocks) + 1
     shapes = []
-    for b, r in zip(block[0], rank[0], strict=True):
+    for b, r in zip(spectrum.block[0], spectrum.rank[0], strict=True):
         shape = np.zeros(n_dof)
         shape[model.blocks[b].dofs] = model.blocks[b].modes(point, r + 1)[1][0, :, r]
         if np.max(np.abs(shape[sensors])) > 1e-3 * np.max(np.abs(shape[dofs])):

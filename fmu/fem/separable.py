@@ -166,6 +166,39 @@ def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
     return value
 
 
+class CoefficientMap:
+    """The coefficients of a set of terms and their derivatives, with the common case (c_k = theta_j) made fast."""
+
+    def __init__(self, terms: Sequence[Term]) -> None:
+        self.terms = tuple(terms)
+        self.n_parameters = len(self.terms[0].powers)
+        self._linear = [k for k, t in enumerate(self.terms) if sorted(t.powers)[-1] == sum(t.powers) == 1]
+        self._source = [self.terms[k].powers.index(1) for k in self._linear]
+        self._general = [k for k, t in enumerate(self.terms) if k not in self._linear and not t.constant]
+        self._slopes = np.zeros((len(self.terms), self.n_parameters))
+        self._slopes[self._linear, self._source] = 1.0
+
+    def __call__(self, theta: FloatArray) -> FloatArray:
+        """Return c_k(theta), shape (n, n_terms)."""
+        if len(self._linear) == len(self.terms):
+            return theta[:, self._source]
+        value = np.ones((len(theta), len(self.terms)))
+        value[:, self._linear] = theta[:, self._source]
+        for k in self._general:
+            value[:, k] = monomial(theta, self.terms[k].powers)
+        return value
+
+    def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
+        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
+        slopes = coefficient_gradients(self.terms, theta) if self._general else self._slopes
+        gradient = np.zeros((len(theta), forms.shape[2], self.n_parameters))
+        for k, term in enumerate(self.terms):
+            for j, power in enumerate(term.powers):
+                if power:
+                    gradient[:, :, j] += forms[:, k] * slopes[..., k, j, None]
+        return gradient
+
+
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     """Add up the matrices of terms with the same coefficient."""
     merged: dict[tuple[float, ...], Any] = {}

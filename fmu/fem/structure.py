@@ -1,17 +1,21 @@
-"""A structure whose computed modes are paired with the measured ones."""
+"""A structure whose computed modes are paired with the measured ones, behind a certified reduced model."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from fmu.fem.modal import frequency_gradient, frequency_hz
-from fmu.fem.model import BlockModel
-from fmu.fem.pairing import IndexPairing, PairedModes, Pairing, constant_rank, reference_modes
+from fmu.fem.model import BlockModel, Modes
+from fmu.fem.pairing import IndexPairing, Pairing, ShapePairing, reference_modes
+from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel
+from fmu.fem.threads import single_thread
+from fmu.fem.training import Trained, Training
 
 FloatArray = NDArray[np.float64]
 
@@ -33,8 +37,13 @@ class PairedStructure:
         What was measured; all translations if empty.
     reference : ndarray, shape (n_parameters,)
         The model before updating.
-    lower, upper : ndarray, shape (n_parameters,)
-        Box over which the assignment by shape is checked; where it is constant it becomes a rank in a block.
+
+    Attributes
+    ----------
+    reduced : BlockModel or None
+        Set by `train`: it answers inside the trained box, the full model elsewhere.
+    full_solves : int
+        How often the full model had to answer since `train`.
 
     Raises
     ------
@@ -50,8 +59,6 @@ class PairedStructure:
         numbers: tuple[int, ...],
         sensors: tuple[tuple[Any, str], ...],
         reference: FloatArray,
-        lower: FloatArray,
-        upper: FloatArray,
     ) -> None:
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -59,23 +66,84 @@ class PairedStructure:
         self.n_parameters = model.n_parameters
         self.n_modes = len(numbers)
         self.full = BlockModel.full(model)
-        self.pairing: Pairing
+        self.reduced: BlockModel | None = None
+        self.full_solves = 0
+        self.rule: IndexPairing | ShapePairing
         if pairing == "index":
-            self.pairing = IndexPairing(numbers)
+            self.rule = IndexPairing(numbers)
         else:
             dofs = model.translations
             seen = np.array([model.dof(*sensor) for sensor in sensors]) if sensors else dofs
-            by_shape = reference_modes(self.full, reference, seen, dofs, self.n_modes)
-            points = box_points(lower, upper, 32)
-            self.pairing = constant_rank(by_shape, self.full, points) or by_shape
-        self._solve_full = self.pairing.bind(self.full)
+            with single_thread():
+                self.rule = reference_modes(self.full, reference, seen, dofs, self.n_modes)
+        self.pairing: Pairing = self.rule
+        self._solve_full = self.rule.bind(self.full)
 
     def __repr__(self) -> str:
-        return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__})"
+        reduced = "not reduced"
+        if self.reduced is not None:
+            sizes = [block.size for block in self.reduced.blocks if isinstance(block, ReducedBlock)]
+            reduced = f"reduced to {sizes}"
+        return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__}, {reduced})"
 
-    def modes(self, theta: FloatArray, gradient: bool = False) -> PairedModes:
-        """Return the paired modes of the full model at theta (n, n_parameters)."""
-        return self._solve_full(theta, gradient)
+    def train(
+        self,
+        lower: FloatArray,
+        upper: FloatArray,
+        tolerance: float = 1e-6,
+        focus: Callable[[], FloatArray] | None = None,
+        acceptable: Callable[[FloatArray, FloatArray], bool] | None = None,
+    ) -> dict[str, FloatArray]:
+        """Train the reduced model over a box; see `fmu.fem.training.Training.run`.
+
+        Parameters
+        ----------
+        lower, upper : ndarray, shape (n_parameters,)
+        tolerance : float
+            Largest relative error of a frequency at any point of the box that was tried.
+        focus : callable, optional
+            Returns fresh points (n, n_parameters) where the reduced model has to be better than that. It may call
+            `frequencies`, which the model as trained so far then answers.
+        acceptable : callable, optional
+            Whether reduced frequencies (n, n_modes) do in place of the full ones at the points of `focus`.
+
+        Returns
+        -------
+        dict of str to ndarray
+            What `restore` needs to have the same reduced model again.
+        """
+        training = Training(self.full, self.rule, lower, upper, tolerance)
+        with single_thread():
+            self._install(training.run())
+            if focus is not None and acceptable is not None:
+                for _ in range(20):
+                    points = focus()
+                    exact = frequency_hz(self._solve_full(points).eigenvalues)
+                    if acceptable(exact, self.frequencies(points)):
+                        break
+                    self._install(training.refined(points))
+        return training.state()
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Install a reduced model that `train` returned earlier, for the same structure and pairing."""
+        with single_thread():
+            self._install(Training.restored(self.full, self.rule, state))
+
+    def modes(self, theta: FloatArray, gradient: bool = False) -> Modes:
+        """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        with single_thread():
+            if self.reduced is None:
+                return self._solve_full(theta, gradient)
+            modes = self._solve_reduced(theta, gradient)
+            inside = np.all((theta >= self._lower) & (theta <= self._upper), axis=1)
+            if inside.all() and not np.isnan(modes.eigenvalues).any():
+                return modes
+            return self._repaired(theta, modes, ~inside | np.any(np.isnan(modes.eigenvalues), axis=1))
+
+    def full_modes(self, theta: FloatArray) -> Modes:
+        """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""
+        with single_thread():
+            return self._solve_full(theta)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
@@ -88,16 +156,39 @@ class PairedStructure:
         frequencies = frequency_hz(modes.eigenvalues)
         return frequencies, frequency_gradient(frequencies, modes.gradient)
 
+    def fingerprint(self) -> str:
+        """Return a hash of everything that the frequencies depend on."""
+        digest = hashlib.sha256(repr((self.structure.dofs, self.rule)).encode())
+        if isinstance(self.rule, ShapePairing):
+            digest.update(np.ascontiguousarray(self.rule.shapes).tobytes())
+        for term in (*self.structure.K_terms, *self.structure.M_terms):
+            matrix = term.matrix.tocsr()
+            digest.update(repr((term.powers, matrix.shape)).encode())
+            for part in (matrix.indptr, matrix.indices, matrix.data):
+                digest.update(np.ascontiguousarray(part).tobytes())
+        return digest.hexdigest()
 
-def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
-    """Return points that cover a box: `n` of a scrambled Sobol sequence, and corners.
+    def configuration(self) -> dict[str, Any]:
+        """Return what identifies the model, in plain Python types."""
+        return {
+            "structure": repr(self.structure),
+            "pairing": type(self.rule).__name__,
+            "sha256": self.fingerprint(),
+        }
 
-    All corners up to 2⁶ of them, as many at random beyond.
-    """
-    ndim = len(lower)
-    inside = qmc.Sobol(ndim, seed=seed).random(n)
-    if ndim <= 6:
-        corners = np.array(np.meshgrid(*[[0.0, 1.0]] * ndim, indexing="ij")).reshape(ndim, -1).T
-    else:
-        corners = np.random.default_rng(seed).integers(0, 2, size=(64, ndim)).astype(float)
-    return lower + (upper - lower) * np.concatenate([inside, corners])
+    def _install(self, trained: Trained) -> None:
+        self.reduced, self.pairing = trained.model, trained.pairing
+        self._lower, self._upper = trained.lower, trained.upper
+        self._solve_reduced = trained.pairing.bind(trained.model)
+        self.full_solves = 0
+
+    def _repaired(self, theta: FloatArray, modes: Modes, rows: NDArray[np.bool_]) -> Modes:
+        exact = self._solve_full(theta[rows], modes.gradient is not None)
+        self.full_solves += int(np.sum(rows))
+        lam, block, rank = modes.eigenvalues.copy(), modes.block.copy(), modes.rank.copy()
+        lam[rows], block[rows], rank[rows] = exact.eigenvalues, exact.block, exact.rank
+        gradient = None
+        if modes.gradient is not None:
+            gradient = modes.gradient.copy()
+            gradient[rows] = exact.gradient
+        return Modes(lam, gradient, block, rank)

@@ -217,3 +217,35 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
     return tuple(
         replace(p, prior=Normal.from_alpha(alpha[p.group])) if p.group in alpha else p for p in parameters
     )
+
+
+class JointPrior:
+    """The product of the parameters' priors, truncated to the bounds and normalised over them.
+
+    Gaussian priors, the common case, are evaluated as one array.
+    """
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self._normal = [j for j, p in enumerate(parameters) if isinstance(p.prior, Normal)]
+        normals = [p.prior for p in parameters if isinstance(p.prior, Normal)]
+        self._mean = np.array([prior.mean for prior in normals])
+        self._precision = np.array([prior.sd for prior in normals]) ** -2.0
+        self._others = [(j, p.prior) for j, p in enumerate(parameters) if j not in self._normal]
+        log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters)
+        self._constant = 0.5 * float(np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass
+
+    def log_pdf(self, theta: FloatArray) -> FloatArray:
+        """Return the log-density, shape (n,), at theta (n, ndim) inside the bounds."""
+        z = theta[:, self._normal] - self._mean
+        value = self._constant - 0.5 * np.sum(self._precision * z * z, axis=1)
+        for j, prior in self._others:
+            value = value + prior.log_pdf(theta[:, j])
+        return value
+
+    def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
+        """Return its gradient, shape (n, ndim)."""
+        gradient = np.empty_like(theta)
+        gradient[:, self._normal] = -self._precision * (theta[:, self._normal] - self._mean)
+        for j, prior in self._others:
+            gradient[:, j] = prior.log_pdf_gradient(theta[:, j])
+        return gradient

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.fem.model import ModalModel
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
+from fmu.posterior.focus import reduce_model
 from fmu.posterior.likelihood import FrequencyError
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import JointPrior, Parameter
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ class UpdatingProblem:
     pairing : {"shape", "index"}
         Which computed mode answers to which measured one (`fmu.fem.pairing`), for a SeparableModel: by MAC with
         the modes of the model before updating, or by number in the sorted spectrum.
+    reduction : bool
+        Whether a SeparableModel is answered by a certified reduced model inside the bounds.
     beta : float or array_like, shape (n_modes,)
         Trust in the data, 1/Hz²: β = 1/(2σ²) (eq. 4).
     name : str
@@ -63,6 +66,7 @@ class UpdatingProblem:
         parameters: Sequence[Parameter],
         *,
         pairing: str = "shape",
+        reduction: bool = True,
         beta: ArrayLike = 1.0,
         name: str = "problem",
     ) -> None:
@@ -80,9 +84,11 @@ class UpdatingProblem:
         self.offset = np.array([offset for offset, _ in scales])
         self.scale = np.array([scale for _, scale in scales])
         self.failures: list[FloatArray] = []
-        self._log_prior_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in self.parameters)
-        self.model = self._paired(model, pairing) if isinstance(model, SeparableModel) else model
+        self._prior = JointPrior(self.parameters)
+        self.model: ModalModel = self._paired(model, pairing) if isinstance(model, SeparableModel) else model
         self._check()
+        if reduction and isinstance(self.model, PairedStructure):
+            reduce_model(self, self.model)
 
     def __repr__(self) -> str:
         return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"
@@ -94,7 +100,7 @@ class UpdatingProblem:
         inside = self._inside(points)
         if np.any(inside):
             likelihood = self._terms(points[inside]).sum(axis=1)
-            value[inside] = likelihood + self._log_prior_inside(points[inside])
+            value[inside] = likelihood + self._prior.log_pdf(points[inside])
         return float(value[0]) if single else value
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
@@ -107,9 +113,9 @@ class UpdatingProblem:
             x = points[inside]
             frequencies, slopes = self.model.frequencies_and_gradient(x)
             terms = self._recorded(self.likelihood.log_prob_terms(frequencies), x)
-            value[inside] = terms.sum(axis=1) + self._log_prior_inside(x)
+            value[inside] = terms.sum(axis=1) + self._prior.log_pdf(x)
             weights = self.likelihood.gradient(frequencies)
-            gradient[inside] = np.sum(weights[..., None] * slopes, axis=1) + self._log_prior_gradient(x)
+            gradient[inside] = np.sum(weights[..., None] * slopes, axis=1) + self._prior.log_pdf_gradient(x)
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
@@ -129,7 +135,7 @@ class UpdatingProblem:
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._inside(points)
-        value[inside] = self._log_prior_inside(points[inside])
+        value[inside] = self._prior.log_pdf(points[inside])
         return float(value[0]) if single else value
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
@@ -172,15 +178,12 @@ class UpdatingProblem:
     def _paired(self, model: SeparableModel, pairing: str) -> PairedStructure:
         if model.n_parameters != self.ndim:
             raise ValueError(f"parameters: the model takes {model.n_parameters} (got {self.ndim})")
-        box = np.array([p.prior.box(p.lower, p.upper) for p in self.parameters])
         return PairedStructure(
             model,
             pairing=pairing,
             numbers=self.data.numbers,
             sensors=self.data.sensors,
             reference=self.start,
-            lower=box[:, 0],
-            upper=box[:, 1],
         )
 
     def _model_description(self) -> Any:
@@ -206,15 +209,6 @@ class UpdatingProblem:
             self.failures.extend(points[failed])
             terms = np.where(failed[:, None], -np.inf, terms)
         return terms
-
-    def _log_prior_inside(self, points: FloatArray) -> FloatArray:
-        value = np.full(len(points), -self._log_prior_mass)
-        for j, p in enumerate(self.parameters):
-            value = value + p.prior.log_pdf(points[:, j])
-        return value
-
-    def _log_prior_gradient(self, points: FloatArray) -> FloatArray:
-        return np.stack([p.prior.log_pdf_gradient(points[:, j]) for j, p in enumerate(self.parameters)], axis=1)
 
     def _check(self) -> None:
         if len(set(self.names)) < self.ndim:

@@ -1,0 +1,211 @@
+"""The parametric reduced basis: one fixed basis that serves every theta of a box.
+
+K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta of a box lie close to a space of
+few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition in the inner product
+of the mass matrix at the box's centre; every term is projected onto that basis once; a solve is then a dense
+eigenproblem of order 10 to 50, whatever the size of the structure, and a batch of them is one call of NumPy's
+batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
+chapter 6).
+By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.modal import FullBlock, frequency_hz
+from fmu.fem.separable import CoefficientMap, Term, coefficients, weighted_sum
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Directions of the snapshots weaker than this, relative to the strongest, are rounding: the Gram matrix squares.
+_SNAPSHOT_RANK = 1e-14
+
+
+class ReducedBlock:
+    """One block of a structure, projected onto a basis and solved in batches.
+
+    Parameters
+    ----------
+    block : FullBlock
+    basis : ndarray, shape (block.size, r)
+        Orthonormal in the mass matrix at the box's centre.
+    trusted : int
+        How many of the lowest modes the basis was trained for.
+
+    Notes
+    -----
+    Every step is done theta by theta inside NumPy's loops, elementwise or in one small LAPACK or BLAS call a
+    theta, so that a result does not depend, in any bit, on what else is in the batch.
+    """
+
+    def __init__(self, block: FullBlock, basis: FloatArray, trusted: int) -> None:
+        self.dofs = block.dofs
+        self.basis = basis
+        self.size = basis.shape[1]
+        self.trusted = trusted
+        self.n_parameters = block.n_parameters
+        self._K = _project(block.K_terms, basis)
+        self._M = _project(block.M_terms, basis)
+        self._K_map = CoefficientMap(block.K_terms)
+        self._M_map = CoefficientMap(block.M_terms)
+        self._K_rows = self._K.reshape(-1, self.size)
+        self._M_rows = self._M.reshape(-1, self.size)
+        # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
+        self.constant_mass = all(term.constant for term in block.M_terms)
+
+    def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
+        """Return the lowest eigenvalues, shape (n, count); NaN where the solver fails."""
+        A = _assemble(self._K, self._K_map(theta))
+        if not self.constant_mass:
+            A = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))[0]
+        return _row_by_row(_values, A)[0][:, :count]
+
+    def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
+        A = _assemble(self._K, self._K_map(theta))
+        if self.constant_mass:
+            lam, phi = _row_by_row(np.linalg.eigh, A)
+            return lam[:, :count], phi[:, :, :count]
+        A, inverse = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))
+        lam, y = _row_by_row(np.linalg.eigh, A)
+        return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
+
+    def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return ∂λ/∂θ, shape (n, m, n_parameters), from the reduced terms (Fox & Kapoor 1968, eq. 5)."""
+        gradient = self._K_map.contract(theta, self._forms(self._K_rows, phi))
+        if not self.constant_mass:
+            gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
+        return gradient
+
+    def observe(
+        self, dofs: IntArray, reference: FloatArray
+    ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return shapes at `dofs` and the references in an orthonormal basis of what the block can show there."""
+        rows = self.basis[dofs]
+        if len(dofs) <= self.size:
+            return lambda phi: rows @ phi, reference
+        Q, R = np.linalg.qr(rows)
+        return lambda phi: R @ phi, Q.T @ reference
+
+    def _forms(self, rows: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return φᵀ K_k φ, shape (n, n_terms, m)."""
+        n, r, m = phi.shape
+        products = (rows @ phi).reshape(n, len(rows) // r, r, m)
+        return np.sum(products * phi[:, None], axis=2)
+
+
+@dataclass(frozen=True)
+class Snapshots:
+    """Modes of one block at sampled points: theta (n, p), eigenvalues (n, m) and shapes (n, size, m)."""
+
+    theta: FloatArray
+    eigenvalues: FloatArray
+    shapes: FloatArray
+
+    @classmethod
+    def solve(cls, block: FullBlock, theta: FloatArray, count: int) -> Snapshots:
+        """Solve the full block at every theta."""
+        return cls(theta, *block.modes(theta, min(count, block.size)))
+
+    def __add__(self, other: Snapshots) -> Snapshots:
+        """Return the snapshots of both."""
+        pairs = zip(
+            (self.theta, self.eigenvalues, self.shapes),
+            (other.theta, other.eigenvalues, other.shapes),
+            strict=True,
+        )
+        return Snapshots(*(np.concatenate(pair) for pair in pairs))
+
+    def lowest(self, count: int) -> Snapshots:
+        """Return the snapshots of the lowest `count` modes alone."""
+        return Snapshots(self.theta, self.eigenvalues[:, :count], self.shapes[:, :, :count])
+
+    def frequency_error(self, block: ReducedBlock) -> FloatArray:
+        """Return |f_reduced − f| / f, shape (n, m).
+
+        A frequency far below the highest one (a rigid-body mode) is measured by a millionth of that one.
+        """
+        exact = frequency_hz(self.eigenvalues)
+        reduced = frequency_hz(block.eigenvalues(self.theta, exact.shape[1]))
+        return np.abs(reduced - exact) / np.maximum(exact, 1e-6 * exact[:, -1:])
+
+
+def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: FloatArray) -> FloatArray:
+    """Return the POD of mode shapes, shape (size, r_max), strongest direction first.
+
+    Orthonormal in the block's mass matrix at `centre` (n_parameters,).
+    """
+    M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
+    X = np.concatenate(list(snapshots.shapes), axis=1)
+    energy, U = np.linalg.eigh(X.T @ (M @ X))
+    order = np.argsort(energy)[::-1]
+    order = order[energy[order] > _SNAPSHOT_RANK * energy[order[0]]]
+    V = X @ (U[:, order] / np.sqrt(energy[order]))
+    for _ in range(2):  # the weak directions lose orthogonality to rounding; Cholesky–QR restores it
+        L = np.linalg.cholesky(V.T @ (M @ V))
+        V = np.linalg.solve(L, V.T).T
+    return V
+
+
+def smallest_basis(
+    block: FullBlock,
+    basis: FloatArray,
+    trusted: int,
+    acceptable: Callable[[ReducedBlock], bool],
+    smallest: int,
+) -> ReducedBlock | None:
+    """Return the block reduced by the fewest leading vectors of `basis` that are acceptable, None if none are."""
+    for r in range(max(smallest, trusted), basis.shape[1] + 1):
+        candidate = ReducedBlock(block, basis[:, :r], trusted)
+        if acceptable(candidate):
+            return candidate
+    return None
+
+
+def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
+    projected = np.stack([basis.T @ (term.matrix @ basis) for term in terms])
+    return 0.5 * (projected + np.swapaxes(projected, 1, 2))
+
+
+def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return Σ_k weights[:, k] · matrices[k], shape (n, r, r); elementwise, hence the same in every batch."""
+    total = weights[:, 0, None, None] * matrices[0]
+    part = np.empty_like(total)
+    for k in range(1, len(matrices)):
+        np.multiply(weights[:, k, None, None], matrices[k], out=part)
+        total += part
+    return total
+
+
+def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return L⁻¹ K L⁻ᵀ and L⁻¹, with M = L Lᵀ."""
+    inverse = np.linalg.inv(np.linalg.cholesky(M))
+    return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
+
+
+def _values(A: FloatArray) -> tuple[FloatArray]:
+    return (np.linalg.eigvalsh(A),)
+
+
+def _row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
+    """Apply a batched solver; where one matrix makes it fail, the others must not suffer: those rows give NaN."""
+    try:
+        return tuple(solve(*matrices))
+    except np.linalg.LinAlgError:
+        rows: list[tuple[FloatArray, ...] | None] = []
+        for i in range(len(matrices[0])):
+            try:
+                rows.append(tuple(solve(*(m[i : i + 1] for m in matrices))))
+            except np.linalg.LinAlgError:
+                rows.append(None)
+        shapes = next((row for row in rows if row is not None), None)
+        if shapes is None:
+            shapes = tuple(solve(*(np.broadcast_to(np.eye(m.shape[-1]), (1, *m.shape[1:])) for m in matrices)))
+        failed = tuple(np.full_like(part, np.nan) for part in shapes)
+        return tuple(np.concatenate(parts) for parts in zip(*(row or failed for row in rows), strict=True))

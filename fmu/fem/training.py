@@ -1,0 +1,204 @@
+"""How a reduced basis is trained: sample, compress, verify on fresh points, grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from fmu.fem.modal import FullBlock
+from fmu.fem.model import Block, BlockModel
+from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
+from fmu.fem.reduced_basis import ReducedBlock, Snapshots, proper_orthogonal_basis, smallest_basis
+
+FloatArray = NDArray[np.float64]
+
+# Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
+EXACT_LIMIT = 20
+_ROUNDS = 12
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A reduced model with the pairing to use on it and the box it is good for."""
+
+    model: BlockModel
+    pairing: Pairing
+    lower: FloatArray
+    upper: FloatArray
+
+
+class Training:
+    """Offline stage of the parametric reduced basis.
+
+    Parameters
+    ----------
+    full : BlockModel
+    rule : IndexPairing or ShapePairing
+        Decides which modes of which blocks are needed.
+    lower, upper : ndarray, shape (n_parameters,)
+        The box.
+    tolerance : float
+        Largest relative error of a needed frequency at the sampled and at the fresh points.
+    n_sobol : int
+        Points of the Sobol sequence, beside corners and faces; fresh sets are half as large.
+    """
+
+    def __init__(
+        self,
+        full: BlockModel,
+        rule: IndexPairing | ShapePairing,
+        lower: FloatArray,
+        upper: FloatArray,
+        tolerance: float,
+        n_sobol: int = 64,
+    ) -> None:
+        self.full, self.rule = full, rule
+        self.lower, self.upper = lower, upper
+        self.tolerance = tolerance
+        self.n_sobol = n_sobol
+        self.snapshots: dict[int, Snapshots] = {}
+        self.pairing: Pairing = rule
+        self.basis: dict[int, FloatArray] = {}
+        self.trusted: dict[int, int] = {}
+
+    def run(self) -> Trained:
+        """Train until a fresh set of points, corners and faces among them, is within the tolerance.
+
+        Every point that turned out badly joins the snapshots before the next round.
+        """
+        self.snapshots = self._solved(box_points(self.lower, self.upper, self.n_sobol, seed=0))
+        for round_ in range(1, _ROUNDS):
+            self._compress()
+            fresh = self._solved(box_points(self.lower, self.upper, self.n_sobol // 2, seed=round_))
+            if self._good_for(fresh):
+                break
+            self._add(fresh)
+        else:
+            self._compress()
+        return self._trained()
+
+    def refined(self, theta: FloatArray) -> Trained:
+        """Train on, with more points (n, n_parameters) and a tolerance three times as tight."""
+        self._add(self._solved(theta))
+        self.tolerance /= 3.0
+        self._compress()
+        return self._trained()
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the outcome as arrays."""
+        state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
+        if isinstance(self.pairing, RankPairing):
+            state["pairing"] = np.array([self.pairing.block, self.pairing.rank], dtype=float)
+        for b, basis in self.basis.items():
+            state[f"basis{b}"] = basis
+            state[f"trusted{b}"] = np.array(float(self.trusted[b]))
+        return state
+
+    @classmethod
+    def restored(
+        cls, full: BlockModel, rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
+    ) -> Trained:
+        """Return the outcome that `state` described."""
+        training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
+        if "pairing" in state:
+            block, rank = state["pairing"].astype(int).tolist()
+            training.pairing = RankPairing(tuple(block), tuple(rank))
+        for b in range(len(full.blocks)):
+            if f"basis{b}" in state:
+                training.basis[b] = state[f"basis{b}"]
+                training.trusted[b] = int(state[f"trusted{b}"])
+        return training._trained()
+
+    def _trained(self) -> Trained:
+        blocks: list[Block] = list(self.full.blocks)
+        for b, basis in self.basis.items():
+            blocks[b] = ReducedBlock(self._block(b), basis, self.trusted[b])
+        return Trained(BlockModel(tuple(blocks), self.full.n_parameters), self.pairing, self.lower, self.upper)
+
+    def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
+        """Solve the blocks that the rule looks at, for all modes that might be needed."""
+        if isinstance(self.rule, ShapePairing):
+            counts = {b: self.rule.offered(self.full, b) for b in self.rule.observe(self.full)}
+        else:
+            most = max(self.rule.numbers)
+            counts = {b: min(most, block.size) for b, block in enumerate(self.full.blocks)}
+        return {b: Snapshots.solve(self._block(b), theta, count) for b, count in counts.items()}
+
+    def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
+        """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""
+        if isinstance(self.rule, ShapePairing):
+            rank = self.rule.constant(self.full, {b: s.shapes for b, s in snapshots.items()})
+            if rank is None:
+                return self.rule, {b: s.eigenvalues.shape[1] for b, s in snapshots.items()}
+            needed = {
+                b: 1 + max(r for o, r in zip(rank.block, rank.rank, strict=True) if o == b) for b in rank.block
+            }
+            return rank, needed
+        values = [snapshots[b].eigenvalues for b in sorted(snapshots)]
+        highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.rule.numbers) - 1]
+        # one mode more than was ever among the lowest: it shows that none is missing
+        counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
+        return self.rule, {b: min(c, snapshots[b].eigenvalues.shape[1]) for b, c in enumerate(counts)}
+
+    def _compress(self) -> None:
+        self.pairing, self.trusted = self._needed(self.snapshots)
+        self.basis = {b: self._compressed(b, needed) for b, needed in self.trusted.items()}
+
+    def _compressed(self, b: int, needed: int) -> FloatArray:
+        block = self._block(b)
+        centre = 0.5 * (self.lower + self.upper)
+        if block.size <= EXACT_LIMIT:
+            return block.modes(centre[None], block.size)[1][0]
+        wanted = self.snapshots[b].lowest(needed)
+        basis = proper_orthogonal_basis(block, wanted, centre)
+
+        def acceptable(candidate: ReducedBlock) -> bool:
+            return bool(np.max(wanted.frequency_error(candidate)) <= self.tolerance)
+
+        found = smallest_basis(block, basis, needed, acceptable, smallest=self._size(b))
+        return basis if found is None else found.basis
+
+    def _size(self, b: int) -> int:
+        return self.basis[b].shape[1] if b in self.basis else 1
+
+    def _good_for(self, fresh: dict[int, Snapshots]) -> bool:
+        pairing, needed = self._needed(fresh)
+        if isinstance(self.pairing, RankPairing) and pairing != self.pairing:
+            return False
+        for b, trusted in self.trusted.items():
+            if needed[b] > trusted:
+                return False
+            reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
+            if not np.max(fresh[b].lowest(trusted).frequency_error(reduced)) <= self.tolerance:
+                return False
+        return True
+
+    def _add(self, fresh: dict[int, Snapshots]) -> None:
+        self.snapshots = {b: s + fresh[b] for b, s in self.snapshots.items()}
+
+    def _block(self, b: int) -> FullBlock:
+        block = self.full.blocks[b]
+        if not isinstance(block, FullBlock):
+            raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
+        return block
+
+
+def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:
+    """Return points that cover a box: `n` of a scrambled Sobol sequence, n/2 on its faces, and its corners.
+
+    All corners up to 2⁶, as many at random beyond.
+    """
+    ndim = len(lower)
+    rng = np.random.default_rng(seed)
+    inside = qmc.Sobol(ndim, rng=rng).random(n)
+    faces = rng.uniform(size=(n // 2, ndim))
+    fixed = rng.integers(0, 3, size=faces.shape)  # per coordinate: lower face, upper face or free
+    faces = np.where(fixed == 0, 0.0, np.where(fixed == 1, 1.0, faces))
+    if ndim <= 6:
+        corners = np.array(np.meshgrid(*[[0.0, 1.0]] * ndim, indexing="ij")).reshape(ndim, -1).T
+    else:
+        corners = rng.integers(0, 2, size=(64, ndim)).astype(float)
+    return lower + (upper - lower) * np.concatenate([inside, faces, corners])

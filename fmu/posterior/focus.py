@@ -1,0 +1,104 @@
+"""Make a problem's reduced model good where its posterior lives, and remember it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.basis_cache import load_basis, store_basis
+from fmu.fem.structure import PairedStructure
+from fmu.posterior.maxima import local_maxima
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+FREQUENCY_TOLERANCE = 1e-6
+LOG_PROB_TOLERANCE = 1e-3
+# Below the maximum by more than this, a probability does not matter.
+PLAUSIBLE = 50.0
+
+
+def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
+    """Train the reduced model of `structure`, or fetch it from the cache.
+
+    Frequencies are good to `FREQUENCY_TOLERANCE` (relative) over the whole box, and the log-probability to
+    `LOG_PROB_TOLERANCE` wherever it is within `PLAUSIBLE` of its maximum, at every point that was tried.
+    """
+    tolerances = (FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE, PLAUSIBLE)
+    key = {"problem": problem.configuration(), "tolerances": tolerances}
+    state = load_basis(key)
+    if state is not None:
+        structure.restore(state)
+        return
+    box = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters])
+    rng = np.random.default_rng(0)
+
+    def acceptable(exact: FloatArray, reduced: FloatArray) -> bool:
+        terms = problem.likelihood.log_prob_terms
+        return bool(np.max(np.abs(np.sum(terms(reduced) - terms(exact), axis=1))) <= LOG_PROB_TOLERANCE)
+
+    state = structure.train(
+        box[:, 0],
+        box[:, 1],
+        FREQUENCY_TOLERANCE,
+        focus=lambda: plausible_points(problem, 64, rng),
+        acceptable=acceptable,
+    )
+    store_basis(key, state)
+
+
+def plausible_points(problem: UpdatingProblem, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return points inside the bounds at which the log-probability is within `PLAUSIBLE` of its maximum.
+
+    From every local maximum that is itself plausible, along random directions of the Laplace approximation, to
+    where the log-probability has dropped by a random amount, or to the bounds.
+
+    Parameters
+    ----------
+    n : int
+        Points a maximum.
+
+    Returns
+    -------
+    ndarray, shape (n · maxima, ndim)
+    """
+    maxima = local_maxima(problem, starts=8)
+    points = []
+    for maximum in maxima:
+        allowed = maximum.log_prob - (maxima[0].log_prob - PLAUSIBLE)
+        if allowed < 0:
+            continue
+        direction = _laplace_directions(problem, maximum.theta, n, rng)
+        floor = maximum.log_prob - rng.uniform(0.0, allowed, size=n)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            walls = (
+                np.where(direction > 0, problem.upper - maximum.theta, problem.lower - maximum.theta) / direction
+            )
+        far = np.min(np.where(direction == 0, np.inf, walls), axis=1)
+        near, far = np.zeros(n), np.minimum(far, 100.0)
+        for _ in range(40):
+            middle = 0.5 * (near + far)
+            above = problem.log_prob(_along(problem, maximum.theta, direction, middle)) >= floor
+            near, far = np.where(above, middle, near), np.where(above, far, middle)
+        points.append(_along(problem, maximum.theta, direction, near))
+    return np.concatenate(points)
+
+
+def _along(problem: UpdatingProblem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
+    return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
+
+
+def _laplace_directions(
+    problem: UpdatingProblem, theta: FloatArray, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
+    _, slopes = problem.model.frequencies_and_gradient(theta[None])
+    J = slopes[0] * problem.scale * np.sqrt(2.0 * np.asarray(problem.likelihood.beta))[:, None]
+    precision = J.T @ J + np.eye(problem.ndim)
+    z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
+    z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))
+    return z * problem.scale
