@@ -101,9 +101,8 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     # Closer to parallel than this, what is left of the direction is rounding; "not >" catches zero and NaN.
     parallel = ~(norm > 1e-6 * np.linalg.norm(direction, axis=1, keepdims=True))[:, 0]
     if np.any(parallel):
-        raise ValueError(
-            f"y_direction: must not be zero or parallel to an element (wrong for element {int(np.argmax(parallel))})"
-        )
+        element = int(np.argmax(parallel))
+        raise ValueError(f"y_direction: must not be zero or parallel to an element (wrong for element {element})")
     y = y / norm
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
