@@ -142,11 +142,11 @@ class Frame:
         Raises
         ------
         ValueError
-            For an unknown property or group, a property updated twice, or an element, support or mass
-            at a node that does not exist.
+            For an unknown property or group, two groups of one name, a property updated twice, an element,
+            support or mass at a node that does not exist, or a free node without an element.
         """
         owner = self._owners(updates or {})
-        coordinates = np.asarray(self.nodes, dtype=float)
+        coordinates = self._coordinates()
         n_parameters = len(updates or {})
         free, dofs = self._free_dofs(len(coordinates))
         K_terms: list[Term] = []
@@ -173,6 +173,8 @@ class Frame:
 
     def _owners(self, updates: Mapping[str, Sequence[tuple[str, str]]]) -> dict[tuple[str, str], int]:
         groups = {group.name for group in self.groups}
+        if len(groups) < len(self.groups):
+            raise ValueError(f"groups: names must be distinct (got {[group.name for group in self.groups]})")
         owner: dict[tuple[str, str], int] = {}
         for j, (parameter, targets) in enumerate(updates.items()):
             for name, group in targets:
@@ -185,6 +187,12 @@ class Frame:
                 owner[name, group] = j
         return owner
 
+    def _coordinates(self) -> FloatArray:
+        nodes = np.asarray(self.nodes, dtype=float)
+        if nodes.ndim != 2 or nodes.shape[1] != 3 or not np.all(np.isfinite(nodes)):
+            raise ValueError(f"nodes: must be finite x, y, z of every node (got shape {nodes.shape})")
+        return nodes
+
     def _free_dofs(self, n_nodes: int) -> tuple[NDArray[np.int64], list[tuple[int, str]]]:
         fixed: set[tuple[int, str]] = set()
         for node, directions in self.supports.items():
@@ -193,19 +201,31 @@ class Frame:
                 if direction not in DIRECTIONS:
                     raise ValueError(f"supports: direction must be one of {DIRECTIONS} (got {direction!r})")
                 fixed.add((node, direction))
+        used: set[int] = set()
         for group in self.groups:
-            for node in np.ravel(group.elements):
-                _require_node(f"group {group.name!r}", int(node), n_nodes)
+            ends = np.asarray(group.elements)
+            if ends.ndim != 2 or ends.shape[1] != 2 or not np.issubdtype(ends.dtype, np.integer):
+                received = f"shape {ends.shape} of {ends.dtype}"
+                raise ValueError(f"group {group.name!r}: elements must be pairs of node numbers (got {received})")
+            for node in map(int, ends.ravel()):
+                _require_node(f"group {group.name!r}", node, n_nodes)
+                used.add(node)
+        # Nothing holds such a node: it would make the mass matrix singular.
+        loose = [n for n in range(n_nodes) if n not in used and any((n, d) not in fixed for d in DIRECTIONS)]
+        if loose:
+            raise ValueError(f"nodes: a node without an element must be fixed (got nodes {loose})")
         names = [(node, direction) for node in range(n_nodes) for direction in DIRECTIONS]
         free = [i for i, name in enumerate(names) if name not in fixed]
+        if not free:
+            raise ValueError(f"supports: must leave a degree of freedom free (got all {len(names)} fixed)")
         return np.array(free, dtype=np.int64), [names[i] for i in free]
 
     def _lumped_mass(self, n_nodes: int) -> FloatArray:
         lumped = np.zeros(6 * n_nodes)
         for mass in self.masses:
             _require_node("masses", mass.node, n_nodes)
-            if mass.mass < 0 or min(mass.inertia) < 0:
-                raise ValueError(f"masses: mass and inertia must not be negative (got {mass})")
+            if not all(0.0 <= value < np.inf for value in (mass.mass, *mass.inertia)):
+                raise ValueError(f"masses: mass and inertia must be finite and not negative (got {mass})")
             lumped[6 * mass.node : 6 * mass.node + 6] += (*(mass.mass,) * 3, *mass.inertia)
         return lumped
 
