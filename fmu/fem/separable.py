@@ -6,6 +6,7 @@ monomials of the parameters, so that derivatives are exact.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -153,17 +154,30 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j]; whole powers by multiplication, so that a batch changes no bit."""
+    """Return Π theta[:, j] ** powers[j]; whole powers by multiplication, so that a batch changes no bit.
+
+    Not finite, but never an exception, where a power does not exist or overflows.
+    """
     value = np.ones(len(theta))
-    for j, power in enumerate(powers):
-        if power == 0:
-            continue
-        if power == int(power) and 0 < power <= 8:
-            for _ in range(int(power)):
-                value = value * theta[:, j]
-        else:
-            value = value * np.array([float(x) ** power for x in theta[:, j]])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for j, power in enumerate(powers):
+            if power == 0:
+                continue
+            if power == int(power) and 0 < power <= 8:
+                for _ in range(int(power)):
+                    value = value * theta[:, j]
+            else:
+                value = value * np.array([_power(float(x), power) for x in theta[:, j]])
     return value
+
+
+def _power(x: float, power: float) -> float:
+    try:
+        return math.pow(x, power)
+    except OverflowError:
+        return math.inf
+    except ValueError:  # zero to a negative power, or a negative number to a fractional one
+        return math.nan
 
 
 class CoefficientMap:
@@ -172,7 +186,7 @@ class CoefficientMap:
     def __init__(self, terms: Sequence[Term]) -> None:
         self.terms = tuple(terms)
         self.n_parameters = len(self.terms[0].powers)
-        self._linear = [k for k, t in enumerate(self.terms) if sorted(t.powers)[-1] == sum(t.powers) == 1]
+        self._linear = [k for k, t in enumerate(self.terms) if sorted(filter(None, t.powers)) == [1]]
         self._source = [self.terms[k].powers.index(1) for k in self._linear]
         self._general = [k for k, t in enumerate(self.terms) if k not in self._linear and not t.constant]
         self._slopes = np.zeros((len(self.terms), self.n_parameters))
@@ -208,10 +222,11 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
-    """Return the sparse Σ weights[k] · K_k."""
-    total = terms[0].matrix * weights[0]
-    for term, weight in zip(terms[1:], weights[1:], strict=True):
-        total = total + term.matrix * weight
+    """Return the sparse Σ weights[k] · K_k, with entries that are not finite where it overflows."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = terms[0].matrix * weights[0]
+        for term, weight in zip(terms[1:], weights[1:], strict=True):
+            total = total + term.matrix * weight
     return total
 
 
@@ -224,6 +239,8 @@ def _check_terms(model: SeparableModel) -> None:
                 raise ValueError(f"{name}.{k}: must have shape {(model.n_dof,) * 2} (got {term.matrix.shape})")
             if len(term.powers) != model.n_parameters:
                 raise ValueError(f"{name}.{k}: must have {model.n_parameters} powers (got {len(term.powers)})")
+            if not np.all(np.isfinite(term.powers)):
+                raise ValueError(f"{name}.{k}: powers must be finite (got {term.powers})")
             difference = abs(term.matrix - term.matrix.T).max()
             if not difference <= 1e-9 * abs(term.matrix).max():
                 raise ValueError(f"{name}.{k}: must be symmetric and finite (asymmetry {difference:.3g})")

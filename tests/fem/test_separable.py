@@ -1,0 +1,164 @@
+"""Coefficients and their derivatives, the split into blocks, and wrong terms."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fmu.fem.separable import CoefficientMap, SeparableModel, Term, coefficient_gradients, coefficients, monomial
+
+EYE = sp.csr_array(sp.eye_array(2))
+POWERS = [
+    (0.0, 0.0, 0.0),
+    (1.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0),
+    (3.0, 0.0, 0.0),
+    (2.0, 1.0, 0.0),
+    (1.0, 1.0, -1.0),
+    (1.0, 0.5, -0.5),
+    (0.0, -2.0, 0.0),
+    (0.5, 0.0, 9.0),
+]
+
+
+def test_monomials_and_their_gradients():
+    theta = np.random.default_rng(0).uniform(0.5, 2.0, size=(7, 3))
+    terms = [Term(EYE, p) for p in POWERS]
+    value = coefficients(terms, theta)
+    assert_allclose(value, np.prod(theta[:, None] ** np.array(POWERS), axis=2), rtol=1e-14)
+    expected = value[..., None] * np.array(POWERS) / theta[:, None]
+    assert_allclose(coefficient_gradients(terms, theta), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("powers", [POWERS, POWERS[1:3], POWERS[:3], POWERS[:1], POWERS[5:7]], ids=len)
+def test_coefficient_map_agrees_with_the_plain_formulas(powers):
+    rng = np.random.default_rng(1)
+    theta = rng.uniform(0.5, 2.0, size=(6, 3))
+    terms = [Term(EYE, p) for p in powers]
+    forms = rng.standard_normal((6, len(terms), 4))
+    mapping = CoefficientMap(terms)
+    assert_allclose(mapping(theta), coefficients(terms, theta), rtol=1e-15)
+    expected = np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(terms, theta))
+    assert_allclose(mapping.contract(theta, forms), expected, rtol=1e-13, atol=1e-14)
+
+
+def test_coefficient_map_without_parameters():
+    mapping = CoefficientMap([Term(EYE, ()), Term(EYE, ())])
+    assert_array_equal(mapping(np.empty((3, 0))), np.ones((3, 2)))
+    assert mapping.contract(np.empty((3, 0)), np.ones((3, 2, 5))).shape == (3, 5, 0)
+
+
+@pytest.mark.parametrize("powers", POWERS)
+def test_a_batch_changes_no_bit(powers):
+    theta = np.random.default_rng(2).uniform(0.5, 2.0, size=(37, 3)) * [1e11, 1e-9, 1e-4]
+    batch = monomial(theta, powers)
+    assert_array_equal(batch, [monomial(row[None], powers)[0] for row in theta])
+    mapping = CoefficientMap([Term(EYE, powers)])
+    assert_array_equal(mapping(theta), [mapping(row[None])[0] for row in theta])
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=3, max_size=3), st.sampled_from(POWERS))
+def test_no_finite_theta_is_an_exception(theta, powers):
+    point = np.array([theta])
+    assert monomial(point, powers).shape == (1,)
+    assert coefficient_gradients([Term(EYE, powers)], point).shape == (1, 1, 3)
+
+
+def test_powers_that_do_not_exist_are_not_finite():
+    points = np.array([[0.0], [-1.0], [1e200]])
+    assert_array_equal(np.isfinite(monomial(points, (-1.0,))), [False, True, True])
+    assert_array_equal(np.isfinite(monomial(points, (0.5,))), [True, False, True])
+    assert_array_equal(np.isfinite(monomial(points, (2.0,))), [True, True, False])
+    assert_array_equal(monomial(np.array([[-2.0]]), (-3.0,)), [-0.125])
+
+
+def matrix(rows):
+    return sp.csr_array(np.array(rows, dtype=float))
+
+
+def test_matrices_at_theta():
+    K1, K2, M = matrix([[2, 1], [1, 3]]), matrix([[1, 0], [0, 0]]), matrix([[4, 0], [0, 5]])
+    model = SeparableModel([Term(K1, (1, 0)), Term(K2, (2, 1))], [Term(M, (0, 3))])
+    assert_allclose(model.K([2.0, 5.0]).toarray(), [[24.0, 2.0], [2.0, 6.0]])
+    assert_allclose(model.M([2.0, 5.0]).toarray(), [[500.0, 0.0], [0.0, 625.0]])
+    assert (model.n_dof, model.n_parameters) == (2, 2)
+    assert model.dofs == ((0, "x"), (1, "x"))
+    assert_array_equal(model.translations, [0, 1])
+
+
+def test_terms_that_cancel_at_one_theta_still_couple():
+    """The graph is that of all terms: K₁ and −K₁ would cancel at θ = (1, 1), not elsewhere."""
+    coupling = matrix([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])
+    model = SeparableModel(
+        [Term(coupling, (1, 0)), Term(-0.5 * coupling, (0, 1))], [Term(matrix(np.eye(3)), (0, 0))]
+    )
+    assert [list(b) for b in model.blocks] == [[0, 1], [2]]
+
+
+def test_mass_couples_too_and_rounding_does_not():
+    M = matrix([[1, 0, 1e-3], [0, 1, 0], [1e-3, 0, 1]])
+    K = matrix([[1e9, 1e-5, 0], [1e-5, 1e9, 0], [0, 0, 1e9]])
+    model = SeparableModel([Term(K, ())], [Term(M, ())])
+    assert [list(b) for b in model.blocks] == [[0, 2], [1]]
+
+
+def test_coupling_without_a_diagonal_counts():
+    K = matrix([[0, 1], [1, 0]])
+    model = SeparableModel([Term(K, ()), Term(matrix(np.eye(2)), ())], [Term(matrix(np.eye(2)), ())])
+    assert [list(b) for b in model.blocks] == [[0, 1]]
+
+
+GOOD = Term(matrix(np.eye(2)), (1.0,))
+WRONG = {
+    "no stiffness": ([], [GOOD], None, r"K_terms, M_terms: at least one stiffness and one mass term are needed"),
+    "no mass": ([GOOD], [], None, r"K_terms, M_terms: at least one stiffness and one mass term are needed"),
+    "names": ([GOOD], [GOOD], [(0, "x")], r"dofs: must name 2 degrees of freedom \(got 1\)"),
+    "shape": (
+        [GOOD, Term(matrix(np.eye(3)), (1.0,))],
+        [GOOD],
+        None,
+        r"K_terms\.1: must have shape \(2, 2\) \(got \(3, 3\)\)",
+    ),
+    "powers": ([GOOD], [Term(matrix(np.eye(2)), ())], None, r"M_terms\.0: must have 1 powers \(got 0\)"),
+    "NaN power": (
+        [GOOD],
+        [Term(matrix(np.eye(2)), (np.nan,))],
+        None,
+        r"M_terms\.0: powers must be finite \(got \(nan,\)\)",
+    ),
+    "symmetry": (
+        [Term(matrix([[1, 0.5], [0, 1]]), (1.0,))],
+        [GOOD],
+        None,
+        r"K_terms\.0: must be symmetric and finite \(asymmetry 0\.5\)",
+    ),
+    "NaN": (
+        [GOOD],
+        [GOOD, Term(matrix([[1, 0], [0, np.nan]]), (1.0,))],
+        None,
+        r"M_terms\.1: must be symmetric and finite \(asymmetry nan\)",
+    ),
+    "infinite": (
+        [Term(matrix([[np.inf, 0], [0, 1]]), (1.0,))],
+        [GOOD],
+        None,
+        r"K_terms\.0: must be symmetric and finite \(asymmetry nan\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", list(WRONG))
+def test_wrong_terms(case):
+    K_terms, M_terms, dofs, message = WRONG[case]
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        SeparableModel(K_terms, M_terms, dofs)
+
+
+def test_sensor_off_the_model():
+    model = SeparableModel([GOOD], [GOOD], [(7, "x"), (7, "rz")])
+    assert model.dof(7, "rz") == 1
+    with pytest.raises(ValueError, match=r"^sensor: the model has no free degree of freedom \(got node 7, 'y'\)$"):
+        model.dof(7, "y")
