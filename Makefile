@@ -1,0 +1,35 @@
+# Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
+.DEFAULT_GOAL := help
+.PHONY: help paper test lint bench clean-environment
+
+PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
+READY := .venv/.ready
+
+help:  ## Show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1|/' | column -t -s '|'
+
+$(READY): pyproject.toml constraints.txt
+	@set -e; found=; for p in $(PYTHON_CANDIDATES); do \
+	  if "$$p" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 12))' >/dev/null 2>&1; then found="$$p"; break; fi; \
+	done; \
+	if [ -z "$$found" ]; then echo "fmu needs Python 3.12 or newer with its venv module; install it, or name it: make PYTHON=/path/to/python" >&2; exit 1; fi; \
+	[ -x .venv/bin/python ] || "$$found" -m venv .venv; \
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'; \
+	touch $(READY)
+
+paper: $(READY)  ## Run both experiments of the paper with every sampler, into results/
+	.venv/bin/fmu paper --out results
+
+test: $(READY)  ## Run the whole test suite
+	.venv/bin/python -m pytest
+
+lint: $(READY)  ## Check style and types
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+
+bench: $(READY)  ## Measure the speed budget, into results/benchmarks.md
+	.venv/bin/python -m tests.benchmarks --out results/benchmarks.md
+
+clean-environment:  ## Remove .venv, to be made anew by the next command
+	rm -rf .venv
