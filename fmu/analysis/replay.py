@@ -1,0 +1,63 @@
+"""What the draws imply: frequencies, likelihood terms and predictions, each distinct draw solved once.
+
+A sampler stores a rejected proposal as a repetition of the previous draw; solving it again would only cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BATCH = 4096
+"""Draws handed to the model at a time: bounds the memory that one batched eigenvalue call takes."""
+
+
+@dataclass(frozen=True)
+class DistinctDraws:
+    """The draws of a run without the repetitions that rejections leave.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n, ndim)
+        Draws that differ from their predecessor in the same chain (in the same walker of an ensemble).
+    inverse : ndarray of int, shape (chains, draws)
+        Row of `theta` that each draw equals.
+    """
+
+    theta: FloatArray
+    inverse: IntArray
+
+    @classmethod
+    def of(cls, position: FloatArray, walkers: int = 1) -> DistinctDraws:
+        """Drop consecutive repetitions.
+
+        Parameters
+        ----------
+        position : ndarray, shape (chains, steps * walkers, ndim)
+            Step-major: a walker's next draw lies `walkers` rows further on.
+        walkers : int
+        """
+        chains, draws, ndim = position.shape
+        paths = position.reshape(chains, draws // walkers, walkers, ndim).swapaxes(1, 2)
+        moved = np.ones(paths.shape[:3], dtype=bool)
+        moved[:, :, 1:] = np.any(paths[:, :, 1:] != paths[:, :, :-1], axis=-1)
+        inverse = np.cumsum(moved).reshape(moved.shape) - 1
+        return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
+
+    def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int = BATCH) -> FloatArray:
+        """Return ``function(theta)`` for every draw, shape (chains, draws, ...).
+
+        Parameters
+        ----------
+        function : callable
+            Maps (n, ndim) to (n, ...); called with at most `batch` rows, once for each distinct draw.
+        batch : int
+        """
+        parts = [function(self.theta[i : i + batch]) for i in range(0, len(self.theta), batch)]
+        return np.concatenate(parts)[self.inverse]

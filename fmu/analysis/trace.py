@@ -1,0 +1,202 @@
+"""From a sampler's run to an ArviZ trace, and from there to a netCDF file and back.
+
+Every sampler goes through the one conversion here, so that all traces have the same groups, names and
+dimensions ``(chain, draw, *)``. The draw dimension of an ensemble holds steps x walkers, step-major; the number
+of walkers is in the trace's attributes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.provenance import attributes
+from fmu.analysis.replay import DistinctDraws
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.samplers.kernel import LogDensity
+    from fmu.samplers.run import Draws, RunResult
+
+PRIOR_DRAWS = 2000
+PRIOR_STREAM, NOISE_STREAM = 0, 1
+_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see _generator
+
+
+def to_trace(result: RunResult, density: LogDensity, start: NDArray[np.float64] | None = None) -> xr.DataTree:
+    """Convert a run to an ArviZ trace.
+
+    Parameters
+    ----------
+    result : RunResult
+        What `fmu.samplers.run.run` returned.
+    density : LogDensity
+        The density that was sampled. An `UpdatingProblem` gives all the groups below; of a plain log-density only
+        those that need no frequencies, with coordinates named ``x0``, ``x1``, ...
+    start : ndarray, optional
+        Where the chains started, if the user gave the positions: they belong to the configuration and its hash.
+
+    Returns
+    -------
+    xarray.DataTree
+        Groups ``posterior`` and ``warmup_posterior`` (one variable a parameter, SI units), ``sample_stats`` and
+        ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, one term a mode), ``posterior_predictive``
+        (eq. (10) of the paper: ``frequency`` with measurement noise, ``model_frequency`` without it, Hz),
+        ``prior`` (draws from the prior inside the bounds), ``observed_data`` (``frequency``) and ``constant_data``
+        (``lower``, ``upper``, ``start``, ``beta``). The attributes say how the draws came about.
+    """
+    import xarray as xr
+
+    names = _names(density)
+    units = tuple(getattr(density, "units", ("",) * density.ndim))
+    groups = {
+        "posterior": _variables(result.posterior.position, names, units),
+        "sample_stats": _stats(result.posterior),
+        "warmup_posterior": _variables(result.warmup.position, names, units),
+        "warmup_sample_stats": _stats(result.warmup),
+        "constant_data": _constants(density, names),
+    }
+    if hasattr(density, "sample_prior"):
+        prior = density.sample_prior(_generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
+        groups["prior"] = _variables(prior[np.newaxis], names, units)
+    if hasattr(density, "frequencies"):
+        groups |= _frequency_groups(result, density)
+    trace = xr.DataTree.from_dict(groups)
+    trace.attrs = attributes(result, density, start)
+    return trace
+
+
+def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
+    """Write a trace to a netCDF file, which appears complete or not at all.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    path : path-like
+        Replaced if it exists.
+
+    Returns
+    -------
+    Path
+    """
+    path = Path(path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        trace.to_netcdf(unfinished, engine="h5netcdf")
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return path
+
+
+def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
+    """Read a trace that `save_trace` wrote, whole, into memory.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is no netCDF file, or holds no trace of this package.
+    """
+    import xarray as xr
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"path: must be a trace written by fmu (no such file: {path})")
+    try:
+        trace = xr.load_datatree(path, engine="h5netcdf")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"path: must be a trace written by fmu (not a readable netCDF file: {path})") from error
+    check_trace(trace, str(path))
+    return trace
+
+
+def check_trace(trace: Any, origin: str = "trace") -> None:
+    """Raise ValueError unless `trace` has what the analysis relies on; `origin` names it in the message."""
+    needed = ("posterior", "sample_stats")
+    missing = [group for group in needed if group not in getattr(trace, "children", {})]
+    missing += [name for name in ("sampler", "walkers", "wall_s") if name not in getattr(trace, "attrs", {})]
+    if missing:
+        raise ValueError(f"{origin}: must be a trace written by fmu (it has no {', '.join(missing)})")
+
+
+def _names(density: LogDensity) -> tuple[str, ...]:
+    """Return the parameters' names; ``x0``, ``x1``, ... where the density has none."""
+    return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
+
+
+def _generator(seed: int, stream: int) -> np.random.Generator:
+    """Return a generator of the run's seed tree that shares no stream with the chains, tasks 0, 1, ..."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
+
+
+def _sample_coordinates(values: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
+    """Return the coordinates of an array of shape (chains, draws, ...)."""
+    return {"chain": np.arange(values.shape[0]), "draw": np.arange(values.shape[1])}
+
+
+def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tuple[str, ...]) -> xr.Dataset:
+    """Return one variable a parameter from positions of shape (chains, draws, ndim)."""
+    import xarray as xr
+
+    variables = {
+        name: (("chain", "draw"), position[..., i], {"units": unit})
+        for i, (name, unit) in enumerate(zip(names, units, strict=True))
+    }
+    return xr.Dataset(variables, coords=_sample_coordinates(position))
+
+
+def _stats(draws: Draws) -> xr.Dataset:
+    """Return the sampler's statistics, one variable each."""
+    import xarray as xr
+
+    variables = {name: (("chain", "draw"), values) for name, values in draws.stats.items()}
+    return xr.Dataset(variables, coords=_sample_coordinates(draws.position))
+
+
+def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
+    """Return the bounds, the start vector and the weights of the measured frequencies."""
+    import xarray as xr
+
+    variables: dict[str, Any] = {
+        name: ("parameter", np.asarray(getattr(density, name), dtype=float))
+        for name in ("lower", "upper", "start")
+        if hasattr(density, name)
+    }
+    coordinates: dict[str, Any] = {"parameter": list(names)}
+    if hasattr(density, "likelihood"):
+        variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float), {"units": "1/Hz²"})
+        coordinates["mode"] = list(density.data.labels)
+    return xr.Dataset(variables, coords=coordinates)
+
+
+def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
+    """Return the groups that need the model's frequencies at the draws; each distinct draw is solved once."""
+    import xarray as xr
+
+    coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
+    distinct = DistinctDraws.of(result.posterior.position, result.walkers)
+    frequency = distinct.evaluate(problem.frequencies)
+    noise = _generator(result.seed, NOISE_STREAM)
+    replicate = problem.simulate_data(noise, frequency.reshape(-1, frequency.shape[-1])).reshape(frequency.shape)
+    dims = ("chain", "draw", "mode")
+    hertz = {"units": "Hz"}
+    return {
+        "log_likelihood": xr.Dataset(
+            {"frequency": (dims, problem.likelihood.log_prob_terms(frequency))}, coords=coordinates
+        ),
+        "posterior_predictive": xr.Dataset(
+            {"frequency": (dims, replicate, hertz), "model_frequency": (dims, frequency, hertz)},
+            coords=coordinates,
+        ),
+        "observed_data": xr.Dataset(
+            {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)},
+            coords={"mode": coordinates["mode"]},
+        ),
+    }

@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+
+from fmu.analysis import effective
+from fmu.analysis.diagnostics import (
+    autocorrelation_times_run,
+    convergence_failures,
+    rhat_over_walkers,
+    summary,
+)
+from fmu.analysis.trace import to_trace
+
+
+@pytest.fixture
+def good():
+    return np.random.default_rng(21).standard_normal((4, 500, 2))
+
+
+@pytest.fixture
+def good_ensembles(ar1):
+    """Four ensembles of 10 walkers, 100 autocorrelation times: (ensembles, steps, walkers, ndim)."""
+    return ar1(np.random.default_rng(22), (4, 900, 10, 2), 0.8)
+
+
+def flat(ensembles):
+    return ensembles.reshape(len(ensembles), -1, ensembles.shape[-1])
+
+
+def test_summary_by_hand(make_result, problem, good):
+    position = good / 10 + [1.0, 2.0]
+    table = summary(to_trace(make_result(position), problem), ci_prob=0.8)
+    assert list(table.columns) == [
+        "mean",
+        "sd",
+        "eti80_lb",
+        "eti80_ub",
+        "rhat",
+        "ess_bulk",
+        "ess_tail",
+        "mcse_mean",
+    ]
+    assert list(table.index) == ["E1", "rho"]
+    assert table.attrs["units"] == {"E1": "Pa", "rho": "kg/m³"}
+    x = position[..., 1]
+    expected = [np.mean(x), np.std(x, ddof=1), *np.quantile(x, [0.1, 0.9]), effective.rhat(x)]
+    expected += [effective.ess_bulk(x), effective.ess_tail(x), effective.mcse_mean(x)]
+    np.testing.assert_allclose(table.loc["rho"].to_numpy(dtype=float), expected, rtol=1e-14)
+
+
+def test_interval_columns_carry_the_probability(make_trace, good):
+    assert {"eti90_lb", "eti90_ub"} <= set(summary(make_trace(good)).columns)
+    assert {"eti95.5_lb", "eti95.5_ub"} <= set(summary(make_trace(good), ci_prob=0.955).columns)
+
+
+@pytest.mark.parametrize("ci_prob", [0, 1, -0.1, 90, np.nan])
+def test_interval_probability_out_of_range(make_trace, good, ci_prob):
+    with pytest.raises(ValueError, match=r"ci_prob: must lie between 0 and 1 \(got"):
+        summary(make_trace(good), ci_prob=ci_prob)
+
+
+def test_what_is_no_trace_is_refused():
+    with pytest.raises(ValueError, match="must be a trace written by fmu"):
+        summary({"posterior": 1})
+
+
+def test_summary_of_ensembles_uses_their_autocorrelation_time(make_trace, good_ensembles):
+    table = summary(make_trace(flat(good_ensembles), walkers=10))
+    for j, name in enumerate(("x0", "x1")):
+        x = flat(good_ensembles)[..., j]
+        tau = effective.autocorrelation_times(x, 10)
+        assert table.loc[name, "ess_bulk"] == pytest.approx(np.sum(9000 / tau))
+        assert table.loc[name, "mcse_mean"] == pytest.approx(
+            table.loc[name, "sd"] / table.loc[name, "ess_bulk"] ** 0.5
+        )
+        assert table.loc[name, "rhat"] == effective.rhat(x)
+
+
+def test_run_length_is_that_of_the_slowest_ensemble(make_trace, ar1):
+    rng = np.random.default_rng(23)
+    x = np.concatenate([ar1(rng, (1, 2000, 10, 2), phi) for phi in (0.0, 0.9, 0.5)])
+    lengths = autocorrelation_times_run(make_trace(flat(x), walkers=10))
+    np.testing.assert_allclose(lengths, 2000 / 19, rtol=0.35)
+
+
+def test_rhat_over_walkers_finds_a_single_trapped_walker(make_trace, good_ensembles):
+    x = good_ensembles
+    x[2, :, 7, 1] += 30.0  # one walker of one ensemble, in the second parameter
+    values = rhat_over_walkers(make_trace(flat(x), walkers=10))
+    assert values[0] < 1.05 < 1.15 < values[1]
+    assert values[0] == max(effective.rhat(ensemble.T) for ensemble in x[..., 0])
+
+
+def test_good_chains_have_converged(make_trace, good):
+    assert convergence_failures(make_trace(good)) == []
+
+
+def test_one_chain_cannot_show_convergence(make_trace):
+    position = np.random.default_rng(24).standard_normal((1, 4000, 2))
+    failures = convergence_failures(make_trace(position))
+    assert failures[0] == "1 chain, at least 2 are needed"
+    assert failures[1] == "R-hat nan of x0 is not below 1.01"
+
+
+def test_shifted_chain_is_found(make_trace, good):
+    good[3, :, 1] += 1.0
+    failures = convergence_failures(make_trace(good))
+    assert failures[0].startswith("R-hat 1.")
+    assert "of x1 is not below 1.01" in failures[0]
+
+
+def test_correlated_chains_have_too_few_effective_draws(make_trace, ar1):
+    position = ar1(np.random.default_rng(25), (2, 100_000, 2), 0.998)
+    failures = convergence_failures(make_trace(position))
+    assert any(f.startswith("bulk ESS") and "is below 400" in f for f in failures)
+
+
+def test_every_chain_owes_a_hundred_effective_draws(make_trace):
+    position = np.random.default_rng(26).standard_normal((8, 90, 2))  # 720 in all
+    failures = convergence_failures(make_trace(position))
+    assert any(f.startswith("bulk ESS") and "is below 800" in f for f in failures)
+
+
+def test_tail_counts_by_itself(make_trace):
+    rng = np.random.default_rng(27)
+    position = rng.standard_normal((4, 500, 2))
+    table = summary(make_trace(position))
+    table.loc["x1", "ess_tail"] = 399.0
+    assert convergence_failures(make_trace(position), table) == ["tail ESS 399 of x1 is below 400"]
+
+
+@pytest.mark.parametrize("column", ["rhat", "ess_bulk", "ess_tail"])
+def test_nan_is_a_failure(make_trace, good, column):
+    trace = make_trace(good)
+    table = summary(trace)
+    table.loc["x1", column] = np.nan
+    (failure,) = convergence_failures(trace, table)
+    assert "nan of x1" in failure
+
+
+def test_chains_that_stand_still_have_not_converged(make_trace):
+    failures = convergence_failures(make_trace(np.zeros((4, 500, 2))))
+    assert [f.split(" nan")[0] for f in failures] == ["R-hat", "bulk ESS", "tail ESS"]
+
+
+def test_good_ensembles_have_converged(make_trace, good_ensembles):
+    assert convergence_failures(make_trace(flat(good_ensembles), walkers=10)) == []
+
+
+def test_three_ensembles_are_too_few(make_trace, good_ensembles):
+    failures = convergence_failures(make_trace(flat(good_ensembles[:3]), walkers=10))
+    assert failures == ["3 ensembles, at least 4 are needed"]
+
+
+def test_short_ensembles_have_not_converged(make_trace, good_ensembles):
+    # 300 steps are about 33 autocorrelation times: R-hat and ESS alone would let this pass.
+    failures = convergence_failures(make_trace(flat(good_ensembles[:, :300]), walkers=10))
+    assert len(failures) == 1
+    assert failures[0].startswith("number of autocorrelation times 25")
+
+
+def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_trace, good_ensembles):
+    good_ensembles[:, :, ::2] += 20.0
+    trace = make_trace(flat(good_ensembles), walkers=10)
+    assert summary(trace)["rhat"].max() < 1.01  # the false calm of R-hat over ensembles
+    failures = convergence_failures(trace)
+    assert any(f.startswith("R-hat over walkers") for f in failures)
+    assert any(f.startswith("number of autocorrelation times") for f in failures)

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+
+from fmu.analysis import effective
+from fmu.analysis.prediction import expectation, predict_frequencies
+from fmu.analysis.trace import to_trace
+
+# The model of conftest.py: f = 100 + SLOPES @ theta.
+SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
+
+
+@pytest.fixture
+def trace(make_result, problem):
+    return to_trace(make_result(np.random.default_rng(41).standard_normal((4, 500, 2))), problem)
+
+
+def draws_of(trace):
+    return np.stack([trace["posterior"][name].to_numpy() for name in ("E1", "rho")], axis=-1)
+
+
+def test_expectation_is_the_mean_over_the_draws(trace):
+    x = draws_of(trace)
+    found = expectation(trace, lambda theta: theta[:, 0] ** 2 + theta[:, 1])
+    g = x[..., 0] ** 2 + x[..., 1]
+    assert found.value == pytest.approx(g.mean(), rel=1e-13)
+    assert found.mcse == pytest.approx(effective.mcse_mean(g), rel=1e-12)
+    assert isinstance(found.value, float)
+
+
+def test_expectation_of_several_functions_at_once(trace):
+    found = expectation(trace, lambda theta: np.stack([theta[:, 1], theta.prod(axis=1)], axis=1))
+    assert found.value.shape == found.mcse.shape == (2,)
+    by_name = expectation(trace, "rho")
+    assert (found.value[0], found.mcse[0]) == (pytest.approx(by_name.value), pytest.approx(by_name.mcse))
+
+
+def test_expectation_of_the_frequencies(trace):
+    found = expectation(trace, "model_frequency")
+    mean = draws_of(trace).mean(axis=(0, 1))
+    np.testing.assert_allclose(found.value, 100 + SLOPES @ mean, rtol=1e-13)
+
+
+@pytest.mark.parametrize("walkers", [1, 10])
+def test_standard_error_is_the_scatter_over_replicates(make_trace, ar1, walkers):
+    rng = np.random.default_rng(42)
+    found = []
+    for _ in range(100):
+        x = ar1(rng, (4, 400, walkers, 2), 0.6).reshape(4, -1, 2)
+        found.append(expectation(make_trace(x, walkers=walkers), lambda theta: np.exp(0.5 * theta[:, 0])))
+    values, errors = np.array(found).T
+    assert np.mean(errors) == pytest.approx(np.std(values), rel=5 / np.sqrt(2 * 100))
+    assert np.mean(values) == pytest.approx(np.exp(0.125), abs=5 * np.mean(errors) / 10)
+
+
+def test_standard_error_of_what_no_draw_tells_is_nan(trace):
+    found = expectation(trace, lambda theta: (theta[:, 0] > 100).astype(float))
+    assert found.value == 0.0
+    assert np.isnan(found.mcse)
+
+
+def test_unknown_variable(trace, make_trace):
+    with pytest.raises(
+        ValueError, match=r"G: must be a callable or one of E1, rho, frequency, model_frequency \(got 'E9'\)"
+    ):
+        expectation(trace, "E9")
+    with pytest.raises(ValueError, match=r"one of x0, x1 \(got 'frequency'\)"):
+        expectation(make_trace(np.zeros((2, 5, 2))), "frequency")
+
+
+@pytest.mark.parametrize(
+    "G", [lambda theta: 1.0, lambda theta: theta[:-1, 0], lambda theta: np.zeros((len(theta), 2, 2))]
+)
+def test_wrong_shape(trace, G):
+    with pytest.raises(ValueError, match=r"G: must map \(2000, 2\) to \(2000,\) or \(2000, k\) \(got shape"):
+        expectation(trace, G)
+
+
+def test_value_that_is_not_finite(trace):
+    with pytest.raises(ValueError, match=r"G: must be finite at every draw \(got nan at \["):
+        expectation(trace, lambda theta: np.where(theta[:, 0] > 1, np.nan, 0.0))
+
+
+def test_predictive_distribution_of_a_linear_model(trace):
+    table = predict_frequencies(trace, ci_prob=0.9)
+    assert list(table.columns) == [
+        "measured",
+        "mean",
+        "mcse_mean",
+        "sd",
+        "eti90_lb",
+        "eti90_ub",
+        "noisy_sd",
+        "noisy_eti90_lb",
+        "noisy_eti90_ub",
+    ]
+    assert list(table.index) == ["W1", "W2", "T1"]
+    np.testing.assert_array_equal(table["measured"], [101.0, 99.5, 102.0])
+    sd = np.sqrt(np.sum(SLOPES**2, axis=1))  # theta is standard normal here
+    noisy_sd = np.sqrt(sd**2 + 0.5 / np.array([0.5, 1.0, 2.0]))  # σ² = 1/(2β)
+    assert np.all(np.abs(table["mean"] - 100) < 5 * table["mcse_mean"])
+    np.testing.assert_allclose(table["mcse_mean"], sd / np.sqrt(2000), rtol=0.2)
+    np.testing.assert_allclose(table["sd"], sd, rtol=5 / np.sqrt(4000))
+    np.testing.assert_allclose(table["noisy_sd"], noisy_sd, rtol=5 / np.sqrt(4000))
+    # Standard error of the 5 % quantile of 2000 draws: sqrt(0.05 0.95 / 2000) / 0.1031 = 0.047 sd.
+    for prefix, width in (("", sd), ("noisy_", noisy_sd)):
+        np.testing.assert_allclose(table[f"{prefix}eti90_lb"], 100 - 1.645 * width, atol=5 * 0.047 * width.max())
+        np.testing.assert_allclose(table[f"{prefix}eti90_ub"], 100 + 1.645 * width, atol=5 * 0.047 * width.max())
+
+
+def test_trace_without_frequencies(make_trace):
+    with pytest.raises(ValueError, match="model_frequency"):
+        predict_frequencies(make_trace(np.zeros((2, 5, 2))))

@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+
+from fmu.analysis.replay import DistinctDraws
+
+
+def walk(rng, chains, steps, walkers):
+    """Walkers that stay where they are in two steps of three."""
+    x = rng.standard_normal((chains, steps, walkers, 2))
+    stays = rng.uniform(size=(chains, steps, walkers)) < 2 / 3
+    for t in range(1, steps):
+        x[:, t] = np.where(stays[:, t, :, None], x[:, t - 1], x[:, t])
+    stays[:, 0] = False
+    return x.reshape(chains, steps * walkers, 2), int(np.sum(~stays))
+
+
+@pytest.mark.parametrize("walkers", [1, 5])
+def test_each_distinct_draw_is_evaluated_once_and_in_bounded_batches(walkers):
+    position, n_distinct = walk(np.random.default_rng(1), 3, 50, walkers)
+    asked = []
+
+    def function(theta):
+        asked.append(theta)
+        return np.stack([theta.sum(axis=1), theta[:, 0]], axis=1)
+
+    values = DistinctDraws.of(position, walkers).evaluate(function, batch=16)
+    np.testing.assert_array_equal(values, np.stack([position.sum(axis=-1), position[..., 0]], axis=-1))
+    assert sum(map(len, asked)) == n_distinct
+    assert max(map(len, asked)) == 16
+
+
+def test_a_chain_is_not_joined_to_its_neighbour():
+    position = np.ones((2, 3, 2))  # both chains stand still at the same point
+    distinct = DistinctDraws.of(position)
+    assert len(distinct.theta) == 2
+    np.testing.assert_array_equal(distinct.inverse, [[0, 0, 0], [1, 1, 1]])

@@ -1,0 +1,190 @@
+import arviz as az
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from fmu.analysis.trace import PRIOR_DRAWS, load_trace, save_trace, to_trace
+
+GROUPS = {
+    "posterior",
+    "warmup_posterior",
+    "sample_stats",
+    "warmup_sample_stats",
+    "log_likelihood",
+    "posterior_predictive",
+    "prior",
+    "observed_data",
+    "constant_data",
+}
+
+
+@pytest.fixture
+def position():
+    x = np.random.default_rng(2).uniform(-1, 1, (3, 40, 2))
+    x[:, 1::2] = x[:, ::2]  # every other proposal was rejected
+    return x
+
+
+@pytest.fixture
+def trace(make_result, problem, position):
+    return to_trace(make_result(position, energy=1.5), problem)
+
+
+def test_groups_dimensions_and_units(trace, position):
+    assert set(trace.children) == GROUPS
+    assert list(trace["posterior"].data_vars) == ["E1", "rho"]
+    for group, draws in (("posterior", 40), ("warmup_posterior", 2)):
+        assert trace[group]["rho"].dims == ("chain", "draw")
+        assert trace[group]["rho"].shape == (3, draws)
+        assert trace[group]["rho"].attrs["units"] == "kg/m³"
+        np.testing.assert_array_equal(trace[group]["rho"], position[:, :draws, 1])
+    assert set(trace["sample_stats"].data_vars) == {"lp", "accepted", "n_solves", "n_gradients", "energy"}
+    assert trace["sample_stats"]["accepted"].dtype == bool
+    assert trace["log_likelihood"]["frequency"].dims == ("chain", "draw", "mode")
+    assert list(trace["log_likelihood"]["mode"].to_numpy()) == ["W1", "W2", "T1"]
+
+
+def test_data_and_constants_are_the_problems(trace, problem):
+    np.testing.assert_array_equal(trace["observed_data"]["frequency"], [101.0, 99.5, 102.0])
+    constants = trace["constant_data"]
+    for name in ("lower", "upper", "start"):
+        np.testing.assert_array_equal(constants[name].sel(parameter=["E1", "rho"]), getattr(problem, name))
+    np.testing.assert_array_equal(constants["beta"], [0.5, 1.0, 2.0])
+
+
+def test_frequencies_and_likelihood_are_those_of_the_draws(trace, problem, position):
+    points = position.reshape(-1, 2)
+    frequency = trace["posterior_predictive"]["model_frequency"].to_numpy().reshape(-1, 3)
+    np.testing.assert_allclose(frequency, problem.frequencies(points), rtol=1e-14)
+    terms = trace["log_likelihood"]["frequency"].to_numpy().reshape(-1, 3)
+    np.testing.assert_allclose(terms, problem.log_likelihood_terms(points), rtol=1e-12)
+
+
+def test_repeated_draws_are_not_solved_again(make_result, problem, position):
+    to_trace(make_result(position), problem)
+    assert len(problem.model.asked) == position.shape[0] * position.shape[1] // 2
+
+
+def test_repeated_draws_of_walkers_are_not_solved_again(make_result, problem):
+    ensemble = np.random.default_rng(3).uniform(-1, 1, (2, 10, 4, 2))
+    ensemble[:, 1::2] = ensemble[:, ::2]
+    to_trace(make_result(ensemble.reshape(2, 40, 2), walkers=4), problem)
+    assert len(problem.model.asked) == 2 * 5 * 4
+
+
+def test_predictive_noise_has_the_sd_of_the_error_model(make_result, problem):
+    # A chain that stands still: every draw still gets its own noise.
+    trace = to_trace(make_result(np.zeros((2, 5000, 2))), problem)["posterior_predictive"]
+    noise = (trace["frequency"] - trace["model_frequency"]).to_numpy().reshape(-1, 3)
+    np.testing.assert_allclose(
+        noise.std(axis=0), 1 / np.sqrt(2 * np.array([0.5, 1.0, 2.0])), rtol=5 / np.sqrt(2e4)
+    )
+    assert len(np.unique(noise)) == noise.size
+
+
+def test_prior_draws_are_from_the_prior_inside_the_bounds(trace, make_result, problem, position):
+    prior = trace["prior"]
+    assert prior["E1"].shape == (1, PRIOR_DRAWS)
+    assert float(abs(prior["E1"]).max()) < 4.0
+    assert float(prior["rho"].std()) == pytest.approx(2.0, rel=5 / np.sqrt(2 * PRIOR_DRAWS))
+    again = to_trace(make_result(position), problem)["prior"]
+    np.testing.assert_array_equal(again["E1"], prior["E1"])
+    other = to_trace(make_result(position, seed=6), problem)["prior"]
+    assert not np.array_equal(other["E1"], prior["E1"])
+
+
+def test_prior_draws_share_no_stream_with_the_chains(trace, problem):
+    streams = np.random.SeedSequence(5).spawn(16)
+    stored = {tuple(row) for row in np.stack([trace["prior"]["E1"][0], trace["prior"]["rho"][0]], axis=1)}
+    for stream in [np.random.SeedSequence(5), *streams]:
+        drawn = problem.sample_prior(np.random.default_rng(stream), 10)
+        assert not stored & {tuple(row) for row in drawn}
+
+
+def test_plain_density_gives_the_groups_that_need_no_frequencies(make_trace, position):
+    trace = make_trace(position)
+    assert set(trace.children) == {
+        "posterior",
+        "warmup_posterior",
+        "sample_stats",
+        "warmup_sample_stats",
+        "constant_data",
+    }
+    assert list(trace["posterior"].data_vars) == ["x0", "x1"]
+
+
+def test_run_without_warm_up_keeps_its_empty_groups(make_result, problem, position, tmp_path):
+    result = make_result(position, warmup=position[:, :0])
+    result.warmup.stats.clear()
+    trace = load_trace(save_trace(to_trace(result, problem), tmp_path / "t.nc"))
+    assert trace["warmup_posterior"]["E1"].shape == (3, 0)
+    assert trace.attrs["warmup_n_solves"] == 0
+
+
+def test_arviz_reads_the_trace(trace):
+    table = az.summary(trace)
+    assert list(table.index) == ["E1", "rho"]
+
+
+def test_round_trip_is_exact(trace, tmp_path):
+    path = save_trace(trace, tmp_path / "hmc.nc")
+    loaded = load_trace(path)
+    assert loaded.identical(trace)
+    assert loaded.attrs == trace.attrs
+    for group in GROUPS:
+        for name, variable in trace[group].data_vars.items():
+            assert loaded[group][name].dtype == variable.dtype
+    assert [p.name for p in tmp_path.iterdir()] == ["hmc.nc"]
+
+
+def test_file_holds_no_python_objects(trace, tmp_path):
+    save_trace(trace, tmp_path / "hmc.nc")
+    opaque = []
+    with h5py.File(tmp_path / "hmc.nc") as file:
+        file.visititems(
+            lambda name, item: (
+                opaque.append(name) if isinstance(item, h5py.Dataset) and item.dtype.kind == "V" else None
+            )
+        )
+    assert opaque == []
+
+
+def test_failed_write_leaves_the_earlier_file(trace, tmp_path, monkeypatch):
+    path = save_trace(trace, tmp_path / "hmc.nc")
+    before = path.read_bytes()
+
+    def half_written(self, target, **settings):
+        target.write_bytes(b"half a file")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(xr.DataTree, "to_netcdf", half_written)
+    with pytest.raises(OSError, match="no space left"):
+        save_trace(trace, path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_missing_trace(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"path: must be a trace .*no such file: .*absent\.nc"):
+        load_trace(tmp_path / "absent.nc")
+
+
+def test_text_and_damaged_files_are_refused(trace, tmp_path):
+    text = tmp_path / "text.nc"
+    text.write_text("hello")
+    damaged = save_trace(trace, tmp_path / "damaged.nc")
+    damaged.write_bytes(damaged.read_bytes()[:2000])
+    for path in (text, damaged):
+        with pytest.raises(ValueError, match="not a readable netCDF file"):
+            load_trace(path)
+
+
+def test_foreign_netcdf_is_refused(trace, tmp_path):
+    path = tmp_path / "foreign.nc"
+    xr.Dataset({"posterior": ("x", [1.0])}).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(ValueError, match="it has no posterior, sample_stats, sampler, walkers, wall_s"):
+        load_trace(path)
+    del trace.attrs["sampler"]
+    with pytest.raises(ValueError, match="it has no sampler"):
+        load_trace(save_trace(trace, path))
