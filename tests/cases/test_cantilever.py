@@ -67,7 +67,7 @@ def test_sensors_add_their_mass_once_to_every_translation():
         assert rigid @ (model.M([]) @ rigid) == pytest.approx(expected, rel=1e-12)
 
 
-# Table of PAPER_AUDIT: maximum of the log-posterior by number without normalisers, I in 1e-9 m⁴, A in 1e-4 m².
+# Local maxima of the log-posterior by number, without normalisers: I in 1e-9 m⁴, A in 1e-4 m².
 MODES = {
     "A": ((3.904, 7.500, 9.000, 5.145), -94.6, "W1 S1 W3 S2 W5"),
     "B": ((6.873, 7.166, 9.000, 9.000), -162.1, "W1 W2 W3 W4 W5"),
