@@ -49,7 +49,10 @@ class FrequencyError:
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), for frequencies of that shape in Hz."""
         beta = np.asarray(self.beta)
-        return 0.5 * np.log(beta / np.pi) - beta * (frequencies - self.measured) ** 2
+        # in C order, in which the terms of a row are summed in the same order whatever the batch
+        error = np.ascontiguousarray(frequencies) - self.measured
+        with np.errstate(over="ignore"):
+            return 0.5 * np.log(beta / np.pi) - beta * error**2
 
     def gradient(self, frequencies: FloatArray) -> FloatArray:
         """Return the derivative of each mode's term with respect to its frequency, shape (n, n_modes)."""

@@ -64,7 +64,11 @@ class ModalData:
         """Return the data in plain Python types."""
         return {
             "frequencies_hz": np.asarray(self.frequencies_hz).tolist(),
-            "numbers": list(self.numbers),
-            "sensors": [list(sensor) for sensor in self.sensors],
+            "numbers": [int(number) for number in self.numbers],
+            "sensors": [[_plain(part) for part in sensor] for sensor in self.sensors],
             "labels": list(self.labels),
         }
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

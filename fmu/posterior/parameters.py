@@ -75,8 +75,9 @@ class Normal:
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return the normalised log-density, eq. (6) with (7)."""
-        z = (x - self.mean) / self.sd
-        return -0.5 * z * z - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
+        with np.errstate(over="ignore"):
+            z = (x - self.mean) / self.sd
+            return -0.5 * z * z - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
         """Return −α (x − mean)."""
@@ -87,7 +88,8 @@ class Normal:
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         if a > 0:
             a, b = -b, -a
-        return float(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
+        with np.errstate(divide="ignore", invalid="ignore"):  # bounds so far out or so close that nothing is left
+            return float(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
         """Draw by inversion of the truncated distribution function."""
@@ -107,8 +109,9 @@ class Normal:
         return self.mean, self.sd
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the bounds, four standard deviations standing in for a bound that is not there."""
-        return max(lower, self.mean - 4.0 * self.sd), min(upper, self.mean + 4.0 * self.sd)
+        """Return the bounds, or four standard deviations from where the prior is densest if that is nearer."""
+        densest = min(max(self.mean, lower), upper)
+        return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
@@ -185,10 +188,9 @@ class Parameter:
             raise ValueError(f"name: must not be empty or contain '/' (got {self.name!r})")
         if not self.lower < self.upper:
             raise ValueError(f"{self.name}.upper: must exceed lower {self.lower:g} (got {self.upper:g})")
-        if not self.lower <= self.start <= self.upper:
-            raise ValueError(
-                f"{self.name}.start: must lie within [{self.lower:g}, {self.upper:g}] (got {self.start:g})"
-            )
+        if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
+            bounds = f"[{self.lower:g}, {self.upper:g}]"
+            raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {self.start:g})")
         if isinstance(self.prior, Uniform) and not np.isfinite(self.upper - self.lower):
             raise ValueError(
                 f"{self.name}.prior: a uniform prior needs finite bounds (got [{self.lower}, {self.upper}])"
@@ -236,8 +238,10 @@ class JointPrior:
 
     def log_pdf(self, theta: FloatArray) -> FloatArray:
         """Return the log-density, shape (n,), at theta (n, ndim) inside the bounds."""
-        z = theta[:, self._normal] - self._mean
-        value = self._constant - 0.5 * np.sum(self._precision * z * z, axis=1)
+        # in C order, in which a row is summed in the same order whatever the batch
+        z = np.ascontiguousarray(theta[:, self._normal]) - self._mean
+        with np.errstate(over="ignore"):
+            value = self._constant - 0.5 * np.sum(self._precision * z * z, axis=1)
         for j, prior in self._others:
             value = value + prior.log_pdf(theta[:, j])
         return value
