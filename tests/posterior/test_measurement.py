@@ -1,0 +1,62 @@
+"""Measured modes: defaults, plain description, wrong input."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from fmu.posterior.measurement import ModalData
+
+
+def test_defaults():
+    data = ModalData([31.9, 197.9, 553.0])
+    assert data.n_modes == 3
+    assert data.numbers == (1, 2, 3)
+    assert data.labels == ("1", "2", "3")
+    assert data.sensors == ()
+
+
+def test_frequencies_are_a_copy_that_cannot_be_written():
+    given = np.array([31.9, 197.9])
+    data = ModalData(given)
+    given[0] = 1.0
+    assert_array_equal(data.frequencies_hz, [31.9, 197.9])
+    with pytest.raises(ValueError, match="read-only"):
+        data.frequencies_hz[0] = 2.0
+
+
+def test_description_is_plain_python():
+    nodes = np.arange(2)
+    data = ModalData(
+        np.array([31.9, 197.9]),
+        numbers=tuple(np.array([1, 3])),
+        sensors=tuple((node, "z") for node in nodes),
+        labels=("first", "second"),
+    )
+    described = json.loads(json.dumps(data.as_dict()))
+    assert described == {
+        "frequencies_hz": [31.9, 197.9],
+        "numbers": [1, 3],
+        "sensors": [[0, "z"], [1, "z"]],
+        "labels": ["first", "second"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"frequencies_hz": []}, r"frequencies_hz: must be a list of numbers \(got shape \(0,\)\)"),
+        ({"frequencies_hz": 31.9}, r"frequencies_hz: must be a list of numbers \(got shape \(\)\)"),
+        ({"frequencies_hz": [[31.9]]}, r"frequencies_hz: must be a list of numbers \(got shape \(1, 1\)\)"),
+        ({"frequencies_hz": [31.9, 0.0]}, r"frequencies_hz\.1: must be positive and finite \(got 0\.0 Hz\)"),
+        ({"frequencies_hz": [31.9, -2.0]}, r"frequencies_hz\.1: must be positive and finite \(got -2\.0 Hz\)"),
+        ({"frequencies_hz": [np.nan, 1.0]}, r"frequencies_hz\.0: must be positive and finite \(got nan Hz\)"),
+        ({"frequencies_hz": [np.inf]}, r"frequencies_hz\.0: must be positive and finite \(got inf Hz\)"),
+        ({"frequencies_hz": [1.0, 2.0], "numbers": (1,)}, r"numbers: must be 2, one a mode \(got 1\)"),
+        ({"frequencies_hz": [1.0], "labels": ("a", "b")}, r"labels: must be 1, one a mode \(got 2\)"),
+    ],
+)
+def test_wrong_data(arguments, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        ModalData(**arguments)
