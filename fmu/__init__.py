@@ -1,1 +1,92 @@
-"""Bayesian finite-element model updating."""
+"""Bayesian finite-element model updating.
+
+Measured vibration modes and a finite-element model give a posterior over the model's uncertain parameters; several
+Markov-chain samplers draw from it, and the diagnostics say how far each of them can be trusted::
+
+    problem = fmu.cases.load("cantilever-young")
+    trace = fmu.sample(problem, "hmc", draws=1000, warmup=1000, chains=4, seed=1)
+    print(fmu.summary(trace))
+
+Names are imported when they are first used, so that importing the package costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fmu import cases as cases
+    from fmu.analysis.comparison import compare as compare
+    from fmu.analysis.diagnostics import summary as summary
+    from fmu.analysis.prediction import expectation as expectation
+    from fmu.analysis.trace import load_trace as load_trace
+    from fmu.fem.frame import Frame as Frame
+    from fmu.fem.separable import SeparableModel as SeparableModel
+    from fmu.posterior.measurement import ModalData as ModalData
+    from fmu.posterior.parameters import Parameter as Parameter
+    from fmu.posterior.problem import UpdatingProblem as UpdatingProblem
+    from fmu.samplers.ensemble import Ensemble as Ensemble
+    from fmu.samplers.hamiltonian import HamiltonianMonteCarlo as HamiltonianMonteCarlo
+    from fmu.samplers.metropolis import MetropolisHastings as MetropolisHastings
+    from fmu.samplers.slice import Slice as Slice
+    from fmu.sampling import sample as sample
+
+    __version__: str
+
+_HOME = {
+    "Ensemble": "fmu.samplers.ensemble",
+    "Frame": "fmu.fem.frame",
+    "HamiltonianMonteCarlo": "fmu.samplers.hamiltonian",
+    "MetropolisHastings": "fmu.samplers.metropolis",
+    "ModalData": "fmu.posterior.measurement",
+    "Parameter": "fmu.posterior.parameters",
+    "SeparableModel": "fmu.fem.separable",
+    "Slice": "fmu.samplers.slice",
+    "UpdatingProblem": "fmu.posterior.problem",
+    "compare": "fmu.analysis.comparison",
+    "expectation": "fmu.analysis.prediction",
+    "load_trace": "fmu.analysis.trace",
+    "sample": "fmu.sampling",
+    "summary": "fmu.analysis.diagnostics",
+}
+
+__all__ = [
+    "Ensemble",
+    "Frame",
+    "HamiltonianMonteCarlo",
+    "MetropolisHastings",
+    "ModalData",
+    "Parameter",
+    "SeparableModel",
+    "Slice",
+    "UpdatingProblem",
+    "__version__",
+    "cases",
+    "compare",
+    "expectation",
+    "load_trace",
+    "sample",
+    "summary",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the public name `name` when it is first used."""
+    if name in _HOME:
+        value = getattr(import_module(_HOME[name]), name)
+    elif name == "cases":
+        value = import_module("fmu.cases")
+    elif name == "__version__":
+        from importlib.metadata import version
+
+        value = version("fmu")
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, imported or not."""
+    return sorted(set(globals()) | set(__all__))

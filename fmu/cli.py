@@ -1,0 +1,244 @@
+"""The shell's face of the package: arguments, progress and files; the work is done elsewhere.
+
+A mistake of the user gives one line on standard error and exit code 2. Nothing heavy is imported before a command
+needs it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fmu.sampling import SAMPLERS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+Report = Callable[[str, int, int, Mapping[str, str]], None]
+
+_BAD_INPUT = 2
+_REDRAW_S = 0.05
+_FORMATS = {"rhat": ".4f", "rhat_max": ".4f", "ess_bulk": ".0f", "ess_tail": ".0f"}
+
+
+class _Commands(click.Group):
+    """Commands whose errors are one line."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run, and turn an error in what the user gave into one line and exit code 2."""
+        try:
+            code = super().main(*args, **{**kwargs, "standalone_mode": False})
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(_BAD_INPUT)
+        except click.ClickException as error:
+            _stop(error.format_message())
+        except click.Abort:
+            click.echo("Stopped.", err=True)
+            sys.exit(1)
+        except (ValueError, OSError) as error:
+            _stop(str(error))
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _stop(message: str) -> None:
+    click.echo(f"Error: {' '.join(message.split())}", err=True)
+    sys.exit(_BAD_INPUT)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fmu")
+def main() -> None:
+    """Bayesian finite-element model updating."""
+
+
+@main.command()
+def cases() -> None:
+    """List the built-in problems."""
+    from fmu import cases as builtin
+
+    width = max(map(len, builtin.names()))
+    for name in builtin.names():
+        click.echo(f"{name:{width}}  {builtin.describe(name)}")
+
+
+@main.command()
+@click.argument("case")
+@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=("hmc",),
+              show_default=True, help="May be given several times.")  # fmt: skip
+@click.option("--pairing", type=click.Choice(("shape", "index")), default="shape", show_default=True,
+              help="Pair computed with measured modes by shape, or by number in the spectrum.")  # fmt: skip
+@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Steps kept.")
+@click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
+@click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--init", type=click.Choice(("prior", "start")), default="prior", show_default=True,
+              help="Where the chains start.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: runs/CASE-PAIRING]")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the directory.")
+def run(
+    case: str, samplers: tuple[str, ...], pairing: str, out: Path | None, overwrite: bool, **steps: Any
+) -> None:
+    """Sample the built-in problem CASE.
+
+    Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, and comparison.csv.
+    """
+    from fmu import cases as builtin
+
+    if case not in builtin.names():
+        raise click.BadParameter(f"{case!r} is not one of {', '.join(builtin.names())}.", param_hint="'CASE'")
+    with _claimed(out or Path("runs") / f"{case}-{pairing}", overwrite) as directory:
+        from fmu.analysis.comparison import compare
+        from fmu.analysis.diagnostics import summary
+        from fmu.analysis.trace import save_trace
+        from fmu.sampling import sample
+
+        problem = builtin.load(case, pairing=pairing)
+        traces, summaries = {}, {}
+        with _progress() as report:
+            for name in dict.fromkeys(samplers):
+                traces[name] = sample(problem, name, progress=report and partial(_labelled, report, name), **steps)
+                save_trace(traces[name], directory / f"{name}.nc")
+                summaries[name] = summary(traces[name])
+                _write_csv(summaries[name], directory / f"summary-{name}.csv")
+        comparison = compare(traces)
+        _write_csv(comparison, directory / "comparison.csv")
+    for name, table in summaries.items():
+        click.echo(f"{name}\n{_text(table.assign(unit=table.attrs['units']))}\n")
+        _echo_failed_points(name, traces[name])
+    _echo_comparison(comparison)
+    click.echo(f"\nWritten to {directory}")
+
+
+@main.command()
+@click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
+def compare(directory: Path) -> None:
+    """Compare the samplers of the run in DIRECTORY."""
+    paths = sorted(directory.glob("*.nc"))
+    if not paths:
+        raise click.BadParameter(f"{directory} holds no traces (*.nc).", param_hint="'DIRECTORY'")
+    from fmu.analysis.comparison import compare as compare_traces
+    from fmu.analysis.trace import load_trace
+
+    traces = {path.stem: load_trace(path) for path in paths}
+    problems = {trace.attrs["problem"] for trace in traces.values()}
+    if len(problems) > 1:
+        raise click.BadParameter(f"{directory} mixes problems: {', '.join(sorted(problems))}.",
+                                 param_hint="'DIRECTORY'")  # fmt: skip
+    _echo_comparison(compare_traces(traces))
+
+
+@main.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
+def paper(out: Path) -> None:
+    """Repeat both experiments of the paper with every sampler."""
+    from fmu.report.paper import run_paper
+
+    with _progress() as report:
+        run_paper(out, report)
+    click.echo(f"Written to {out}")
+
+
+@contextmanager
+def _claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
+    """Make the output directory before hours are spent; take it away again if nothing came to be in it."""
+    if os.path.lexists(directory) and not overwrite:
+        raise ValueError(f"--out: {directory} exists; choose another directory or add --overwrite")
+    made = [path for path in (directory, *directory.parents) if not path.exists()]
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if not os.access(directory, os.W_OK):
+            raise PermissionError(f"no permission to write in {directory}")
+        yield directory
+    except BaseException:
+        for path in made:
+            with suppress(OSError):  # it holds results
+                path.rmdir()
+        raise
+
+
+def _on_terminal() -> bool:
+    return sys.stdout.isatty()
+
+
+@contextmanager
+def _progress() -> Iterator[Report | None]:
+    """Give a callback that draws one progress bar a phase, or None where there is no terminal."""
+    if not _on_terminal():
+        yield None
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+               TextColumn("{task.fields[words]}"))  # fmt: skip
+    with Progress(*columns) as bars:
+        tasks: dict[str, Any] = {}
+        drawn: dict[str, float] = {}
+
+        def report(phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
+            now = time.monotonic()
+            if phase not in tasks:
+                tasks[phase] = bars.add_task(phase, total=total, words="")
+            elif done < total and now < drawn[phase] + _REDRAW_S:
+                return
+            drawn[phase] = now
+            bars.update(tasks[phase], completed=done, words=" ".join(f"{k} {v}" for k, v in info.items()))
+
+        yield report
+
+
+def _labelled(report: Report, sampler: str, phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
+    report(f"{sampler} {phase}", done, total, info)
+
+
+def _write_csv(table: pd.DataFrame, path: Path) -> None:
+    """Write a table so that the file appears complete or not at all."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        table.to_csv(unfinished)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _text(table: pd.DataFrame) -> str:
+    """Return a table as text, with as many digits as mean something."""
+    formats: dict[Any, Any] = {
+        name: f"{{:{_FORMATS.get(name, '.4g')}}}".format for name in table.select_dtypes("float").columns
+    }
+    return table.rename_axis(None).to_string(formatters=formats)
+
+
+def _echo_comparison(table: pd.DataFrame) -> None:
+    """Print the numbers with a column a sampler, then the verdicts, which are sentences."""
+    numbers = table.drop(columns="verdict").astype(object).T
+    text = numbers.apply(lambda row: row.map(partial(_number, _FORMATS.get(row.name, ".4g"))), axis=1)
+    click.echo(text.rename_axis(None, axis=1).to_string())
+    click.echo()
+    width = max(map(len, table.index))
+    for name, verdict in table["verdict"].items():
+        click.echo(f"{name:{width}}  {verdict}")
+
+
+def _number(style: str, value: Any) -> str:
+    """Format a number: whole ones in full, what does not apply as a dash."""
+    if str(value) == "<NA>":
+        return "-"
+    return format(value, style) if isinstance(value, float) else str(value)
+
+
+def _echo_failed_points(name: str, trace: xr.DataTree) -> None:
+    """Say how many points inside the bounds had no finite log-probability, if there were any."""
+    groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
+    failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
+    if failed:
+        click.echo(f"{name}: {failed} points inside the bounds had no finite log-probability\n", err=True)

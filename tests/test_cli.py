@@ -1,0 +1,305 @@
+import copy
+import os
+import subprocess
+import sys
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+import fmu
+from fmu import cli
+
+
+@pytest.fixture(scope="module")
+def young():
+    return fmu.cases.load("cantilever-young")
+
+
+@pytest.fixture
+def invoke(young, monkeypatch, tmp_path):
+    """Run a command in an empty directory; the built-in problem is loaded once for all tests."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": young)
+    return lambda *args: CliRunner().invoke(cli.main, list(map(str, args)), prog_name="fmu")
+
+
+SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh")
+
+
+def assert_one_line(result, *parts):
+    """The whole output is one line on standard error that holds `parts`, and the exit code is 2."""
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("Error: ")
+    for part in parts:
+        assert part in result.stderr
+
+
+def files_in(directory):
+    return {str(p.relative_to(directory)): p.read_bytes() for p in directory.rglob("*") if p.is_file()}
+
+
+def test_cases_are_listed(invoke):
+    result = invoke("cases")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(fmu.cases.names())
+    assert all(fmu.cases.describe(line.split()[0]) in line for line in lines)
+
+
+def test_run_writes_traces_and_tables(invoke, tmp_path):
+    result = invoke("run", "cantilever-young", *SHORT, "--sampler", "slice", "--seed", 4)
+    assert result.exit_code == 0, result.output
+    out = tmp_path / "runs" / "cantilever-young-shape"
+    assert {p.name for p in out.iterdir()} == {
+        "mh.nc",
+        "slice.nc",
+        "summary-mh.csv",
+        "summary-slice.csv",
+        "comparison.csv",
+    }
+    trace = fmu.load_trace(out / "slice.nc")
+    assert trace["posterior"].sizes == {"chain": 2, "draw": 6}
+    assert trace["warmup_posterior"].sizes == {"chain": 2, "draw": 3}
+    assert (trace.attrs["seed"], trace.attrs["init"]) == (4, "prior")
+    pd.testing.assert_frame_equal(
+        pd.read_csv(out / "summary-slice.csv", index_col="parameter"), fmu.summary(trace), check_index_type=False
+    )
+    comparison = pd.read_csv(out / "comparison.csv", index_col="sampler")
+    assert list(comparison.index) == ["mh", "slice"]
+    assert comparison.loc["slice", "n_solves"] == trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]
+
+
+def test_run_prints_the_tables_and_nothing_else(invoke):
+    result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
+    assert result.stderr == ""
+    lines = result.stdout.splitlines()
+    assert lines[0] == "mh"
+    assert all(column in lines[1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit"))
+    assert [line.split()[0] for line in lines[2:7]] == ["E1", "E2", "E3", "E4", "E5"]
+    assert any(line.startswith("n_solves") for line in lines)
+    assert any(line.startswith("mh  not converged: R-hat ") for line in lines)
+    assert lines[-1] == "Written to here"
+    assert "\x1b" not in result.stdout
+
+
+def test_run_on_a_terminal_shows_a_bar_for_every_phase(invoke, monkeypatch):
+    monkeypatch.setattr(cli, "_on_terminal", lambda: True)
+    result = invoke("run", "cantilever-young", *SHORT)
+    assert "mh warmup" in result.stdout
+    assert "3/3" in result.stdout
+    assert "mh draws" in result.stdout
+    assert "6/6" in result.stdout
+
+
+def test_compare_repeats_the_comparison(invoke):
+    run = invoke("run", "cantilever-young", *SHORT, "--sampler", "slice", "--out", "here")
+    result = invoke("compare", "here")
+    assert result.exit_code == 0
+    assert result.stdout.strip() in run.stdout
+
+
+def test_numbers_that_do_not_apply_are_dashes(invoke):
+    result = invoke("run", "cantilever-young", *SHORT, "--chains", 1)
+    rows = {line.split()[0]: line.split()[-1] for line in result.stdout.splitlines() if line}
+    assert rows["divergences"] == "-"
+    assert rows["rhat_max"] == "nan"
+    assert rows["n_gradients"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["run", "bridge"], ["'bridge'", "cantilever-young, cantilever-section"]),
+        (["run"], ["CASE"]),
+        (
+            ["run", "cantilever-young", "--sampler", "nuts"],
+            ["--sampler", "'nuts'", "'mh', 'slice', 'hmc', 'emcee'"],
+        ),
+        (["run", "cantilever-young", "--draws", "0"], ["--draws", "0 is not in the range x>=1"]),
+        (["run", "cantilever-young", "--draws", "-3"], ["--draws", "-3"]),
+        (["run", "cantilever-young", "--draws", "many"], ["--draws", "'many'"]),
+        (["run", "cantilever-young", "--warmup", "-1"], ["--warmup", "-1"]),
+        (["run", "cantilever-young", "--chains", "0"], ["--chains", "0"]),
+        (["run", "cantilever-young", "--seed", "-1"], ["--seed", "-1"]),
+        (["run", "cantilever-young", "--pairing", "luck"], ["--pairing", "'luck'"]),
+        (["run", "cantilever-young", "--init", "end"], ["--init", "'end'"]),
+        (["run", "cantilever-young", "--speed", "9"], ["--speed"]),
+        (["walk"], ["walk"]),
+        (["compare", "absent"], ["absent", "does not exist"]),
+    ],
+    ids=lambda value: " ".join(value) if "run" in value or "compare" in value else "",
+)
+def test_bad_input_is_one_line_and_writes_nothing(invoke, tmp_path, arguments, parts):
+    assert_one_line(invoke(*arguments), *parts)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_start_outside_the_bounds(invoke, young, monkeypatch, tmp_path):
+    problem = copy.copy(young)
+    problem.start = young.upper * 1.1
+    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--init", "start"), "2.75e+11")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_directory_is_left_alone(invoke, tmp_path):
+    out = tmp_path / "mine"
+    out.mkdir()
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out), str(out), "exists", "--overwrite")
+    assert list(out.iterdir()) == []
+    (out / "mh.nc").write_text("precious")
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out))
+    assert files_in(out) == {"mh.nc": b"precious"}
+
+
+def test_overwrite_replaces_only_what_the_command_writes(invoke, tmp_path):
+    out = tmp_path / "mine"
+    (out / "sub").mkdir(parents=True)
+    kept = {"notes.txt": b"n", "hmc.nc": b"h", "summary-hmc.csv": b"s", "sub/mh.nc": b"m"}
+    for name, content in (kept | {"mh.nc": b"old", "comparison.csv": b"old"}).items():
+        (out / name).write_bytes(content)
+    result = invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite")
+    assert result.exit_code == 0, result.output
+    now = files_in(out)
+    assert set(now) == set(kept) | {"mh.nc", "summary-mh.csv", "comparison.csv"}
+    assert {name: now[name] for name in kept} == kept
+    assert b"old" not in (now["mh.nc"], now["comparison.csv"])
+
+
+def test_failed_run_does_not_touch_an_earlier_one(invoke, young, monkeypatch, tmp_path):
+    out = tmp_path / "mine"
+    assert invoke("run", "cantilever-young", *SHORT, "--out", out).exit_code == 0
+    before = files_in(out)
+    problem = copy.copy(young)
+    problem.start = young.lower * 0.9
+    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite", "--init", "start"))
+    assert files_in(out) == before
+
+
+def test_what_was_drawn_is_kept_when_a_later_sampler_fails(invoke, monkeypatch, tmp_path):
+    import fmu.sampling
+
+    sample = fmu.sampling.sample
+
+    def failing(problem, name, **settings):
+        if name == "slice":
+            raise ValueError("width: must be positive (got 0)")
+        return sample(problem, name, **settings)
+
+    monkeypatch.setattr(fmu.sampling, "sample", failing)
+    result = invoke("run", "cantilever-young", *SHORT, "--sampler", "slice", "--out", "mine")
+    assert_one_line(result, "width: must be positive (got 0)")
+    assert {p.name for p in (tmp_path / "mine").iterdir()} == {"mh.nc", "summary-mh.csv"}
+
+
+def test_directory_that_cannot_be_made(invoke, tmp_path):
+    (tmp_path / "file").write_text("precious")
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", "file/run"), "file/run")
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", "file", "--overwrite"), "file")
+    assert files_in(tmp_path) == {"file": b"precious"}
+
+
+def test_directory_without_permission(invoke, monkeypatch, tmp_path):
+    # The owner of the machine may write everywhere, so the permission is taken away in name only.
+    out = tmp_path / "mine"
+    out.mkdir()
+    monkeypatch.setattr(cli.os, "access", lambda path, mode: mode != os.W_OK)
+    assert_one_line(
+        invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite"), "no permission", str(out)
+    )
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", "new/deep"), "no permission")
+    assert list(tmp_path.rglob("*")) == [out]
+
+
+def test_compare_without_traces(invoke, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert_one_line(invoke("compare", "empty"), "empty holds no traces")
+
+
+def test_compare_with_a_foreign_file(invoke, tmp_path):
+    (tmp_path / "hmc.nc").write_text("hello")
+    assert_one_line(invoke("compare", "."), "hmc.nc", "trace written by fmu")
+
+
+def test_compare_of_different_problems(invoke, young, monkeypatch):
+    invoke("run", "cantilever-young", *SHORT, "--out", "here")
+    other = copy.copy(young)
+    other.name = "another"
+    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": other)
+    arguments = ("--draws", 6, "--warmup", 3, "--sampler", "slice", "--out", "here", "--overwrite")
+    assert invoke("run", "cantilever-young", *arguments).exit_code == 0
+    assert_one_line(invoke("compare", "here"), "here mixes problems", "another")
+
+
+def test_failed_points_are_reported(invoke, young, monkeypatch):
+    """Points inside the bounds where the model fails are counted on standard error; the run goes on."""
+    problem, calls = copy.copy(young), []
+
+    def log_prob(theta):
+        calls.append(theta)
+        # The second chain's candidates fail, its start does not.
+        return np.where((np.arange(len(theta)) == 1) & (len(calls) > 1), np.nan, young.log_prob(theta))
+
+    problem.log_prob = log_prob
+    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)
+    result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
+    assert result.exit_code == 0, result.output
+    trace = fmu.load_trace("here/mh.nc")
+    failed = sum(int(trace[g]["n_nonfinite"].sum()) for g in ("sample_stats", "warmup_sample_stats"))
+    assert failed > 0
+    assert f"mh: {failed} points inside the bounds had no finite log-probability" in result.stderr
+
+
+def test_paper_hands_over_the_directory(invoke, monkeypatch, tmp_path):
+    calls = []
+    module = ModuleType("fmu.report.paper")
+    module.run_paper = lambda out, progress: calls.append((out, progress))
+    monkeypatch.setitem(sys.modules, "fmu.report.paper", module)
+    result = invoke("paper", "--out", tmp_path / "tables")
+    assert result.exit_code == 0
+    assert calls == [(tmp_path / "tables", None)]
+    assert result.stdout == f"Written to {tmp_path / 'tables'}\n"
+
+
+def test_command_alone_prints_the_help(invoke):
+    result = invoke()
+    assert result.exit_code == 2
+    assert all(command in result.output for command in ("cases", "run", "compare", "paper"))
+
+
+def test_version(invoke):
+    result = invoke("--version")
+    assert result.exit_code == 0
+    assert fmu.__version__ in result.stdout
+
+
+@pytest.mark.parametrize("arguments", ["['--help']", "['run', '--help']", "['cases']", "['run', 'bridge']"])
+def test_nothing_heavy_is_imported_before_it_is_needed(arguments):
+    code = f"""
+import sys
+from fmu.cli import main
+try:
+    main({arguments})
+except SystemExit:
+    pass
+heavy = {{"numpy", "scipy", "pandas", "xarray", "arviz", "arviz_stats", "emcee", "matplotlib", "rich"}}
+print("heavy:", *heavy & set(sys.modules))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1].strip() == "heavy:"
+
+
+def test_installed_command_shows_no_traceback(tmp_path):
+    code = "from fmu.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "run", "bridge"], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr

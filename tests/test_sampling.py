@@ -1,0 +1,167 @@
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu import samplers
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.problem import UpdatingProblem
+from fmu.sampling import SAMPLERS
+
+SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
+SIGMA = np.sqrt(0.5)  # β = 1
+
+
+class LinearModel:
+    n_parameters = 2
+    n_modes = 3
+
+    def __init__(self):
+        self.n_solves = 0
+
+    def __repr__(self):
+        return "LinearModel()"
+
+    def frequencies(self, theta):
+        self.n_solves += len(theta)
+        # Term by term: a matrix product would depend on the shape of the batch.
+        return 100.0 + theta[:, :1] * SLOPES[:, 0] + theta[:, 1:] * SLOPES[:, 1]
+
+    def frequencies_and_gradient(self, theta):
+        return self.frequencies(theta), np.broadcast_to(SLOPES, (len(theta), 3, 2))
+
+
+@pytest.fixture
+def problem():
+    parameters = [Parameter("a", start=0.5, prior=Normal(1.0)), Parameter("b", start=0.0, prior=Normal(2.0))]
+    return UpdatingProblem(LinearModel(), ModalData([101.0, 99.5, 102.0]), parameters, name="linear")
+
+
+def exact_posterior():
+    precision = SLOPES.T @ SLOPES / SIGMA**2 + np.diag([1.0, 0.25])
+    mean = np.linalg.solve(precision, SLOPES.T @ (np.array([101.0, 99.5, 102.0]) - 100) / SIGMA**2)
+    return mean, np.sqrt(np.diag(np.linalg.inv(precision)))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "draws"),
+    [
+        ("mh", samplers.MetropolisHastings(samplers.RandomWalk(0.15)), 3000),
+        ("slice", samplers.Slice(), 2000),
+        ("hmc", samplers.HamiltonianMonteCarlo(step_size=0.1, n_steps=6), 1000),
+        ("emcee", samplers.Ensemble(walkers=12), 500),
+    ],
+)
+def test_posterior_of_a_linear_model(problem, name, settings, draws):
+    trace = fmu.sample(problem, settings, draws=draws, warmup=200, seed=3)
+    table = fmu.summary(trace)
+    mean, sd = exact_posterior()
+    assert table["ess_bulk"].min() > 200
+    assert np.all(np.abs(table["mean"] - mean) < 5 * table["mcse_mean"])
+    np.testing.assert_allclose(table["sd"], sd, rtol=5 / np.sqrt(2 * table["ess_bulk"].min()))
+    assert trace.attrs["sampler"] == name
+
+
+@pytest.mark.parametrize("name", SAMPLERS)
+def test_cost_in_the_trace_is_what_the_model_was_asked(problem, name):
+    trace = fmu.sample(problem, name, draws=30, warmup=20, seed=3)
+    walkers = trace.attrs["walkers"]
+    assert trace["posterior"].sizes == {"chain": 4, "draw": 30 * walkers}
+    assert trace["warmup_posterior"].sizes == {"chain": 4, "draw": 20 * walkers}
+    path = trace["posterior"].to_dataset().to_array().to_numpy().reshape(2, 4, 30, walkers)
+    distinct = 4 * walkers + np.any(path[:, :, 1:] != path[:, :, :-1], axis=0).sum()
+    sampling = trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]
+    assert problem.model.n_solves == sampling + distinct
+
+
+@pytest.mark.parametrize("name", SAMPLERS)
+def test_log_probability_of_the_draws_is_stored(problem, name):
+    trace = fmu.sample(problem, name, draws=20, warmup=0, seed=4)
+    theta = np.stack([trace["posterior"][p] for p in ("a", "b")], axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(trace["sample_stats"]["lp"].to_numpy().ravel(), problem.log_prob(theta), rtol=1e-12)
+    terms = trace["log_likelihood"]["frequency"].sum("mode").to_numpy().ravel()
+    np.testing.assert_allclose(terms, problem.log_likelihood(theta), rtol=1e-12)
+
+
+def test_same_seed_gives_the_same_draws_and_hash(problem):
+    first, again, other = (fmu.sample(problem, "hmc", draws=20, warmup=10, seed=s) for s in (7, 7, 8))
+    for group in ("posterior", "warmup_posterior", "prior", "posterior_predictive", "sample_stats"):
+        assert first[group].identical(again[group])
+    assert first.attrs["configuration_hash"] == again.attrs["configuration_hash"]
+    assert not first["posterior"].identical(other["posterior"])
+    assert first.attrs["configuration_hash"] != other.attrs["configuration_hash"]
+
+
+def test_settings_objects_are_samplers_and_enter_the_hash(problem):
+    default = fmu.sample(problem, "hmc", draws=5, warmup=0)
+    same = fmu.sample(problem, fmu.HamiltonianMonteCarlo(), draws=5, warmup=0)
+    paper = fmu.sample(problem, fmu.HamiltonianMonteCarlo(gradient="central-difference"), draws=5, warmup=0)
+    assert same.attrs["configuration_hash"] == default.attrs["configuration_hash"]
+    assert paper.attrs["configuration_hash"] != default.attrs["configuration_hash"]
+    assert json.loads(paper.attrs["settings"])["gradient"] == "central-difference"
+
+
+def test_given_starts_enter_the_hash(problem):
+    starts = [[0.1, 0.2], [0.3, 0.4]]
+    first = fmu.sample(problem, "mh", draws=5, warmup=0, chains=2, init=starts)
+    again = fmu.sample(problem, "mh", draws=5, warmup=0, chains=2, init=np.array(starts))
+    other = fmu.sample(problem, "mh", draws=5, warmup=0, chains=2, init=np.array(starts) + 0.1)
+    assert first.attrs["configuration_hash"] == again.attrs["configuration_hash"]
+    assert first.attrs["configuration_hash"] != other.attrs["configuration_hash"]
+    assert first.attrs["init"] == "array"
+
+
+def test_progress_is_reported(problem):
+    seen = []
+    fmu.sample(
+        problem, "mh", draws=3, warmup=2, progress=lambda phase, done, total, info: seen.append((done, total))
+    )
+    assert seen == [(1, 2), (2, 2), (1, 3), (2, 3), (3, 3)]
+
+
+def test_names_are_those_of_the_samplers():
+    assert [samplers.named(name).name for name in SAMPLERS] == list(SAMPLERS)
+    with pytest.raises(ValueError, match=", ".join(SAMPLERS)):
+        samplers.named("nuts")
+
+
+@pytest.mark.parametrize("sampler", ["nuts", 3, None])
+def test_unknown_sampler(problem, sampler):
+    with pytest.raises(ValueError, match=rf"sampler: must be one of mh, slice, hmc, emcee.*\(got {sampler!r}\)"):
+        fmu.sample(problem, sampler)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"draws": 0}, r"draws: .* \(got 0\)"),
+        ({"warmup": -1}, r"warmup: .* \(got -1\)"),
+        ({"chains": 0}, r"chains: .* \(got 0\)"),
+        ({"init": "middle"}, "init: .*'middle'"),
+        ({"init": [[0.0, np.inf]] * 4}, "init: "),
+    ],
+)
+def test_bad_arguments_name_parameter_and_value(problem, settings, message):
+    with pytest.raises(ValueError, match=message):
+        fmu.sample(problem, "mh", **settings)
+
+
+def test_public_names_exist_and_are_listed():
+    for name in fmu.__all__:
+        assert getattr(fmu, name) is not None
+        assert name in dir(fmu)
+    assert fmu.__version__.count(".") == 2
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = fmu.nothing
+
+
+def test_import_brings_in_nothing_heavy():
+    code = (
+        "import fmu, sys; print(*{'numpy', 'scipy', 'pandas', 'xarray', 'arviz', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
