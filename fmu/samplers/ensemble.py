@@ -55,7 +55,13 @@ class Ensemble:
             raise ValueError(
                 f"walkers: must be at least {2 * density.ndim}, twice the coordinates (got {self.walkers})"
             )
-        return EnsembleKernel(density, self)
+        import emcee
+
+        tally = _Tally(density)
+        moves = [(_move(name), weight) for name, weight in self.moves]
+        return EnsembleKernel(
+            density, tally, emcee.EnsembleSampler(self.walkers, density.ndim, tally, moves=moves, vectorize=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,8 @@ class EnsembleKernel:
     """Ensembles bound to a density. State.position is (chains, walkers, ndim), one ensemble a chain."""
 
     density: LogDensity
-    settings: Ensemble
+    tally: _Tally
+    sampler: Any
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the start, one solve a walker; ValueError unless the walkers span the space."""
@@ -89,30 +96,24 @@ class EnsembleKernel:
         n_solves, n_nonfinite = (np.zeros(state.log_prob.shape, dtype=np.int64) for _ in range(2))
         position, log_prob = np.empty_like(state.position), np.empty_like(state.log_prob)
         for chain in range(len(position)):
-            tally = _Tally(self.density)
-            position[chain], log_prob[chain] = self._advance(
-                rng, state.position[chain], state.log_prob[chain], tally
-            )
-            n_solves[chain, : tally.n_solves] = 1
-            n_nonfinite[chain, : tally.n_nonfinite] = 1
+            self.tally.reset()
+            end = self._advance(rng, state.position[chain], state.log_prob[chain])
+            position[chain], log_prob[chain] = end.coords, end.log_prob
+            n_solves[chain, : self.tally.n_solves] = 1
+            n_nonfinite[chain, : self.tally.n_nonfinite] = 1
         accepted = np.any(position != state.position, axis=-1)
         extra = {"n_nonfinite": n_nonfinite}
         info = Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
         return State(position, log_prob), info
 
-    def _advance(
-        self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray, tally: _Tally
-    ) -> tuple[FloatArray, FloatArray]:
-        """Move one ensemble by one emcee step."""
+    def _advance(self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray) -> Any:
+        """Move one ensemble by one step of emcee and return emcee's state."""
         import emcee
 
-        moves = [(_move(name), weight) for name, weight in self.settings.moves]
-        sampler = emcee.EnsembleSampler(*position.shape, tally, moves=moves, vectorize=True)
         seed = rng.integers(2**32, size=8, dtype=np.uint32)
-        sampler.random_state = np.random.RandomState(seed).get_state()
+        self.sampler.random_state = np.random.RandomState(seed).get_state()
         start = emcee.State(position, log_prob=log_prob, copy=True)
-        end = next(sampler.sample(start, iterations=1, store=False, skip_initial_state_check=True))
-        return end.coords, end.log_prob
+        return next(self.sampler.sample(start, iterations=1, store=False, skip_initial_state_check=True))
 
 
 class _Tally:
@@ -120,6 +121,10 @@ class _Tally:
 
     def __init__(self, density: LogDensity) -> None:
         self.density = density
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was counted."""
         self.n_solves = 0
         self.n_nonfinite = 0
 

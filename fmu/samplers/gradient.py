@@ -84,7 +84,8 @@ class CentralDifference:
         found = evaluate(self.density, np.concatenate(points))
         values = found.log_prob[: 2 * n * ndim].reshape(2, n, ndim)
         distance = np.diagonal(above - below, axis1=1, axis2=2)
-        gradient = (values[0] - values[1]) / distance
+        with np.errstate(invalid="ignore"):  # −inf on both sides, where the density has failed: not finite
+            gradient = (values[0] - values[1]) / distance
         finite = np.all(np.isfinite(gradient), axis=1)
         log_prob = np.full(n, np.nan)
         if with_log_prob:

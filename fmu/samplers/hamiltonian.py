@@ -53,8 +53,8 @@ class HamiltonianMonteCarlo:
     Section 4.3 of the paper; Neal (2011), Handbook of MCMC, chapter 5; Afshar & Domke (2015), NeurIPS 28.
     """
 
-    step_size: float = 0.02
-    n_steps: int = 20
+    step_size: float = 0.001
+    n_steps: int = 60
     jitter: float = 0.2
     inverse_mass: Any = None
     gradient: str = "exact"

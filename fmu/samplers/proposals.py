@@ -41,7 +41,7 @@ class RandomWalk:
         If `scale` is not positive (definite) and finite.
     """
 
-    scale: Any = 0.05
+    scale: Any = 0.01
     _factor: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -118,7 +118,7 @@ class _Store:
     def draws(self) -> Draws:
         chains, steps, walkers = self.shape
         stats = {name: value.reshape(chains, steps * walkers) for name, value in self.stats.items()}
-        return Draws(self.position.reshape(chains, steps * walkers, -1), stats)
+        return Draws(self.position.reshape(chains, steps * walkers, self.scaled.ndim), stats)
 
 
 def run(
