@@ -75,11 +75,19 @@ def eigen(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
-    # A shift slightly below zero keeps K − σM regular when K has rigid-body modes; the start vector is fixed
-    # so that a repeated solve repeats its bits.
+    # A shift slightly below zero keeps K − σM regular when K has rigid-body modes; the start vector is fixed so
+    # that a repeated solve repeats its bits; the shifted matrix is definite, so that no pivoting is needed.
+    n = K.shape[0]
     shift = -1e-6 * K.diagonal().sum() / M.diagonal().sum()
-    start = np.random.default_rng(0).standard_normal(K.shape[0])
-    lam, phi = ssl.eigsh(sp.csc_array(K), count, sp.csc_array(M), sigma=shift, v0=start, tol=1e-12)
+    factor = ssl.splu(
+        sp.csc_array(K - shift * M),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
+    start = np.random.default_rng(0).standard_normal(n)
+    lam, phi = ssl.eigsh(K, count, M, sigma=shift, OPinv=inverse, v0=start, tol=1e-12)
     order = np.argsort(lam)
     return lam[order], phi[:, order]
 

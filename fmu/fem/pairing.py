@@ -236,10 +236,14 @@ def _visible_shapes(
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
     n_dof = max(int(b.dofs.max()) for b in model.blocks) + 1
+    solved = {
+        b: model.blocks[b].modes(point, int(spectrum.rank[spectrum.block == b].max()) + 1)[1][0]
+        for b in set(spectrum.block[0].tolist())
+    }
     shapes = []
     for b, r in zip(spectrum.block[0], spectrum.rank[0], strict=True):
         shape = np.zeros(n_dof)
-        shape[model.blocks[b].dofs] = model.blocks[b].modes(point, r + 1)[1][0, :, r]
+        shape[model.blocks[b].dofs] = solved[int(b)][:, r]
         if np.max(np.abs(shape[sensors])) > 1e-3 * np.max(np.abs(shape[dofs])):
             shapes.append(shape[dofs])
     return shapes

@@ -11,6 +11,7 @@ By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -50,14 +51,18 @@ class ReducedBlock:
         self.size = basis.shape[1]
         self.trusted = trusted
         self.n_parameters = block.n_parameters
-        self._K = _project(block.K_terms, basis)
-        self._M = _project(block.M_terms, basis)
+        self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
         self._K_map = CoefficientMap(block.K_terms)
         self._M_map = CoefficientMap(block.M_terms)
-        self._K_rows = self._K.reshape(-1, self.size)
-        self._M_rows = self._M.reshape(-1, self.size)
         # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
         self.constant_mass = all(term.constant for term in block.M_terms)
+
+    def truncated(self, size: int) -> ReducedBlock:
+        """Return the block reduced by the first `size` vectors of its basis alone."""
+        leading = copy.copy(self)
+        leading.basis, leading.size = self.basis[:, :size], size
+        leading._set_terms(self._K[:, :size, :size].copy(), self._M[:, :size, :size].copy())
+        return leading
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
         """Return the lowest eigenvalues, shape (n, count); NaN where the solver fails."""
@@ -92,6 +97,10 @@ class ReducedBlock:
             return lambda phi: rows @ phi, reference
         Q, R = np.linalg.qr(rows)
         return lambda phi: R @ phi, Q.T @ reference
+
+    def _set_terms(self, K: FloatArray, M: FloatArray) -> None:
+        self._K, self._M = K, M
+        self._K_rows, self._M_rows = K.reshape(-1, K.shape[-1]), M.reshape(-1, M.shape[-1])
 
     def _forms(self, rows: FloatArray, phi: FloatArray) -> FloatArray:
         """Return φᵀ K_k φ, shape (n, n_terms, m)."""
@@ -154,18 +163,21 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
 
 
 def smallest_basis(
-    block: FullBlock,
-    basis: FloatArray,
-    trusted: int,
-    acceptable: Callable[[ReducedBlock], bool],
-    smallest: int,
-) -> ReducedBlock | None:
-    """Return the block reduced by the fewest leading vectors of `basis` that are acceptable, None if none are."""
-    for r in range(max(smallest, trusted), basis.shape[1] + 1):
-        candidate = ReducedBlock(block, basis[:, :r], trusted)
-        if acceptable(candidate):
-            return candidate
-    return None
+    reduced: ReducedBlock, acceptable: Callable[[ReducedBlock], bool], smallest: int
+) -> ReducedBlock:
+    """Return `reduced` by the fewest leading vectors of its basis that are acceptable, or as it is if none are.
+
+    By bisection: in nested spaces the reduced eigenvalues fall monotonically towards the exact ones (Courant and
+    Fischer), so that what is acceptable stays so as vectors are added.
+    """
+    low, high = max(smallest, reduced.trusted) - 1, reduced.size
+    while high - low > 1:
+        middle = (low + high) // 2
+        if acceptable(reduced.truncated(middle)):
+            high = middle
+        else:
+            low = middle
+    return reduced.truncated(high)
 
 
 def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:

@@ -158,11 +158,8 @@ class Training:
         def acceptable(candidate: ReducedBlock) -> bool:
             return bool(np.max(wanted.frequency_error(candidate)) <= self.tolerance)
 
-        found = smallest_basis(block, basis, needed, acceptable, smallest=self._size(b))
-        return basis if found is None else found.basis
-
-    def _size(self, b: int) -> int:
-        return self.basis[b].shape[1] if b in self.basis else 1
+        smallest = self.basis[b].shape[1] if b in self.basis else 1
+        return smallest_basis(ReducedBlock(block, basis, needed), acceptable, smallest).basis
 
     def _good_for(self, fresh: dict[int, Snapshots]) -> bool:
         pairing, needed = self._needed(fresh)
