@@ -81,7 +81,8 @@ class Normal:
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
         """Return −α (x − mean)."""
-        return -(x - self.mean) / self.sd**2
+        with np.errstate(over="ignore"):
+            return -(x - self.mean) / self.sd**2
 
     def log_mass(self, lower: float, upper: float) -> float:
         """Return log(Φ(b) − Φ(a)) without cancellation in either tail."""
@@ -249,7 +250,8 @@ class JointPrior:
     def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
         """Return its gradient, shape (n, ndim)."""
         gradient = np.empty_like(theta)
-        gradient[:, self._normal] = -self._precision * (theta[:, self._normal] - self._mean)
+        with np.errstate(over="ignore"):
+            gradient[:, self._normal] = -self._precision * (theta[:, self._normal] - self._mean)
         for j, prior in self._others:
             gradient[:, j] = prior.log_pdf_gradient(theta[:, j])
         return gradient
