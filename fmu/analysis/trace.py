@@ -189,7 +189,7 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     hertz = {"units": "Hz"}
     return {
         "log_likelihood": xr.Dataset(
-            {"frequency": (dims, problem.likelihood.log_prob_terms(frequency))}, coords=coordinates
+            {"frequency": (dims, problem.likelihood.error.log_prob_terms(frequency))}, coords=coordinates
         ),
         "posterior_predictive": xr.Dataset(
             {"frequency": (dims, replicate, hertz), "model_frequency": (dims, frequency, hertz)},

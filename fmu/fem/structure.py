@@ -29,14 +29,17 @@ class PairedStructure:
     ----------
     model : SeparableModel
     pairing : {"shape", "index"}
-        ``"shape"``: one-to-one assignment by MAC, at all translations, with the modes of the model at
-        `reference` that the sensors can see. ``"index"``: by `numbers` in the sorted spectrum.
+        ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
+        measured, at all translations with the modes of the model at `reference` that the sensors can see.
+        ``"index"``: by `numbers` in the sorted spectrum.
     numbers : tuple of int
         Number (from 1) of each measured mode.
     sensors : tuple of (node, direction)
         What was measured; all translations if empty.
     reference : ndarray, shape (n_parameters,)
         The model before updating.
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Measured shapes.
 
     Attributes
     ----------
@@ -59,6 +62,7 @@ class PairedStructure:
         numbers: tuple[int, ...],
         sensors: tuple[tuple[Any, str], ...],
         reference: FloatArray,
+        shapes: FloatArray | None = None,
     ) -> None:
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -71,6 +75,8 @@ class PairedStructure:
         self.rule: IndexPairing | ShapePairing
         if pairing == "index":
             self.rule = IndexPairing(numbers)
+        elif shapes is not None:
+            self.rule = ShapePairing(np.array([model.dof(*sensor) for sensor in sensors]), shapes)
         else:
             dofs = model.translations
             seen = np.array([model.dof(*sensor) for sensor in sensors]) if sensors else dofs

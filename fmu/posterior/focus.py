@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.basis_cache import load_basis, store_basis
 from fmu.fem.structure import PairedStructure
+from fmu.posterior.likelihood import FrequencyLikelihood
 from fmu.posterior.maxima import local_maxima
 
 if TYPE_CHECKING:
@@ -34,20 +35,21 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
     if state is not None:
         structure.restore(state)
         return
-    box = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters])
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters]).T
     rng = np.random.default_rng(0)
 
-    def acceptable(exact: FloatArray, reduced: FloatArray) -> bool:
-        terms = problem.likelihood.log_prob_terms
-        return bool(np.max(np.abs(np.sum(terms(reduced) - terms(exact), axis=1))) <= LOG_PROB_TOLERANCE)
+    if isinstance(problem.likelihood, FrequencyLikelihood):
+        error = problem.likelihood.error
 
-    state = structure.train(
-        box[:, 0],
-        box[:, 1],
-        FREQUENCY_TOLERANCE,
-        focus=lambda: plausible_points(problem, 64, rng),
-        acceptable=acceptable,
-    )
+        def acceptable(exact: FloatArray, reduced: FloatArray) -> bool:
+            difference = np.sum(error.log_prob_terms(reduced) - error.log_prob_terms(exact), axis=1)
+            return bool(np.max(np.abs(difference)) <= LOG_PROB_TOLERANCE)
+
+        state = structure.train(
+            lower, upper, FREQUENCY_TOLERANCE, lambda: plausible_points(problem, 64, rng), acceptable
+        )
+    else:  # the frequencies take no part in the log-probability
+        state = structure.train(lower, upper, FREQUENCY_TOLERANCE)
     store_basis(key, state)
 
 
@@ -97,7 +99,7 @@ def _laplace_directions(
 ) -> FloatArray:
     """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
     _, slopes = problem.model.frequencies_and_gradient(theta[None])
-    J = slopes[0] * problem.scale * np.sqrt(2.0 * np.asarray(problem.likelihood.beta))[:, None]
+    J = slopes[0] * problem.scale * np.sqrt(2.0 * problem.likelihood.beta)[:, None]
     precision = J.T @ J + np.eye(problem.ndim)
     z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
     z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))

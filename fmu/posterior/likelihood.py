@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.fem.model import ModalModel
+
 FloatArray = NDArray[np.float64]
 
 
@@ -65,3 +67,35 @@ class FrequencyError:
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"error": "frequency", "beta": np.asarray(self.beta).tolist()}
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyLikelihood:
+    """A model's frequencies under an error model: the likelihood as a function of theta.
+
+    Attributes
+    ----------
+    model : ModalModel
+    error : FrequencyError
+    """
+
+    model: ModalModel
+    error: FrequencyError
+
+    @property
+    def beta(self) -> FloatArray:
+        """Coefficient β_i of each mode, 1/Hz²."""
+        return np.asarray(self.error.beta)
+
+    def terms(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
+        return self.error.log_prob_terms(self.model.frequencies(theta))
+
+    def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the terms and their gradients, shape (n, n_modes, ndim)."""
+        frequencies, slopes = self.model.frequencies_and_gradient(theta)
+        return self.error.log_prob_terms(frequencies), self.error.gradient(frequencies)[..., None] * slopes
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        return self.error.as_dict()

@@ -24,19 +24,22 @@ class ModalData:
         1, 2, … by default.
     sensors : tuple of (node, direction)
         Where the motion was measured and in which direction: a mode that moves no sensor was not measured.
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Measured mode shapes at the sensors, in any scale.
     labels : tuple of str
         Names of the modes, ``"1"``, ``"2"``, … by default.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive and finite, or the lengths differ.
+        If a frequency is not positive and finite, a shape is not finite or zero, or the lengths differ.
     """
 
     frequencies_hz: ArrayLike
     numbers: tuple[int, ...] = ()
     sensors: tuple[tuple[Any, str], ...] = ()
     labels: tuple[str, ...] = ()
+    shapes: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
@@ -55,6 +58,17 @@ class ModalData:
             if len(getattr(self, name)) != n:
                 raise ValueError(f"{name}: must be {n}, one a mode (got {len(getattr(self, name))})")
 
+        if self.shapes is not None:
+            shapes = np.array(self.shapes, dtype=float)
+            if shapes.shape != (len(self.sensors), n):
+                raise ValueError(
+                    f"shapes: must have shape {(len(self.sensors), n)}, sensors x modes (got {shapes.shape})"
+                )
+            if not np.all(np.isfinite(shapes)) or not np.all(np.any(shapes != 0.0, axis=0)):
+                raise ValueError("shapes: must be finite, and no mode zero at every sensor")
+            shapes.flags.writeable = False
+            object.__setattr__(self, "shapes", shapes)
+
     @property
     def n_modes(self) -> int:
         """Number of measured modes."""
@@ -62,11 +76,13 @@ class ModalData:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the data in plain Python types."""
+        shapes = {} if self.shapes is None else {"shapes": np.asarray(self.shapes).tolist()}
         return {
             "frequencies_hz": np.asarray(self.frequencies_hz).tolist(),
             "numbers": [int(number) for number in self.numbers],
             "sensors": [[_plain(part) for part in sensor] for sensor in self.sensors],
             "labels": list(self.labels),
+            **shapes,
         }
 
 

@@ -12,11 +12,14 @@ from fmu.fem.model import ModalModel
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
 from fmu.posterior.focus import reduce_model
-from fmu.posterior.likelihood import FrequencyError
+from fmu.posterior.likelihood import FrequencyError, FrequencyLikelihood
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import JointPrior, Parameter
+from fmu.posterior.residual import ModalResidual
 
 FloatArray = NDArray[np.float64]
+
+ERRORS = ("frequency", "modal-residual")
 
 
 class UpdatingProblem:
@@ -35,7 +38,10 @@ class UpdatingProblem:
     reduction : bool
         Whether a SeparableModel is answered by a certified reduced model inside the bounds.
     beta : float or array_like, shape (n_modes,)
-        Trust in the data, 1/Hz²: β = 1/(2σ²) (eq. 4).
+        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual.
+    error : {"frequency", "modal-residual"}
+        ε = f − f^m in Hz, or the residual of eq. (2) at the sensors, a pseudo-likelihood
+        (`fmu.posterior.residual`) that needs measured shapes and a SeparableModel.
     name : str
 
     Attributes
@@ -68,12 +74,14 @@ class UpdatingProblem:
         pairing: str = "shape",
         reduction: bool = True,
         beta: ArrayLike = 1.0,
+        error: str = "frequency",
         name: str = "problem",
     ) -> None:
         self.data = data
         self.parameters = tuple(parameters)
         self.name = name
-        self.likelihood = FrequencyError(np.asarray(data.frequencies_hz), beta)
+        if error not in ERRORS:
+            raise ValueError(f"error: must be one of {ERRORS} (got {error!r})")
         self.ndim = len(self.parameters)
         self.names = tuple(p.name for p in self.parameters)
         self.units = tuple(p.unit for p in self.parameters)
@@ -87,6 +95,15 @@ class UpdatingProblem:
         self._prior = JointPrior(self.parameters)
         self.model: ModalModel = self._paired(model, pairing) if isinstance(model, SeparableModel) else model
         self._check()
+        self.likelihood: FrequencyLikelihood | ModalResidual
+        if error == "frequency":
+            self.likelihood = FrequencyLikelihood(
+                self.model, FrequencyError(np.asarray(data.frequencies_hz), beta)
+            )
+        elif isinstance(model, SeparableModel):
+            self.likelihood = ModalResidual(model, data, self.start, beta)
+        else:
+            raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
         if reduction and isinstance(self.model, PairedStructure):
             reduce_model(self, self.model)
 
@@ -111,11 +128,9 @@ class UpdatingProblem:
         inside = self._inside(points)
         if np.any(inside):
             x = points[inside]
-            frequencies, slopes = self.model.frequencies_and_gradient(x)
-            terms = self._recorded(self.likelihood.log_prob_terms(frequencies), x)
-            value[inside] = terms.sum(axis=1) + self._prior.log_pdf(x)
-            weights = self.likelihood.gradient(frequencies)
-            gradient[inside] = np.sum(weights[..., None] * slopes, axis=1) + self._prior.log_pdf_gradient(x)
+            terms, slopes = self.likelihood.terms_and_gradient(x)
+            value[inside] = self._recorded(terms, x).sum(axis=1) + self._prior.log_pdf(x)
+            gradient[inside] = np.sum(slopes, axis=1) + self._prior.log_pdf_gradient(x)
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
@@ -152,8 +167,16 @@ class UpdatingProblem:
         return np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
 
     def simulate_data(self, rng: np.random.Generator, frequencies: FloatArray) -> FloatArray:
-        """Return computed frequencies (Hz) with measurement noise added."""
-        return self.likelihood.simulate(rng, frequencies)
+        """Return computed frequencies (Hz) with measurement noise added.
+
+        Raises
+        ------
+        ValueError
+            If the error model gives no distribution of the frequencies (the modal residual).
+        """
+        if not isinstance(self.likelihood, FrequencyLikelihood):
+            raise ValueError("error: the modal residual is no distribution of the data")
+        return self.likelihood.error.simulate(rng, frequencies)
 
     def configuration(self) -> dict[str, Any]:
         """Return what defines the posterior, in plain Python types."""
@@ -184,6 +207,7 @@ class UpdatingProblem:
             numbers=self.data.numbers,
             sensors=self.data.sensors,
             reference=self.start,
+            shapes=None if self.data.shapes is None else np.asarray(self.data.shapes),
         )
 
     def _model_description(self) -> Any:
@@ -200,7 +224,7 @@ class UpdatingProblem:
         return np.all((points >= self.lower) & (points <= self.upper), axis=1)
 
     def _terms(self, points: FloatArray) -> FloatArray:
-        return self._recorded(self.likelihood.log_prob_terms(self.model.frequencies(points)), points)
+        return self._recorded(self.likelihood.terms(points), points)
 
     def _recorded(self, terms: FloatArray, points: FloatArray) -> FloatArray:
         """Return `terms` with -inf in place of what is not finite, after noting where that happened."""
