@@ -29,6 +29,11 @@ def test_each_distinct_draw_is_evaluated_once_and_in_bounded_batches(walkers):
     assert max(map(len, asked)) == 16
 
 
+def test_draws_that_share_a_coordinate_are_distinct():
+    position = np.array([[[1.0, 2.0], [1.0, 3.0], [0.0, 3.0]]])
+    np.testing.assert_array_equal(DistinctDraws.of(position).theta, position[0])
+
+
 def test_a_chain_is_not_joined_to_its_neighbour():
     position = np.ones((2, 3, 2))  # both chains stand still at the same point
     distinct = DistinctDraws.of(position)
