@@ -58,7 +58,6 @@ def test_pairing_by_rank_stays_in_its_block():
     assert_array_equal(modes.block, [[1, 0, 0]] * 3)
 
 
-@pytest.mark.xfail(reason="NaN sorts last, so that the other blocks' modes move up")
 def test_one_failed_block_leaves_no_row_of_the_spectrum_to_trust():
     """Where one part of the structure cannot be solved, no number in the sorted spectrum means anything."""
     eye = np.eye(4)
