@@ -41,7 +41,7 @@ def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -
         return eigenvalue_gradient / (8.0 * np.pi**2 * frequency[..., None])
 
 
-def eigen(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
+def eigen(K: Any, M: Any, count: int, definite: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return the lowest modes of K φ = λ M φ.
 
     Parameters
@@ -50,6 +50,8 @@ def eigen(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
         Symmetric; M positive definite. K may be singular (a free structure).
     count : int
         How many modes.
+    definite : bool
+        Whether M is known to be positive definite; to find that out costs a factorisation of a large sparse M.
 
     Returns
     -------
@@ -68,10 +70,17 @@ def eigen(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
         raise ValueError(f"count: must lie in 1..{n}, the degrees of freedom (got {count})")
     try:
         if n <= DENSE_LIMIT or count >= n - 1:
-            return sl.eigh(_dense(K), _dense(M), subset_by_index=[0, count - 1], check_finite=False)
-        return _lanczos(K, M, count)
+            lam, phi = sl.eigh(_dense(K), _dense(M), subset_by_index=[0, count - 1], check_finite=False)
+        else:
+            if not definite and not np.all(_factor(M).U.diagonal() > 0.0):
+                # by Sylvester's law of inertia; Lanczos itself does not notice
+                raise SingularMassError(f"eigenproblem of {n} DOF: the mass matrix is not positive definite")
+            lam, phi = _lanczos(K, M, count)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SingularMassError(f"eigenproblem of {n} DOF: {error}") from error
+    if len(lam) < count:  # what LAPACK does on overflow, without a word
+        raise SingularMassError(f"eigenproblem of {n} DOF: {len(lam)} of {count} eigenvalues found")
+    return lam, phi
 
 
 def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
@@ -79,17 +88,18 @@ def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
     # that a repeated solve repeats its bits; the shifted matrix is definite, so that no pivoting is needed.
     n = K.shape[0]
     shift = -1e-6 * K.diagonal().sum() / M.diagonal().sum()
-    factor = ssl.splu(
-        sp.csc_array(K - shift * M),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    factor = _factor(K - shift * M)
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)
     lam, phi = ssl.eigsh(K, count, M, sigma=shift, OPinv=inverse, v0=start, tol=1e-12)
     order = np.argsort(lam)
     return lam[order], phi[:, order]
+
+
+def _factor(matrix: Any) -> Any:
+    return ssl.splu(
+        sp.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
 
 
 def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
@@ -137,13 +147,15 @@ class FullBlock:
         """
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
+        constant_mass, definite = all(term.constant for term in self.M_terms), False
         K_weights, M_weights = self._K_map(theta), self._M_map(theta)
         for i in range(len(theta)):
             K, M = weighted_sum(self.K_terms, K_weights[i]), weighted_sum(self.M_terms, M_weights[i])
             if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
                 continue
             try:
-                lam[i], phi[i] = eigen(K, M, count)
+                lam[i], phi[i] = eigen(K, M, count, definite)
+                definite = constant_mass
             except SingularMassError:
                 continue
         return lam, phi

@@ -138,6 +138,7 @@ class BlockModel:
         for block, lam in zip(self.blocks, values, strict=True):
             if lam.shape[1] < min(count, block.size):
                 lowest[~(lowest[:, -1] < lam[:, -1])] = np.nan
+        lowest[np.any(np.isnan(merged), axis=1)] = np.nan  # sorted last, it would let the others move up
         label = np.array([(b, r) for b, lam in enumerate(values) for r in range(lam.shape[1])])
         chosen = None
         if gradient:

@@ -240,10 +240,9 @@ def _visible_shapes(
         b: model.blocks[b].modes(point, int(spectrum.rank[spectrum.block == b].max()) + 1)[1][0]
         for b in set(spectrum.block[0].tolist())
     }
-    shapes = []
-    for b, r in zip(spectrum.block[0], spectrum.rank[0], strict=True):
-        shape = np.zeros(n_dof)
+    shapes = np.zeros((count, n_dof))
+    for shape, b, r in zip(shapes, spectrum.block[0], spectrum.rank[0], strict=True):
         shape[model.blocks[b].dofs] = solved[int(b)][:, r]
-        if np.max(np.abs(shape[sensors])) > 1e-3 * np.max(np.abs(shape[dofs])):
-            shapes.append(shape[dofs])
-    return shapes
+    # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
+    moved = np.max(np.abs(shapes[:, dofs]))
+    return [shape[dofs] for shape in shapes if np.max(np.abs(shape[sensors])) > 1e-3 * moved]

@@ -140,9 +140,13 @@ class PairedStructure:
         with single_thread():
             if self.reduced is None:
                 return self._solve_full(theta, gradient)
-            modes = self._solve_reduced(theta, gradient)
             inside = np.all((theta >= self._lower) & (theta <= self._upper), axis=1)
-            if inside.all() and not np.isnan(modes.eigenvalues).any():
+            everywhere = bool(inside.all())
+            # the reduced model may overflow far outside its box, where it has no say: the corner stands in
+            modes = self._solve_reduced(
+                theta if everywhere else np.where(inside[:, None], theta, self._lower), gradient
+            )
+            if everywhere and not np.isnan(modes.eigenvalues).any():
                 return modes
             return self._repaired(theta, modes, ~inside | np.any(np.isnan(modes.eigenvalues), axis=1))
 
