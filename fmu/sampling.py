@@ -51,7 +51,8 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        The trace, see `fmu.analysis.trace.to_trace`.
+        The trace, see `fmu.analysis.trace.to_trace`; its attributes include the certificate of the reduced model
+        where there is one, see `fmu.analysis.certificate.certify`.
 
     Raises
     ------
@@ -61,6 +62,7 @@ def sample(
     """
     import numpy as np
 
+    from fmu.analysis.certificate import certify
     from fmu.analysis.trace import to_trace
     from fmu.samplers import named, run
 
@@ -71,6 +73,7 @@ def sample(
             f"(got {sampler!r})"
         )
     start = None if isinstance(init, str) else np.asarray(init, dtype=float)
+    full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
     result = run(
         problem,
         settings,
@@ -81,4 +84,6 @@ def sample(
         init=init if start is None else start,
         progress=progress,
     )
-    return to_trace(result, problem, start)
+    trace = to_trace(result, problem, start)
+    trace.attrs.update(certify(trace, problem, full_solves=full_solves))
+    return trace

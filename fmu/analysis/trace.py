@@ -45,8 +45,9 @@ def to_trace(result: RunResult, density: LogDensity, start: NDArray[np.float64] 
     -------
     xarray.DataTree
         Groups ``posterior`` and ``warmup_posterior`` (one variable a parameter, SI units), ``sample_stats`` and
-        ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, one term a mode), ``posterior_predictive``
-        (eq. (10) of the paper: ``frequency`` with measurement noise, ``model_frequency`` without it, Hz),
+        ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, or ``residual`` under the modal residual; one
+        term a mode), ``posterior_predictive`` (eq. (10) of the paper: ``frequency`` with measurement noise, which
+        the modal residual has none of, ``model_frequency`` without it, Hz),
         ``prior`` (draws from the prior inside the bounds), ``observed_data`` (``frequency``) and ``constant_data``
         (``lower``, ``upper``, ``start``, ``beta``). The attributes say how the draws came about.
     """
@@ -171,7 +172,7 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
     }
     coordinates: dict[str, Any] = {"parameter": list(names)}
     if hasattr(density, "likelihood"):
-        variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float), {"units": "1/Hz²"})
+        variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
     return xr.Dataset(variables, coords=coordinates)
 
@@ -183,18 +184,19 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
     distinct = DistinctDraws.of(result.posterior.position, result.walkers)
     frequency = distinct.evaluate(problem.frequencies)
-    noise = _generator(result.seed, NOISE_STREAM)
-    replicate = problem.simulate_data(noise, frequency.reshape(-1, frequency.shape[-1])).reshape(frequency.shape)
     dims = ("chain", "draw", "mode")
     hertz = {"units": "Hz"}
+    predicted = {"model_frequency": (dims, frequency, hertz)}
+    if hasattr(problem.likelihood, "error"):
+        terms = {"frequency": (dims, problem.likelihood.error.log_prob_terms(frequency))}
+        noise = _generator(result.seed, NOISE_STREAM)
+        replicate = problem.simulate_data(noise, frequency.reshape(-1, frequency.shape[-1]))
+        predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
+    else:  # a pseudo-likelihood has terms, but no measurement noise to predict with
+        terms = {"residual": (dims, distinct.evaluate(problem.log_likelihood_terms))}
     return {
-        "log_likelihood": xr.Dataset(
-            {"frequency": (dims, problem.likelihood.error.log_prob_terms(frequency))}, coords=coordinates
-        ),
-        "posterior_predictive": xr.Dataset(
-            {"frequency": (dims, replicate, hertz), "model_frequency": (dims, frequency, hertz)},
-            coords=coordinates,
-        ),
+        "log_likelihood": xr.Dataset(terms, coords=coordinates),
+        "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
         "observed_data": xr.Dataset(
             {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)},
             coords={"mode": coordinates["mode"]},

@@ -1,0 +1,76 @@
+"""The run's certificate: how far the reduced model that was sampled is from the full one, where it was sampled."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmu.analysis.diagnostics import parameter_draws
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+FREQUENCY_TOLERANCE = 1e-6
+LOG_PROB_TOLERANCE = 1e-3
+
+
+class CertificateWarning(UserWarning):
+    """The reduced model is further from the full one than it promised, at draws that were kept."""
+
+
+def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0) -> dict[str, Any]:
+    """Solve a random sample of the retained draws again with the full model.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem
+        What was sampled. Anything without a reduced model gives an empty certificate.
+    n : int
+        Draws to solve again, at random without replacement; the trace's seed chooses them.
+    full_solves : int
+        ``problem.model.full_solves`` before the run.
+
+    Returns
+    -------
+    dict of str to float, int or str
+        ``certificate_draws``; ``certificate_frequency_error``, the largest relative error of a frequency;
+        ``certificate_log_prob_error``, the largest error of the log-probability;
+        ``certificate_pairing_changes``, draws at which the full model, paired by the rule itself, answers a
+        measured mode with another computed mode; ``certificate_full_solves``, how often the full model had to
+        answer during the run because a theta lay outside the reduced model's box.
+
+    Warns
+    -----
+    CertificateWarning
+        If an error is above 1e-6 (frequency, relative) or 1e-3 (log-probability), or a pairing changed.
+    """
+    structure: Any = getattr(problem, "model", None)
+    if getattr(structure, "reduced", None) is None:
+        return {}
+    draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
+    rng = np.random.default_rng(int(trace.attrs["seed"]))
+    theta = draws[rng.permutation(len(draws))[:n]]
+
+    from fmu.fem.modal import frequency_hz
+
+    exact, reduced = structure.full_modes(theta), structure.modes(theta)
+    exact_hz, reduced_hz = frequency_hz(exact.eigenvalues), frequency_hz(reduced.eigenvalues)
+    frequency_error = float(np.max(np.abs(reduced_hz / exact_hz - 1.0)))
+    log_prob_error = 0.0
+    if hasattr(problem.likelihood, "error"):
+        terms = problem.likelihood.error.log_prob_terms
+        log_prob_error = float(np.max(np.abs(np.sum(terms(reduced_hz) - terms(exact_hz), axis=1))))
+    changed = np.any((exact.block != reduced.block) | (exact.rank != reduced.rank), axis=1)
+    certificate = {
+        "certificate_draws": len(theta),
+        "certificate_frequency_error": frequency_error,
+        "certificate_log_prob_error": log_prob_error,
+        "certificate_pairing_changes": int(np.sum(changed)),
+        "certificate_full_solves": int(structure.full_solves) - full_solves,
+    }
+    if not (frequency_error <= FREQUENCY_TOLERANCE and log_prob_error <= LOG_PROB_TOLERANCE) or changed.any():
+        warnings.warn(f"the reduced model missed its tolerance: {certificate}", CertificateWarning, stacklevel=2)
+    return certificate

@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis.certificate import CertificateWarning, certify
+from fmu.fem.reduced_basis import ReducedBlock
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return fmu.cases.load("cantilever-section")
+
+
+@pytest.fixture(scope="module")
+def trace(problem):
+    return fmu.sample(problem, "slice", draws=40, warmup=40, chains=2, seed=3)
+
+
+def test_certificate_is_within_its_tolerances(trace, problem):
+    attrs = trace.attrs
+    assert attrs["certificate_draws"] == 64
+    assert 0 < attrs["certificate_frequency_error"] <= 1e-6
+    assert 0 < attrs["certificate_log_prob_error"] <= 1e-3
+    assert attrs["certificate_pairing_changes"] == attrs["certificate_full_solves"] == 0
+    assert certify(trace, problem).items() <= attrs.items()
+
+
+def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
+    blocks = list(problem.model.reduced.blocks)
+    b = next(i for i, block in enumerate(blocks) if isinstance(block, ReducedBlock))
+    blocks[b] = blocks[b].truncated(7)
+    poor = type(problem.model.reduced)(tuple(blocks), problem.ndim)
+    monkeypatch.setattr(problem.model, "_solve_reduced", problem.model.pairing.bind(poor))
+    with pytest.warns(CertificateWarning, match="missed its tolerance"):
+        certificate = certify(trace, problem)
+    assert certificate["certificate_frequency_error"] > 1e-6
+
+
+def test_a_wrong_rank_is_found_out(trace, problem, monkeypatch):
+    rank = problem.model.pairing
+    swapped = type(rank)(rank.block, (0, 1, 2, 4, 3))
+    monkeypatch.setattr(problem.model, "_solve_reduced", swapped.bind(problem.model.reduced))
+    with pytest.warns(CertificateWarning):
+        assert certify(trace, problem)["certificate_pairing_changes"] == 64
+
+
+def test_a_density_without_a_reduced_model_needs_none(trace, problem):
+    assert certify(trace, object()) == {}
+    full = fmu.UpdatingProblem(
+        problem.model.structure, problem.data, problem.parameters, reduction=False, pairing="index"
+    )
+    assert certify(trace, full) == {}
+
+
+def test_solves_of_the_full_model_are_counted(problem):
+    before = problem.model.full_solves
+    problem.frequencies(np.stack([problem.upper * 1.1, problem.start]))
+    assert problem.model.full_solves == before + 1
