@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from targets import Counting, Target, TruncatedGaussian
+from targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
 from fmu.samplers import Slice, State, run
-from fmu.samplers.slice import SCHEMES
+from fmu.samplers.slice import SCHEMES, _Account
 
 
 class Flat(Target):
@@ -61,6 +61,25 @@ def test_stepping_out_divides_its_budget_evenly_between_left_and_right():
     assert np.all(np.abs(state.position) < 5)
     assert np.all(np.abs(state.position.mean(axis=0)) < 5 * np.sqrt(25 / 6 / len(start)))
     np.testing.assert_allclose(state.position.var(axis=0), 25 / 6, rtol=0.05)
+
+
+def test_stepping_out_stops_at_the_first_end_off_the_slice():
+    target = CorrelatedGaussian()
+    start = np.tile(target.mean, (40, 1))
+    _, wide, _ = one_step(target, Slice("coordinate", width=1e4, max_steps_out=10), start)
+    assert np.all(wide.extra["n_steps_out"] == 0)
+    # With Y = P exp(−e) the slice through the mean is |x| < sqrt(2 e) sd, in coordinate 0 at first: each end steps
+    # out until it has passed that, and each step is one evaluation beside the last of each end.
+    narrow = Slice("coordinate", width=0.05, max_steps_out=10**6).bind(target)
+    level = -np.full(40, 2.0)
+    account = _Account(*(np.zeros(40, dtype=np.int64) for _ in range(4)))
+    rng = np.random.default_rng(1)
+    place = narrow._place(rng, start, slice(0, 1))
+    left, right = narrow._step_out(rng, start, level, 0, place, account)[:, :, 0] - target.mean[0]
+    reach = np.sqrt(2 * 2.0 / target.precision[0, 0])
+    assert np.all((-reach - 0.05 <= left) & (left < -reach))
+    assert np.all((reach < right) & (right <= reach + 0.05))
+    np.testing.assert_array_equal(account.n_solves, account.n_steps_out + 2)
 
 
 def test_the_candidate_is_what_is_tested_against_the_level():
