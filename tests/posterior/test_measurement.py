@@ -43,6 +43,15 @@ def test_description_is_plain_python():
     }
 
 
+def test_measured_shapes():
+    given = np.array([[1.0, 0.5], [0.0, -2.0]])
+    data = ModalData([31.9, 197.9], sensors=((3, "z"), (5, "z")), shapes=given)
+    assert data.as_dict()["shapes"] == [[1.0, 0.5], [0.0, -2.0]]
+    assert "shapes" not in ModalData([31.9]).as_dict()
+    given[0] = 9.0
+    assert_array_equal(data.shapes, [[1.0, 0.5], [0.0, -2.0]])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -54,6 +63,18 @@ def test_description_is_plain_python():
         ({"frequencies_hz": [np.nan, 1.0]}, r"frequencies_hz\.0: must be positive and finite \(got nan Hz\)"),
         ({"frequencies_hz": [np.inf]}, r"frequencies_hz\.0: must be positive and finite \(got inf Hz\)"),
         ({"frequencies_hz": [1.0, 2.0], "numbers": (1,)}, r"numbers: must be 2, one a mode \(got 1\)"),
+        (
+            {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[1.0], [2.0]]},
+            r"shapes: must have shape \(1, 1\), sensors x modes \(got \(2, 1\)\)",
+        ),
+        (
+            {"frequencies_hz": [1.0, 2.0], "sensors": ((1, "z"),), "shapes": [[1.0, 0.0]]},
+            r"shapes: must be finite, and no mode zero at every sensor",
+        ),
+        (
+            {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[np.nan]]},
+            r"shapes: must be finite, and no mode zero at every sensor",
+        ),
         ({"frequencies_hz": [1.0], "labels": ("a", "b")}, r"labels: must be 1, one a mode \(got 2\)"),
     ],
 )
