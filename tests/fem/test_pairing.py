@@ -14,7 +14,7 @@ from fmu.cases import cantilever
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modal import frequency_hz
 from fmu.fem.model import BlockModel
-from fmu.fem.pairing import IndexPairing, RankPairing, assign, reference_modes
+from fmu.fem.pairing import IndexPairing, RankPairing, ShapePairing, assign, reference_modes
 from fmu.fem.separable import SeparableModel, Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
@@ -70,6 +70,34 @@ def test_one_failed_block_leaves_no_row_of_the_spectrum_to_trust():
     modes = IndexPairing((1, 2)).bind(model)(np.array([[-1.0], [1.0]]))
     assert np.all(np.isnan(modes.eigenvalues[0]))
     assert_allclose(modes.eigenvalues[1], [1.0, 3.0], rtol=1e-14)
+
+
+def test_a_mode_that_a_block_may_hold_back_makes_the_row_doubtful():
+    """A block that gives one mode of two shows completeness only of what lies below that one."""
+    model = crossing()
+    model.blocks[0].trusted = 1
+    lowest = model.spectrum(np.array([[0.5], [2.0], [4.0], [6.0]]), 2)
+    assert_array_equal(np.isnan(lowest.eigenvalues).all(axis=1), [True, True, True, False])
+    assert_allclose(lowest.eigenvalues[3], [3.0, 5.0], rtol=1e-14)
+
+
+TAKEN = pytest.mark.xfail(reason="NaN counts as MAC 0, and the assignment takes what is left in the other block")
+
+
+@pytest.mark.parametrize("failing", [0, pytest.param(1, marks=TAKEN)])
+def test_a_failed_block_does_not_hand_its_measured_modes_to_another(failing):
+    """Pairing by shape where the block of a reference cannot be solved: NaN, not the next best mode elsewhere."""
+    eye = np.eye(4)
+    masses = [
+        Term(sp.csr_array(np.diag(eye[i] + eye[i + 1])), power)
+        for i, power in ((0, (1.0 - failing,)), (2, (1.0 * failing,)))
+    ]
+    stiffness = sp.csr_array(np.array([[2.0, -1, 0, 0], [-1, 2.0, 0, 0], [0, 0, 4.0, -1], [0, 0, -1, 4.0]]))
+    model = BlockModel.full(SeparableModel([Term(stiffness, (0.0,))], masses))
+    shapes = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    modes = ShapePairing(np.arange(4), shapes).bind(model)(np.array([[1.0], [-1.0]]))
+    assert_allclose(modes.eigenvalues[0], [1.0, 3.0], rtol=1e-14)
+    assert np.isnan(modes.eigenvalues[1, failing])
 
 
 scores = st.integers(1, 4).flatmap(

@@ -149,6 +149,22 @@ def test_reusable_modes_are_those_that_no_parameter_changes(clamped):
     }
 
 
+def test_modes_under_two_coefficients_are_not_reusable():
+    """The interior between the clamp and the tip holds both moduli."""
+    nodes = np.linspace(0, 1.2, 13)[:, None] * [1.0, 0.0, 0.0]
+    elements = np.stack([np.arange(12), np.arange(1, 13)], axis=1)
+    groups = [ElementGroup(str(g), part, SECTION, STEEL) for g, part in enumerate(np.split(elements, 2))]
+    frame = Frame(nodes, groups, {0: DIRECTIONS})
+    tip, middle = (
+        [frame.separable().dof(node, d) for node in (12,) for d in DIRECTIONS],
+        at(frame.separable(), (6,)),
+    )
+    two, one = {"a": [("E", "0")], "b": [("E", "1")]}, {"a": [("E", "0"), ("E", "1")]}
+    assert reusable(frame.separable(two), [2.1e11, 2.1e11], tip) == (False,) * 4
+    assert reusable(frame.separable(two), [2.1e11, 2.1e11], middle) == (True,) * 8
+    assert reusable(frame.separable(one), [2.1e11], tip) == (True,) * 4
+
+
 def test_reusable_modes_diagonalise_at_another_theta(clamped):
     model, *_ = clamped
     boundary, other = at(model, (6,)), THETA * [1.7, 0.6, 1.3, 0.8]
