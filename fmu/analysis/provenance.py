@@ -89,6 +89,7 @@ def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dic
         "problem": str(getattr(density, "name", type(density).__qualname__)),
         "sampler": result.sampler,
         "settings": canonical_json(result.settings),
+        "learnt": canonical_json(result.learnt),
         "seed": result.seed,
         "draws": result.draws,
         "warmup": result.warmup_draws,

@@ -49,6 +49,10 @@ class Ensemble:
         whole_number("walkers", self.walkers, 8)
         object.__setattr__(self, "moves", _mixture(self.moves))
 
+    def tuner(self, density: LogDensity, chains: int, steps: int) -> None:
+        """Return None: the moves of an ensemble adapt by themselves, through where the walkers are."""
+        return
+
     def bind(self, density: LogDensity) -> EnsembleKernel:
         """Return the kernel that samples `density`; ValueError if it has too few walkers for it."""
         if self.walkers < 2 * density.ndim:

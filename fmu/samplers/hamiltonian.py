@@ -12,10 +12,13 @@ from .kernel import BoolArray, FloatArray, Info, IntArray, LogDensity, State
 from .metric import Metric
 from .reflection import drift
 from .settings import fits, one_of, positive_number, positive_scale, whole_number
+from .tuning import HamiltonianTuner
 
 GRADIENTS = ("exact", "central-difference")
 DIVERGENCE = 1000.0
 """Energy error beyond which a trajectory is called diverging, as in Stan."""
+START_STEP_SIZE, START_STEPS = 0.001, 10
+"""Where learning begins, in scaled units: short enough for posteriors 1000 times narrower than priors."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +30,19 @@ class HamiltonianMonteCarlo:
 
     Parameters
     ----------
-    step_size : float
-        δt, in scaled units.
-    n_steps : int
+    step_size : float, optional
+        δt, in scaled units. Without it, warm-up learns it, and beside it whichever of `n_steps` and `inverse_mass`
+        are not given; with it, all settings are what they are.
+    n_steps : int, optional
         Leapfrog steps a trajectory.
     jitter : float
         Each trajectory's step size is drawn uniformly within ± this fraction, so that no period is resonant.
     inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
-        M⁻¹; the identity if None.
+        M⁻¹; if not given and not learnt, the identity.
+    target_accept : float
+        Acceptance rate that the step size is adapted to.
+    length : float
+        Length of a trajectory that adaptation aims at, in standard deviations of the target.
     gradient : {"exact", "central-difference"}
     delta : float or vector (ndim,)
         The perturbation vector Δ of eq. (15), in scaled units.
@@ -53,20 +61,29 @@ class HamiltonianMonteCarlo:
     Section 4.3 of the paper; Neal (2011), Handbook of MCMC, chapter 5; Afshar & Domke (2015), NeurIPS 28.
     """
 
-    step_size: float = 0.001
-    n_steps: int = 60
+    step_size: float | None = None
+    n_steps: int | None = None
     jitter: float = 0.2
     inverse_mass: Any = None
     gradient: str = "exact"
     delta: Any = 1.0
     h: float = 1e-5
     max_bounces: int = 200
+    target_accept: float = 0.8
+    length: float = 2.0
 
     name: ClassVar[str] = "hmc"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
-        whole_number("n_steps", self.n_steps, 1)
+        if self.step_size is not None:
+            object.__setattr__(self, "step_size", positive_number("step_size", self.step_size))
+            if self.n_steps is None:
+                raise ValueError(f"n_steps: must be given with a fixed step_size (got step_size={self.step_size})")
+        if self.n_steps is not None:
+            whole_number("n_steps", self.n_steps, 1)
+        if not 0 < self.target_accept < 1:
+            raise ValueError(f"target_accept: must lie between 0 and 1 (got {self.target_accept!r})")
+        object.__setattr__(self, "length", positive_number("length", self.length))
         if not 0 <= self.jitter < 1:
             raise ValueError(f"jitter: must be at least 0 and below 1 (got {self.jitter!r})")
         if self.inverse_mass is not None:
@@ -88,7 +105,13 @@ class HamiltonianMonteCarlo:
         if self.gradient == "central-difference":
             delta = np.broadcast_to(fits("delta", self.delta, density.ndim), density.ndim)
             gradient = CentralDifference(density, delta, self.h)
-        return HamiltonianKernel(density, self, Metric(self.inverse_mass, density.ndim), gradient)
+        metric = Metric(self.inverse_mass, density.ndim)
+        step_size = np.asarray(self.step_size or START_STEP_SIZE)
+        return HamiltonianKernel(density, self, metric, gradient, step_size, self.n_steps or START_STEPS)
+
+    def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
+        """Return what learns these settings in `steps` steps of warm-up, None if nothing is to be learnt."""
+        return HamiltonianTuner(self, density, chains, steps) if self.step_size is None else None
 
 
 class Trajectory(NamedTuple):
@@ -112,12 +135,17 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True)
 class HamiltonianKernel:
-    """Hamiltonian Monte Carlo bound to a density, a metric and a way to get gradients."""
+    """Hamiltonian Monte Carlo bound to a density, a metric and a way to get gradients.
+
+    `step_size` is one for all chains, shape (), or one a chain, shape (chains,).
+    """
 
     density: LogDensity
     settings: HamiltonianMonteCarlo
     metric: Metric
     gradient: Gradient
+    step_size: FloatArray
+    n_steps: int
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate log-density and gradient at the start; ValueError where the gradient is not finite."""
@@ -136,7 +164,7 @@ class HamiltonianKernel:
             raise ValueError("state: must carry the gradient at its position (got None)")
         chains = len(state.position)
         momentum = self.metric.sample_momentum(rng, chains)
-        step_size = self.settings.step_size * (1 + self.settings.jitter * rng.uniform(-1, 1, chains))
+        step_size = self.step_size * (1 + self.settings.jitter * rng.uniform(-1, 1, chains))
         log_u = -rng.standard_exponential(chains)
         end = self.integrate(state, momentum, step_size)
 
@@ -185,7 +213,7 @@ class HamiltonianKernel:
         going: IntArray = np.arange(chains)
         # A diverging trajectory overflows before it is caught; the finiteness tests below are what catches it.
         with np.errstate(over="ignore", invalid="ignore"):
-            for k in range(self.settings.n_steps):
+            for k in range(self.n_steps):
                 half = 0.5 * step_size[going, None]
                 p[going] += half * slope[going]  # eq. (12), with −∇V = ∇ log P
                 moved = drift(
@@ -204,7 +232,7 @@ class HamiltonianKernel:
                 if not going.size:
                     break
                 q[going], p[going] = moved.position[arrived], moved.momentum[arrived]
-                last = k == self.settings.n_steps - 1
+                last = k == self.n_steps - 1
                 found = self.gradient(q[going], with_log_prob=last)
                 n_taken[going] += 1
                 n_solves[going] += found.n_solves

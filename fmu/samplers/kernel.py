@@ -120,3 +120,27 @@ class Sampler(Protocol):
     def bind(self, density: LogDensity) -> Kernel:
         """Return the kernel that samples `density` with these settings."""
         ...
+
+    def tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
+        """Return what learns better settings in `steps` steps of warm-up, None if nothing is to be learnt."""
+        ...
+
+
+class Tuner(Protocol):
+    """Learns the settings of a sampler from its warm-up steps.
+
+    Attributes
+    ----------
+    kernel : Kernel
+        What the next warm-up step is to be done with.
+    """
+
+    kernel: Any
+
+    def update(self, state: State, info: Info) -> None:
+        """Learn from one step, and change `kernel` accordingly."""
+        ...
+
+    def finished(self) -> Sampler:
+        """Return the settings learnt, with adaptation off."""
+        ...

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from .evaluation import evaluate
 from .kernel import FloatArray, Info, LogDensity, State
 from .proposals import Proposal, RandomWalk
+from .tuning import START_SCALE, MetropolisTuner
 
 
 @dataclass(frozen=True)
@@ -18,15 +19,16 @@ class MetropolisHastings:
 
     Parameters
     ----------
-    proposal : Proposal
-        The density q; a Gaussian random walk unless given. Its settings are in scaled units.
+    proposal : Proposal, optional
+        The density q, its settings in scaled units. Without it, a Gaussian random walk whose covariance warm-up
+        learns.
 
     References
     ----------
     Section 4.1 of the paper; Hastings (1970), Biometrika 57, 97-109.
     """
 
-    proposal: Proposal = field(default_factory=RandomWalk)
+    proposal: Proposal | None = None
 
     name: ClassVar[str] = "mh"
 
@@ -37,7 +39,11 @@ class MetropolisHastings:
 
     def bind(self, density: LogDensity) -> MetropolisKernel:
         """Return the kernel that samples `density`."""
-        return MetropolisKernel(density, self.proposal)
+        return MetropolisKernel(density, self.proposal or RandomWalk(START_SCALE))
+
+    def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
+        """Return what learns the random walk in `steps` steps of warm-up, None if nothing is to be learnt."""
+        return MetropolisTuner(self, density, chains, steps) if self.proposal is None else None
 
 
 @dataclass(frozen=True)

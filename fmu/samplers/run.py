@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernel import FloatArray, Info, Kernel, LogDensity, Sampler, State
+from .kernel import FloatArray, Info, Kernel, LogDensity, Sampler, State, Tuner
 from .scaled import ScaledDensity
 from .settings import describe, whole_number
 from .starts import check_finite, starting_points
@@ -53,6 +53,8 @@ class RunResult:
         "prior", "start" or "array".
     wall_s, warmup_wall_s : float
         Seconds spent sampling, warm-up included, and in warm-up alone.
+    learnt : dict
+        The settings that warm-up arrived at and the draws were made with, {} where nothing was learnt.
     """
 
     warmup: Draws
@@ -67,6 +69,7 @@ class RunResult:
     init: str
     wall_s: float
     warmup_wall_s: float
+    learnt: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -78,6 +81,16 @@ class _Task:
     state: State
     first_chain: int
     start: Info | None
+    tuner: Tuner | None = None
+
+    def warm_up(self) -> Info:
+        """Advance one step, and learn from it."""
+        if self.tuner is None:
+            return self.step()
+        self.kernel = self.tuner.kernel
+        info = self.step()
+        self.tuner.update(self.state, info)
+        return info
 
     def step(self) -> Info:
         """Advance one step; the first one carries the cost of the start too."""
@@ -174,8 +187,10 @@ def run(
         first_chain = i * (chains // n_tasks)
         state, info = kernel.init(position)
         check_finite(scaled, position, info.log_prob, first_chain)
-        tasks.append(_Task(kernel, rng, state, first_chain, info))
+        tuner = sampler.tuner(scaled, len(position), warmup) if warmup else None
+        tasks.append(_Task(kernel, rng, state, first_chain, info, tuner))
     warm = _phase("warmup", tasks, _Store(scaled, chains, warmup, sampler.walkers), progress)
+    learnt = [_frozen(task, scaled) for task in tasks]
     warmup_wall_s = time.perf_counter() - began
     kept = _phase("draws", tasks, _Store(scaled, chains, draws, sampler.walkers), progress)
     if warmup == 0:  # no step has named the statistics
@@ -185,6 +200,7 @@ def run(
         posterior=kept,
         sampler=sampler.name,
         settings=describe(sampler),
+        learnt=learnt[0],
         seed=seed,
         walkers=sampler.walkers,
         draws=draws,
@@ -196,11 +212,20 @@ def run(
     )
 
 
+def _frozen(task: _Task, scaled: ScaledDensity) -> dict[str, Any]:
+    """End a task's adaptation; return the settings that its draws are made with, {} if there was none."""
+    if task.tuner is None:
+        return {}
+    settings = task.tuner.finished()
+    task.kernel, task.tuner = settings.bind(scaled), None
+    return describe(settings)
+
+
 def _phase(name: str, tasks: list[_Task], store: _Store, progress: Progress | None) -> Draws:
     """Run the steps that `store` has room for, all tasks side by side."""
     total = store.shape[1]
     for step in range(total):
-        infos = [task.step() for task in tasks]
+        infos = [task.warm_up() if name == "warmup" else task.step() for task in tasks]
         for task, info in zip(tasks, infos, strict=True):
             store.write(step, task, info)
         if progress is not None:

@@ -84,6 +84,16 @@ def cholesky_factor(name: str, matrix: FloatArray) -> FloatArray:
     raise ValueError(f"{name}: must be a symmetric positive definite matrix (got {matrix.tolist()})")
 
 
+def orthonormal(name: str, value: Any) -> tuple[tuple[float, ...], ...]:
+    """Return a matrix in hashable form; ValueError unless its columns are orthonormal."""
+    array = _as_floats(name, value)
+    if array.ndim != 2 or array.shape[0] != array.shape[1]:
+        raise ValueError(f"{name}: must be a square matrix (got shape {array.shape})")
+    if not np.allclose(array.T @ array, np.eye(len(array)), rtol=0.0, atol=1e-8):
+        raise ValueError(f"{name}: must have orthonormal columns (got {value!r})")
+    return tuple(tuple(row) for row in array.tolist())
+
+
 def fits(name: str, value: Any, ndim: int) -> FloatArray:
     """Return `value` as an array; ValueError unless its length, if it has one, is `ndim`."""
     array = np.asarray(value, dtype=float)

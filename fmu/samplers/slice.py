@@ -9,7 +9,8 @@ import numpy as np
 
 from .evaluation import evaluate
 from .kernel import BoolArray, FloatArray, Info, IntArray, LogDensity, State
-from .settings import fits, one_of, positive_scale, whole_number
+from .settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
+from .tuning import START_WIDTH, SliceTuner
 
 SCHEMES = ("hyperrectangle", "coordinate")
 
@@ -23,8 +24,12 @@ class Slice:
     scheme : {"hyperrectangle", "coordinate"}
         "hyperrectangle" moves all coordinates at once, as section 4.2 of the paper lists; "coordinate" takes
         them in turn with stepping-out, as its section 5 describes. One draw is one full sweep.
-    width : float or vector (ndim,)
-        The initial interval, in scaled units.
+    width : float or vector (ndim,), optional
+        The initial interval along each axis, in scaled units. Without it, warm-up learns it and `axes` too.
+    axes : None or matrix (ndim, ndim)
+        Directions, in columns, in which the intervals lie: orthonormal; the coordinates themselves if None.
+    spread : float
+        The interval that adaptation gives an axis, in standard deviations of the target along it.
     max_steps_out : int
         Most expansions of one interval by `width` ("coordinate" only): Neal's m is ``max_steps_out + 1``.
     max_shrinks : int
@@ -42,15 +47,21 @@ class Slice:
     """
 
     scheme: str = "hyperrectangle"
-    width: Any = 0.5
+    width: Any = None
     max_steps_out: int = 10
     max_shrinks: int = 1000
+    axes: Any = None
+    spread: float = 3.0
 
     name: ClassVar[str] = "slice"
 
     def __post_init__(self) -> None:
         one_of("scheme", self.scheme, SCHEMES)
-        object.__setattr__(self, "width", positive_scale("width", self.width, matrix=False))
+        if self.width is not None:
+            object.__setattr__(self, "width", positive_scale("width", self.width, matrix=False))
+        object.__setattr__(self, "spread", positive_number("spread", self.spread))
+        if self.axes is not None:
+            object.__setattr__(self, "axes", orthonormal("axes", self.axes))
         whole_number("max_steps_out", self.max_steps_out, 0)
         whole_number("max_shrinks", self.max_shrinks, 1)
 
@@ -61,8 +72,13 @@ class Slice:
 
     def bind(self, density: LogDensity) -> SliceKernel:
         """Return the kernel that samples `density`; ValueError if `width` does not fit its coordinates."""
-        width = np.broadcast_to(fits("width", self.width, density.ndim), density.ndim)
-        return SliceKernel(density, self, width)
+        width = np.broadcast_to(fits("width", self.width or START_WIDTH, density.ndim), density.ndim)
+        axes = np.eye(density.ndim) if self.axes is None else fits("axes", self.axes, density.ndim)
+        return SliceKernel(density, self, width, axes)
+
+    def tuner(self, density: LogDensity, chains: int, steps: int) -> SliceTuner | None:
+        """Return what learns these settings in `steps` steps of warm-up, None if nothing is to be learnt."""
+        return SliceTuner(self, density, chains, steps) if self.width is None else None
 
 
 @dataclass
@@ -77,11 +93,15 @@ class _Account:
 
 @dataclass(frozen=True)
 class SliceKernel:
-    """Slice sampling bound to a density; `width` has one entry a coordinate."""
+    """Slice sampling bound to a density; `width` has one entry an axis, the axes are columns of `axes`.
+
+    Intervals are kept as offsets from the present position along the axes, so that 0 always lies within.
+    """
 
     density: LogDensity
     settings: Slice
     width: FloatArray
+    axes: FloatArray
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the start, one solve a chain."""
@@ -91,20 +111,20 @@ class SliceKernel:
         return State(positions, first.log_prob), info
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw from the slice: once for all coordinates, or a full sweep of coordinates."""
+        """Draw from the slice: once along all axes together, or a full sweep of them."""
         chains, ndim = state.position.shape
         account = _Account(*(np.zeros(chains, dtype=np.int64) for _ in range(4)))
         x, log_prob = state.position, state.log_prob
         if self.settings.scheme == "hyperrectangle":
             level = log_prob - rng.standard_exponential(chains)
-            ends = self._place(rng, x, slice(None))
-            x, log_prob = self._shrink(rng, x, log_prob, level, ends, slice(None), account)
+            ends = self._place(rng, chains, self.width)
+            x, log_prob = self._shrink(rng, x, log_prob, level, ends, self.axes, account)
         else:
             for i in range(ndim):
-                axis = slice(i, i + 1)
                 level = log_prob - rng.standard_exponential(chains)
-                ends = self._step_out(rng, x, level, i, self._place(rng, x, axis), account)
-                x, log_prob = self._shrink(rng, x, log_prob, level, ends, axis, account)
+                ends = self._place(rng, chains, self.width[i : i + 1])
+                ends = self._step_out(rng, x, level, i, ends, account)
+                x, log_prob = self._shrink(rng, x, log_prob, level, ends, self.axes[:, i : i + 1], account)
         extra = {
             "n_nonfinite": account.n_nonfinite,
             "n_steps_out": account.n_steps_out,
@@ -114,10 +134,9 @@ class SliceKernel:
         info = Info(moved, log_prob, account.n_solves, np.zeros_like(account.n_solves), extra)
         return State(x, log_prob), info
 
-    def _place(self, rng: np.random.Generator, x: FloatArray, axes: slice) -> FloatArray:
-        """Return the initial interval around `x`, placed at random: (left and right, chains, axes)."""
-        width = self.width[axes]
-        left = x[:, axes] - width * rng.random(x[:, axes].shape)
+    def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
+        """Return the initial interval around offset 0, placed at random: (left and right, chains, axes)."""
+        left = -width * rng.random((chains, len(width)))
         return np.stack([left, left + width])
 
     def _step_out(
@@ -129,7 +148,7 @@ class SliceKernel:
         interval: FloatArray,
         account: _Account,
     ) -> FloatArray:
-        """Widen the intervals of coordinate `i` until both ends are off the slice (Neal 2003, figure 3).
+        """Widen the intervals along axis `i` until both ends are off the slice (Neal 2003, figure 3).
 
         The two ends and all chains advance together, for the split of the budget between left and right is drawn
         beforehand. An end beyond the bounds is off the slice, at no cost.
@@ -140,12 +159,10 @@ class SliceKernel:
         to_left = np.floor((budget + 1) * rng.random(len(x))).astype(np.int64)
         left_over = np.stack([to_left, budget - to_left])
         while True:
-            growing = (left_over > 0) & (ends >= self.density.lower[i]) & (ends <= self.density.upper[i])
-            side, chain = np.nonzero(growing)
+            side, chain = np.nonzero(left_over > 0)
             if not side.size:
                 return ends[:, :, None]
-            points = x[chain]
-            points[:, i] = ends[side, chain]
+            points = x[chain] + ends[side, chain, None] * self.axes[:, i]
             on_slice = self._evaluate(points, chain, account) > level[chain]
             left_over[side, chain] -= 1
             left_over[side[~on_slice], chain[~on_slice]] = 0
@@ -160,33 +177,46 @@ class SliceKernel:
         log_prob: FloatArray,
         level: FloatArray,
         ends: FloatArray,
-        axes: slice,
+        axes: FloatArray,
         account: _Account,
     ) -> tuple[FloatArray, FloatArray]:
-        """Draw from the intervals, shrinking them towards `x` at every miss (Neal 2003, figures 5 and 8).
+        """Draw from the intervals, shrinking them towards offset 0 at every miss (Neal 2003, figures 5 and 8).
 
-        The intervals are cut at the bounds first: beyond them every candidate would miss. Chains that have hit
-        the slice wait and are not evaluated again.
+        The intervals are cut first where every candidate beyond would miss the bounds. Chains that have hit the
+        slice wait and are not evaluated again.
         """
-        left = np.maximum(ends[0], self.density.lower[axes])
-        right = np.minimum(ends[1], self.density.upper[axes])
+        left, right = self._cut(x, ends, axes)
         new, new_log_prob = x.copy(), log_prob.copy()
         waiting: IntArray = np.arange(len(x))
         for _ in range(self.settings.max_shrinks):
-            candidate = x[waiting]
-            u = rng.random(candidate[:, axes].shape)
-            candidate[:, axes] = left[waiting] + u * (right[waiting] - left[waiting])
+            offset = left[waiting] + rng.random((len(waiting), axes.shape[1])) * (right[waiting] - left[waiting])
+            candidate = x[waiting] + offset @ axes.T
             value = self._evaluate(candidate, waiting, account)
             hit: BoolArray = value >= level[waiting]
             new[waiting[hit]], new_log_prob[waiting[hit]] = candidate[hit], value[hit]
-            waiting, candidate = waiting[~hit], candidate[~hit]
+            waiting, offset = waiting[~hit], offset[~hit]
             if not waiting.size:
                 break
-            below = candidate[:, axes] < x[waiting, axes]
-            left[waiting] = np.where(below, candidate[:, axes], left[waiting])
-            right[waiting] = np.where(below, right[waiting], candidate[:, axes])
+            below = offset < 0.0
+            left[waiting] = np.where(below, offset, left[waiting])
+            right[waiting] = np.where(below, right[waiting], offset)
             account.n_shrinks[waiting] += 1
         return new, new_log_prob
+
+    def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the intervals cut at the bounds, where a bound cuts an axis regardless of the others."""
+        left, right = ends[0].copy(), ends[1].copy()
+        alone = (
+            [i for i in range(len(axes)) if np.count_nonzero(axes[i]) == 1]
+            if axes.shape[1] > 1
+            else range(len(axes))
+        )
+        for i in alone:
+            for k in np.flatnonzero(axes[i]):
+                walls = np.stack([self.density.lower[i] - x[:, i], self.density.upper[i] - x[:, i]]) / axes[i, k]
+                left[:, k] = np.maximum(left[:, k], walls.min(axis=0))
+                right[:, k] = np.minimum(right[:, k], walls.max(axis=0))
+        return left, right
 
     def _evaluate(self, points: FloatArray, chain: IntArray, account: _Account) -> FloatArray:
         found = evaluate(self.density, points)

@@ -74,8 +74,8 @@ def test_stepping_out_stops_at_the_first_end_off_the_slice():
     level = -np.full(40, 2.0)
     account = _Account(*(np.zeros(40, dtype=np.int64) for _ in range(4)))
     rng = np.random.default_rng(1)
-    place = narrow._place(rng, start, slice(0, 1))
-    left, right = narrow._step_out(rng, start, level, 0, place, account)[:, :, 0] - target.mean[0]
+    place = narrow._place(rng, len(start), narrow.width[:1])
+    left, right = narrow._step_out(rng, start, level, 0, place, account)[:, :, 0]
     reach = np.sqrt(2 * 2.0 / target.precision[0, 0])
     assert np.all((-reach - 0.05 <= left) & (left < -reach))
     assert np.all((reach < right) & (right <= reach + 0.05))
