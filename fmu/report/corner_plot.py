@@ -1,0 +1,149 @@
+"""The posterior in pairs of parameters, by the corner library."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.report.plots import BLACK, FONT, _constant, colour, new_figure, tint
+from fmu.report.units import shown
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+LEVELS = (0.5, 0.9)
+_MAX_DRAWS = 40_000
+_ROOM = 0.06
+_VERMILLION = "#D55E00"
+
+
+def plot_corner(
+    trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
+) -> NDArray[Any]:
+    """Draw all marginals and all pairs of a posterior, with start, bounds and maximum marked.
+
+    Contours hold 50 % and 90 % of the draws.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    maximum : array_like, shape (ndim,), optional
+        Where the log-probability is highest, SI units.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (ndim, ndim)
+    """
+    import corner
+
+    from fmu.analysis.diagnostics import parameter_draws, parameter_names
+
+    names = parameter_names(trace)
+    units = [shown(trace["posterior"][name].attrs.get("units", "")) for name in names]
+    factor = np.array([unit.factor for unit in units])
+    draws = parameter_draws(trace).reshape(-1, len(names)) / factor
+    draws = draws[:: max(1, len(draws) // _MAX_DRAWS)]
+    bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
+    base = colour(str(trace.attrs["sampler"]))
+    size = 2.0 * len(names) + 0.6
+    figure = figure or new_figure(size, size, layout=None)  # corner arranges its panels itself
+    corner.corner(
+        draws,
+        fig=figure,
+        labels=[unit.label(name) for name, unit in zip(names, units, strict=True)],
+        label_kwargs={"fontsize": FONT + 1},
+        labelpad=-0.04,
+        range=_frames(draws, *bounds),
+        bins=36,
+        smooth=0.9,
+        levels=LEVELS,
+        color=base,
+        plot_datapoints=False,
+        fill_contours=True,
+        contourf_kwargs={"colors": ["white", tint(base, 0.65), tint(base, 0.2)]},
+        contour_kwargs={"linewidths": 0.8},
+        hist_kwargs={"linewidth": 1.4},
+        quiet=True,
+    )
+    axes = np.array(figure.axes).reshape(len(names), len(names))
+    marks = {"start": _point(trace, names, "start") / factor}
+    if maximum is not None:
+        marks["maximum"] = np.asarray(maximum, dtype=float) / factor
+    _mark(axes, marks, bounds)
+    return axes
+
+
+def _frames(
+    draws: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> list[tuple[float, float]]:
+    """Return what each parameter's frame spans: the draws and some room, but nothing beyond a bound.
+
+    Smoothing the histograms would spread draws that press against a bound over a frame that went on behind it.
+    """
+    low, high = np.quantile(draws, (0.0005, 0.9995), axis=0)
+    room = np.where(high > low, _ROOM * (high - low), 1e-3 * np.abs(high))
+    ends = np.fmax(low - room, lower), np.fmin(high + room, upper)
+    return list(zip(*(end.tolist() for end in ends), strict=True))
+
+
+def _point(trace: xr.DataTree, names: tuple[str, ...], which: str) -> NDArray[np.float64]:
+    return np.array([_constant(trace, which, name) for name in names])
+
+
+def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
+    """Draw points and bounds where they fall within the frames, and say in the legend which do not."""
+    from matplotlib.lines import Line2D
+
+    styles: dict[str, dict[str, Any]] = {
+        "start": {"color": BLACK, "marker": "x", "markeredgewidth": 1.8},
+        "maximum": {"color": _VERMILLION, "marker": "*", "markeredgecolor": BLACK, "markeredgewidth": 0.5},
+    }
+    n = len(axes)
+    for i in range(n):
+        axes[i, i].set_xlim(axes[-1, i].get_xlim())
+        for j in range(i + 1):
+            panel = axes[i, j]
+            _arrange_ticks(panel)
+            frame = panel.get_xlim(), panel.get_ylim()
+            for bound in bounds:
+                _line_within(panel.axvline, bound[j], frame[0])
+                if i != j:
+                    _line_within(panel.axhline, bound[i], frame[1])
+            for name, point in marks.items():
+                seen = [
+                    low <= value <= high for value, (low, high) in zip((point[j], point[i]), frame, strict=True)
+                ]
+                if i != j and all(seen):
+                    panel.plot(point[j], point[i], linestyle="none", markersize=9, zorder=9, clip_on=False,
+                               **styles[name])  # fmt: skip
+                elif i == j and seen[0]:
+                    panel.axvline(point[j], color=styles[name]["color"], linewidth=1.2)
+            panel.set(xlim=frame[0], ylim=frame[1])
+    handles = [Line2D([], [], color=BLACK, linestyle="--", linewidth=1.6, label="bound")]
+    for name, point in marks.items():
+        limits = [axes[-1, j].get_xlim() for j in range(n)]
+        hidden = any(not low <= value <= high for value, (low, high) in zip(point, limits, strict=True))
+        label = f"{name} (outside the frame)" if hidden else name
+        handles.append(Line2D([], [], linestyle="none", markersize=9, label=label, **styles[name]))
+    axes[0, -1].figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.98, 0.93), frameon=False,
+                              fontsize=FONT + 1)  # fmt: skip
+
+
+def _arrange_ticks(panel: Any) -> None:
+    """Keep ticks away from the corners, where those of two panels would meet."""
+    from matplotlib.ticker import MaxNLocator
+
+    for axis in (panel.xaxis, panel.yaxis):
+        if len(axis.get_ticklocs()):
+            axis.set_major_locator(MaxNLocator(4, prune="both"))
+    panel.tick_params(labelsize=FONT - 2, labelrotation=0)
+
+
+def _line_within(draw: Any, value: float, limits: tuple[float, float]) -> None:
+    """Draw a bound, on the frame too."""
+    if limits[0] <= value <= limits[1]:
+        draw(value, color=BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

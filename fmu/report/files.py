@@ -1,0 +1,124 @@
+"""Results in a directory that may hold other people's files: written as a whole, and nothing else touched.
+
+Files are made in a hidden directory beside their destination and moved into place when all of them are there. A
+manifest in the directory lists what was written; only what it lists is ever replaced or taken away.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+MANIFEST = "manifest.json"
+_ABOUT = (
+    "Written by fmu. The next run replaces these files, takes away those it no longer writes, and nothing else."
+)
+
+
+class OutputDirectory:
+    """A directory of results and its manifest.
+
+    Parameters
+    ----------
+    root : path-like
+        Made when something is published, unless it exists.
+
+    Raises
+    ------
+    ValueError
+        If `root` is no directory, or its manifest is not one.
+    """
+
+    def __init__(self, root: str | os.PathLike[str]) -> None:
+        self.root = Path(root)
+        if os.path.lexists(self.root) and not self.root.is_dir():
+            raise ValueError(f"out: must be a directory (got {self.root})")
+        self.written = self._read()
+
+    def check(self, names: Iterable[str]) -> None:
+        """Raise ValueError if files of other origin stand where `names` (relative) shall be written."""
+        foreign = [name for name in _relative(names) if name not in self.written and self._stands(name)]
+        if foreign:
+            listed = ", ".join(foreign[:3]) + (", …" if len(foreign) > 3 else "")
+            raise ValueError(
+                f"out: {self.root} holds {len(foreign)} files that this command did not write and will not "
+                f"replace "
+                f"({listed}); move them away or choose another directory"
+            )
+
+    @contextmanager
+    def staged(self) -> Iterator[Path]:
+        """Give an empty directory to write into, and publish what is in it; an error publishes nothing."""
+        made = [path for path in (self.root, *self.root.parents) if not path.exists()]
+        self.root.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))
+        try:
+            yield stage
+            self._publish(stage)
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
+            for path in made:
+                if not any(path.iterdir()):
+                    path.rmdir()
+
+    def _publish(self, stage: Path) -> None:
+        """Move every file of `stage` into place and take away our files of an earlier run that it lacks.
+
+        The manifest names a file before the file is there: whenever this is interrupted, what was written is
+        known to be ours.
+        """
+        names = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
+        self.check(names)
+        earlier = self.written
+        self._write({*earlier, *names})
+        for name in names:
+            target = self.root / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            (stage / name).replace(target)
+        for name in sorted(earlier - set(names)):
+            (self.root / name).unlink(missing_ok=True)
+        self._write(set(names))
+
+    def _stands(self, name: str) -> bool:
+        """Say whether something is in the way: a file of that name, or one where a directory shall be."""
+        path = self.root / name
+        above = [parent for parent in path.parents if self.root in parent.parents]
+        return os.path.lexists(path) or any(os.path.lexists(p) and not p.is_dir() for p in above)
+
+    def _write(self, names: set[str]) -> None:
+        text = json.dumps({"about": _ABOUT, "files": sorted(names)}, indent=1) + "\n"
+        unfinished = self.root / f".{MANIFEST}.{os.getpid()}.part"
+        try:
+            unfinished.write_text(text, encoding="utf-8")
+            unfinished.replace(self.root / MANIFEST)
+        finally:
+            unfinished.unlink(missing_ok=True)
+        self.written = frozenset(names)
+
+    def _read(self) -> frozenset[str]:
+        path = self.root / MANIFEST
+        if not os.path.lexists(path):
+            return frozenset()
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if content["about"] != _ABOUT:
+                raise ValueError("it is not ours")
+            return frozenset(_relative(content["files"]))
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"out: {path} is no manifest written by fmu ({error}); move it away") from error
+
+
+def _relative(names: Iterable[str]) -> list[str]:
+    """Return the names; ValueError unless every one is a path below the directory, and not the manifest's."""
+    checked = []
+    for name in names:
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts or not path.parts or name == MANIFEST:
+            raise ValueError(f"a file's name must be a path below the directory (got {name!r})")
+        checked.append(path.as_posix())
+    return checked

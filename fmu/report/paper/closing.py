@@ -1,0 +1,56 @@
+"""The pages that look at all experiments together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from fmu.cases.published import EXPERIMENTS
+from fmu.report.paper.errata import Erratum, computed_errata, errata_page
+from fmu.report.paper.findings import Findings
+from fmu.report.paper.plan import Plan
+from fmu.report.paper.recomputed import recompute, recomputed_page
+from fmu.report.paper.summary_page import summary_page
+
+
+def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path) -> None:
+    """Write README.md, errata.md and the recomputed frequencies."""
+    from fmu import cases
+    from fmu.analysis.provenance import versions
+
+    by_number, by_shape = (
+        {case: cases.load(case, pairing) for case in EXPERIMENTS} for pairing in ("index", "shape")
+    )
+    recomputed = recompute(by_number)
+    recomputed.to_csv(stage / "recomputed.csv", index=False)
+    errata = computed_errata(by_number, by_shape, plan.box_points)
+    errata += [erratum for findings in everything for erratum in separated_modes(findings)]
+    passed = int(recomputed["within"].sum()), len(recomputed)
+    pages = {
+        "recomputed.md": recomputed_page(recomputed),
+        "errata.md": errata_page(errata),
+        "README.md": summary_page(everything, passed, plan.seed, versions()),
+    }
+    for name, text in pages.items():
+        (stage / name).write_text(text, encoding="utf-8")
+
+
+def separated_modes(findings: Findings) -> Iterator[Erratum]:
+    """Say that samplers cannot be compared on a posterior whose modes they do not all find."""
+    maxima = findings.separate_maxima
+    if findings.pairing != "index" or len(maxima) < 2:
+        return
+    top = maxima["log_prob"].iloc[0]
+    heights = ", ".join(
+        f"{chr(ord('A') + k)} with modes {row.modes}" + (f", {top - row.log_prob:.1f} lower" if k else "")
+        for k, row in enumerate(maxima.itertuples())
+    )
+    missed = [s for s, v in findings.comparison["verdict"].items() if "never visited" in str(v)]
+    yield Erratum(
+        f"Section {findings.published.section}, comparison of the samplers",
+        "one posterior, sampled by all",
+        f"paired by number the posterior has {len(maxima)} separated maxima: {heights} (log-probability)",
+        f"ascents from {int(findings.maxima['starts'].sum())} points; of our {len(findings.comparison)} long "
+        f"runs, started "
+        f"from the prior, {len(missed)} never came near A",
+    )

@@ -1,0 +1,221 @@
+"""One experiment of the paper with one pairing: every run that is made of it, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.cases.published import EXPERIMENTS
+from fmu.cases.published import Experiment as Published
+from fmu.report.paper.convergence import Curve, Needed, running_error, solves_needed
+from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Length, Plan, long_settings, paper_settings
+from fmu.report.paper.reference import Reference, around, missed, pooled
+from fmu.report.paper.spectrum import paired_names, shares
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.posterior.maxima import Maximum
+    from fmu.posterior.problem import UpdatingProblem
+    from fmu.samplers.kernel import Sampler
+
+Progress = Callable[[str, int, int, Mapping[str, str]], None]
+
+PAIRINGS = ("index", "shape")
+PAIRED_BY = {"index": "by number", "shape": "by shape"}
+TRUSTED = ("hmc", "emcee")
+"""Samplers whose converged long runs make the reference."""
+_LOOKED_AT = 2000
+
+
+def directory_of(case: str, pairing: str) -> str:
+    """Return the name of the directory of an experiment, ``"young-index"`` for example."""
+    return f"{case.removeprefix('cantilever-')}-{pairing}"
+
+
+@dataclass(frozen=True)
+class Result:
+    """The runs of one experiment.
+
+    Attributes
+    ----------
+    published : Published
+        The paper's tables.
+    pairing : str
+        ``"index"`` or ``"shape"``.
+    problem : UpdatingProblem
+    maxima : tuple of Maximum
+        Local maxima of the posterior, the highest first.
+    maxima_modes : tuple of str
+        The physical modes paired with the measured ones at each maximum, ``"W1 W2 W3 W4 W5"`` for example.
+    paper, long : mapping of str to DataTree
+        Traces under the paper's protocol and of the long runs, by sampler.
+    reference_run : DataTree or None
+        The run from the highest maximum, where no long run could be the reference.
+    reference : Reference
+    comparison : DataFrame
+        `fmu.compare` of the long runs, with verdicts that know the maxima.
+    needed : mapping of str to Needed
+        Of the long runs.
+    curves : mapping of str to tuple of Curve
+        Running errors by sampler: of the long run, and of the paper's protocol where there is one.
+    places : mapping of str to mapping of str to float
+        For each long run, the share of its draws at which each combination of physical modes is paired.
+    """
+
+    published: Published
+    pairing: str
+    problem: UpdatingProblem
+    maxima: tuple[Maximum, ...]
+    maxima_modes: tuple[str, ...]
+    paper: Mapping[str, xr.DataTree]
+    long: Mapping[str, xr.DataTree]
+    reference_run: xr.DataTree | None
+    reference: Reference
+    comparison: pd.DataFrame
+    needed: Mapping[str, Needed]
+    curves: Mapping[str, tuple[Curve, ...]]
+    places: Mapping[str, Mapping[str, float]]
+
+    @property
+    def name(self) -> str:
+        """Name of the experiment's directory."""
+        return directory_of(self.published.case, self.pairing)
+
+    def is_converged(self, sampler: str) -> bool:
+        """Return whether the verdict on the long run of a sampler was good."""
+        from fmu.analysis.comparison import CONVERGED
+
+        return bool(self.comparison.loc[sampler, "verdict"] == CONVERGED)
+
+
+def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = None) -> Result:
+    """Make all runs of one experiment.
+
+    Parameters
+    ----------
+    case : str
+        A built-in case with published tables.
+    pairing : {"index", "shape"}
+    plan : Plan
+    progress : callable, optional
+        Called after every step as ``progress(phase, done, total, info)``, the phase being the experiment's name.
+    """
+    from fmu import cases
+    from fmu.posterior.maxima import local_maxima
+    from fmu.sampling import sample
+
+    published = EXPERIMENTS[case]
+    problem = cases.load(case, pairing)
+    maxima = local_maxima(problem, plan.starts[pairing], plan.seed)
+    counter = _Counter(directory_of(case, pairing), plan.steps, progress)
+
+    def run(words: str, settings: Sampler, length: Length, init: object) -> xr.DataTree:
+        trace = sample(
+            problem,
+            settings,
+            draws=length.draws,
+            warmup=length.warmup,
+            chains=length.chains,
+            seed=plan.seed,
+            init=init,  # type: ignore[arg-type]
+            progress=counter.watch(words),
+        )
+        counter.done += length.steps
+        return trace
+
+    paper = {s: run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
+    long = {s: run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
+    comparison = _comparison(long, maxima)
+    reference_run, reference = None, _reference(long, comparison)
+    if reference is None:
+        starts = around(problem, maxima[0], plan.reference.chains, plan.seed)
+        reference_run = run("hmc from the maximum", long_settings("hmc"), plan.reference, starts)
+        reference = pooled({"hmc": reference_run}, "HMC started in the highest maximum", False)
+    counter.finish()
+
+    return Result(
+        published=published,
+        pairing=pairing,
+        problem=problem,
+        maxima=maxima,
+        maxima_modes=tuple(" ".join(row) for row in paired_names(problem, np.array([m.theta for m in maxima]))),
+        paper=paper,
+        long=long,
+        reference_run=reference_run,
+        reference=reference,
+        comparison=comparison,
+        needed={s: solves_needed(trace, lambda t: failures(t, maxima)) for s, trace in long.items()},
+        curves={
+            s: tuple(running_error(t, reference) for t in (trace, paper.get(s)) if t is not None)
+            for s, trace in long.items()
+        },
+        places={s: _places(problem, trace) for s, trace in long.items()},
+    )
+
+
+def failures(trace: xr.DataTree, maxima: tuple[Maximum, ...]) -> list[str]:
+    """Say why a trace must not be called converged, the known maxima considered."""
+    from fmu.analysis.diagnostics import convergence_failures
+
+    return missed(trace, maxima) + convergence_failures(trace)
+
+
+def _comparison(long: Mapping[str, xr.DataTree], maxima: tuple[Maximum, ...]) -> pd.DataFrame:
+    """Compare the long runs; a run that missed the highest maximum is not called converged."""
+    from fmu.analysis.comparison import compare
+
+    table = compare(long)
+    for name, trace in long.items():
+        for reason in missed(trace, maxima):
+            table.loc[name, "verdict"] = f"not converged: {reason}"
+    return table
+
+
+def _reference(long: Mapping[str, xr.DataTree], comparison: pd.DataFrame) -> Reference | None:
+    """Pool the converged ones of the trusted samplers; None if there is none."""
+    from fmu.analysis.comparison import CONVERGED
+
+    good = {s: long[s] for s in TRUSTED if comparison.loc[s, "verdict"] == CONVERGED}
+    return pooled(good, f"long runs of {' and '.join(good)}, pooled", True) if good else None
+
+
+def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
+    """Return which physical modes are paired at some thousands of draws spread over a trace."""
+    from fmu.analysis.diagnostics import parameter_draws
+
+    draws = parameter_draws(trace)
+    every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
+    return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
+
+
+class _Counter:
+    """Turns the steps of many runs into one line of progress."""
+
+    def __init__(self, phase: str, total: int, progress: Progress | None) -> None:
+        self.phase, self.total, self.progress = phase, total, progress
+        self.done = 0
+
+    def watch(self, words: str) -> Progress | None:
+        """Return the callback of one run, whose warm-up precedes its draws."""
+        report = self.progress
+        if report is None:
+            return None
+        before = {"draws": 0}
+
+        def step(phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
+            if phase == "warmup":
+                before["draws"] = total
+            ahead = before["draws"] if phase == "draws" else 0
+            report(self.phase, min(self.done + ahead + done, self.total - 1), self.total, {"run": words})
+
+        return step
+
+    def finish(self) -> None:
+        """Report the end, whether or not every planned run was made."""
+        if self.progress is not None:
+            self.progress(self.phase, self.total, self.total, {"run": "all"})

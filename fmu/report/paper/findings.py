@@ -1,0 +1,137 @@
+"""The findings of one experiment: tables alone, small enough to hand from process to process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fmu.cases.published import EXPERIMENTS
+from fmu.report.paper.experiment import Result, directory_of
+from fmu.report.paper.tables import agreement, comparison_table, frequency_table, parameter_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmu.cases.published import Experiment as Published
+
+
+DEEP = 1e3
+"""A maximum further below the highest than this, in log-probability, may trap a chain but deceives nobody."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the runs of one experiment gave.
+
+    Attributes
+    ----------
+    case, pairing : str
+    parameters, frequencies, comparison : DataFrame
+        See `fmu.report.paper.tables`.
+    maxima : DataFrame
+        Local maxima of the posterior, the highest first: the parameters (SI units), ``log_prob``, ``modes`` (the
+        physical modes paired there) and ``starts``.
+    places : mapping of str to mapping of str to float
+        Share of each long run's draws at which each combination of physical modes is paired.
+    agreement : tuple
+        See `fmu.report.paper.tables.agreement`.
+    origin : str
+        Of the reference.
+    reference_converged : bool
+    settings : mapping of str to str
+        Of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
+    lengths : mapping of str to tuple of int
+        Chains, warm-up and draws of every run, by the same keys.
+    """
+
+    case: str
+    pairing: str
+    parameters: pd.DataFrame
+    frequencies: pd.DataFrame
+    comparison: pd.DataFrame
+    maxima: pd.DataFrame
+    places: Mapping[str, Mapping[str, float]]
+    agreement: tuple[float, float, tuple[str, ...]]
+    origin: str
+    reference_converged: bool
+    settings: Mapping[str, str]
+    lengths: Mapping[str, tuple[int, int, int]]
+
+    @classmethod
+    def of(cls, result: Result) -> Findings:
+        """Return the findings of the runs of an experiment."""
+        import pandas as pd
+
+        traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
+        traces |= {f"{name}, long": trace for name, trace in result.long.items()}
+        maxima = pd.DataFrame([m.theta for m in result.maxima], columns=list(result.problem.names))
+        maxima["log_prob"] = [m.log_prob for m in result.maxima]
+        maxima["modes"] = result.maxima_modes
+        maxima["starts"] = [m.starts for m in result.maxima]
+        return cls(
+            case=result.published.case,
+            pairing=result.pairing,
+            parameters=parameter_table(result),
+            frequencies=frequency_table(result),
+            comparison=comparison_table(result),
+            maxima=maxima,
+            places=result.places,
+            agreement=agreement(result),
+            origin=result.reference.origin,
+            reference_converged=result.reference.converged,
+            settings={key: str(trace.attrs["settings"]) for key, trace in traces.items()},
+            lengths={
+                key: (int(trace.attrs["chains"]), int(trace.attrs["warmup"]), int(trace.attrs["draws"]))
+                for key, trace in traces.items()
+            },
+        )
+
+    @property
+    def published(self) -> Published:
+        """The paper's tables."""
+        return EXPERIMENTS[self.case]
+
+    @property
+    def name(self) -> str:
+        """Name of the experiment's directory."""
+        return directory_of(self.case, self.pairing)
+
+    @property
+    def ndim(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    def is_converged(self, sampler: str) -> bool:
+        """Return whether the verdict on the long run of a sampler was good."""
+        from fmu.analysis.comparison import CONVERGED
+
+        return bool(self.comparison.loc[sampler, "verdict"] == CONVERGED)
+
+    def value(self, sampler: str, column: str) -> float:
+        """Return a number of the comparison; NaN where there is none."""
+        cell: Any = self.comparison.loc[sampler, column]
+        return float("nan") if str(cell) == "<NA>" else float(cell)
+
+    def in_paper_units(self, parameter: str, *columns: str) -> list[float]:
+        """Return entries of the parameter table in the power of ten that the paper prints."""
+        factor, _ = self.unit_of_paper(parameter)
+        row: Any = self.parameters.loc[parameter]
+        return [float(row[column]) / factor for column in columns]
+
+    @property
+    def central_difference_rate(self) -> float:
+        """HMC's effective draws per solve if every gradient cost 2·ndim solves, as eq. (15) does."""
+        return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
+
+    @property
+    def separate_maxima(self) -> pd.DataFrame:
+        """The maxima that a run might take for the whole posterior: those not far below the highest."""
+        return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
+
+    def unit_of_paper(self, parameter: str) -> tuple[float, str]:
+        """Return the power of ten in which the paper prints a parameter, and its name, ``"1e-9 m⁴"``."""
+        position = self.published.parameter_names.index(parameter)
+        exponent = self.published.columns["initial"].parameters[position].exponent
+        unit: Any = self.parameters.loc[parameter, "unit"]
+        return float(f"1e{exponent}"), f"1e{exponent} {unit}"

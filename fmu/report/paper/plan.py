@@ -1,0 +1,93 @@
+"""What is run: the paper's protocol and the long runs, with all their lengths and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from fmu.cases.published import N_SAMPLES
+from fmu.samplers.kernel import Sampler
+
+PAPER_SAMPLERS = ("mh", "slice", "hmc")
+SAMPLERS = (*PAPER_SAMPLERS, "emcee")
+
+
+@dataclass(frozen=True)
+class Length:
+    """Steps kept, steps before them, and chains (ensembles for emcee)."""
+
+    draws: int
+    warmup: int
+    chains: int
+
+    @property
+    def steps(self) -> int:
+        """Steps in all."""
+        return self.warmup + self.draws
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Lengths of all runs.
+
+    Attributes
+    ----------
+    paper : Length
+        The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
+    long : mapping of str to Length
+        The long runs, one a sampler, from draws of the prior.
+    reference : Length
+        HMC from the highest maximum, made where no long run can serve as the reference.
+    starts : mapping of str to int
+        From how many points maxima are searched, by pairing. By number, the kinks where modes cross keep an
+        ascent from going far.
+    box_points : int
+        Points of the parameter box at which the spectrum is looked at.
+    seed : int
+    """
+
+    paper: Length = Length(N_SAMPLES, 0, 1)
+    long: Mapping[str, Length] = field(
+        default_factory=lambda: {
+            "mh": Length(20_000, 2_000, 4),
+            "slice": Length(4_000, 500, 4),
+            "hmc": Length(2_000, 1_000, 4),
+            "emcee": Length(3_500, 500, 4),
+        }
+    )
+    reference: Length = Length(2_000, 1_000, 4)
+    starts: Mapping[str, int] = field(default_factory=lambda: {"index": 128, "shape": 16})
+    box_points: int = 2**14
+    seed: int = 1
+
+    @property
+    def steps(self) -> int:
+        """Steps of one experiment in all."""
+        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.long.values(), self.reference)
+        return sum(length.steps for length in runs)
+
+
+def paper_settings(name: str) -> Sampler:
+    """Return a sampler of the paper with settings fixed by hand, in the units of the scaled view.
+
+    The paper prints no step size and no width; these let its samplers move. HMC has the numerical gradient of
+    eq. (15), and trajectories of one length.
+    """
+    from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice
+
+    settings: dict[str, Sampler] = {
+        "mh": MetropolisHastings(RandomWalk(0.01)),
+        "slice": Slice(scheme="hyperrectangle", width=0.5),
+        "hmc": HamiltonianMonteCarlo(gradient="central-difference", step_size=0.001, n_steps=10, jitter=0.0),
+    }
+    return settings[name]
+
+
+def long_settings(name: str) -> Sampler:
+    """Return the settings of a long run: the defaults; for emcee its moves of differential evolution.
+
+    They mix about four times as fast here as emcee's default, the stretch move.
+    """
+    from fmu.samplers import Ensemble, named
+
+    return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else named(name)

@@ -1,0 +1,111 @@
+"""`fmu paper`: everything that is written, and the processes that compute it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fmu.cases.published import EXPERIMENTS
+from fmu.report.files import OutputDirectory
+from fmu.report.paper.experiment import PAIRINGS, Progress, Result, compute, directory_of
+from fmu.report.paper.findings import Findings
+from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
+from fmu.report.paper.workers import default_workers, in_processes
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+TABLES = ("parameters", "frequencies", "comparison", "maxima")
+FIGURES = ("trace", "corner", "frequencies")
+
+
+def run_paper(
+    out: str | os.PathLike[str],
+    progress: Progress | None = None,
+    plan: Plan | None = None,
+    workers: int | None = None,
+) -> None:
+    """Repeat both experiments of the paper with both pairings and write what came of it.
+
+    Parameters
+    ----------
+    out : path-like
+        Directory of the results. Only files that an earlier run wrote there are replaced or taken away.
+    progress : callable, optional
+        Called as ``progress(phase, done, total, info)``, one phase an experiment.
+    plan : Plan, optional
+        Lengths of the runs.
+    workers : int, optional
+        Processes that experiments are divided among, by default as many as there are CPUs; with 1, none but this
+        one. The numbers do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        If `out` holds files of other origin where results belong, before anything is computed.
+    """
+    from fmu.report.paper.closing import write_closing_pages
+
+    plan = plan or Plan()
+    directory = OutputDirectory(out)
+    directory.check(file_names())
+    with directory.staged() as stage:
+        # The experiments by number take longest: they go first, whatever the order on the pages.
+        tasks = [(case, pairing, plan, stage) for pairing in PAIRINGS for case in EXPERIMENTS]
+        workers = min(default_workers() if workers is None else workers, len(tasks))
+        found = {findings.name: findings for findings in in_processes(run_experiment, tasks, workers, progress)}
+        in_order = [found[directory_of(case, pairing)] for case in EXPERIMENTS for pairing in PAIRINGS]
+        write_closing_pages(in_order, plan, stage)
+
+
+def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Progress | None) -> Findings:
+    """Compute one experiment and write its directory and its traces below `stage`."""
+    from fmu.fem.threads import single_thread
+
+    with single_thread():
+        result = compute(case, pairing, plan, progress)
+        findings = Findings.of(result)
+        write_experiment(result, findings, stage)
+    return findings
+
+
+def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
+    """Write tables, figures and traces of one experiment."""
+    from fmu.analysis.trace import save_trace
+    from fmu.report.paper.figures import write_figures
+    from fmu.report.paper.page import experiment_page
+
+    directory, traces = stage / findings.name, stage / "traces"
+    for path in (directory, traces):
+        path.mkdir(parents=True, exist_ok=True)
+    for table in TABLES:
+        getattr(findings, table).to_csv(directory / f"{table}.csv")
+    (directory / "tables.md").write_text(experiment_page(findings), encoding="utf-8")
+    write_figures(result, findings.frequencies, directory)
+    for name, trace in _traces(result):
+        save_trace(trace, traces / name)
+
+
+def file_names() -> list[str]:
+    """Return the names of all files that are always written, relative to the output directory."""
+    names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
+    for case in EXPERIMENTS:
+        for pairing in PAIRINGS:
+            name = directory_of(case, pairing)
+            names += [f"{name}/tables.md", f"{name}/convergence.png"]
+            names += [f"{name}/{table}.csv" for table in TABLES]
+            names += [f"{name}/{figure}-{sampler}.png" for figure in FIGURES for sampler in SAMPLERS]
+            names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
+            names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
+    return names
+
+
+def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
+    """Name the traces of an experiment."""
+    for kind, traces in (("paper", result.paper), ("long", result.long)):
+        for sampler, trace in traces.items():
+            yield f"{result.name}-{sampler}-{kind}.nc", trace
+    if result.reference_run is not None:
+        yield f"{result.name}-hmc-from-maximum.nc", result.reference_run

@@ -1,0 +1,149 @@
+"""The page that opens the results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from fmu.report.markdown import interval, number, table, whole
+from fmu.report.paper.claims import judge, statement
+from fmu.report.paper.experiment import PAIRED_BY
+from fmu.report.paper.findings import Findings
+from fmu.report.paper.page import ENDS
+from fmu.report.plots import TITLES
+
+FILES = {
+    "errata.md": "what in the paper is not so, from its tables and the model",
+    "recomputed.md, recomputed.csv": "the forty published frequencies, recomputed",
+    "*/tables.md": "one experiment with one pairing: the paper's tables beside ours, convergence, cost, maxima",
+    "*/parameters.csv, */frequencies.csv, */comparison.csv, */maxima.csv": "the same numbers, SI units, in full",
+    "*/trace-*.png, */corner-*.png, */frequencies-*.png": "paths, posterior and frequency errors of each sampler",
+    "*/convergence.png": "error of the mean against model solves, all samplers",
+    "traces/*.nc": "the traces (ArviZ, netCDF); made by the command, not kept in git",
+    "manifest.json": "what the command wrote: the next run replaces these files and nothing else",
+}
+
+
+def summary_page(
+    everything: Sequence[Findings], recomputed: tuple[int, int], seed: int, versions: Mapping[str, str]
+) -> str:
+    """Return results/README.md.
+
+    Parameters
+    ----------
+    everything : sequence of Findings
+    recomputed : tuple of int
+        How many published frequencies came out, and of how many.
+    seed : int
+    versions : mapping of str to str
+    """
+    parts = [
+        "# Results\n",
+        "Both experiments of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in "
+        "Bayesian "
+        "Finite Element Model Updating*, repeated. Written by `fmu paper`; every number is computed.\n",
+        f"- {recomputed[0]} of {recomputed[1]} published frequencies come out of one model "
+        "([recomputed.md](recomputed.md)); where the paper errs, [errata.md](errata.md) says how.\n"
+        + "".join(f"- [{f.name}]({f.name}/tables.md): {_in_a_line(f)}\n" for f in everything),
+        "## Posterior means\n",
+    ]
+    for findings in everything:
+        parts += [_means(findings)]
+    parts += ["## What a converged run costs\n", _costs(everything)]
+    parts += ["## Which sampler is best\n"]
+    parts += [
+        "By effective draws per model solve: smallest bulk ESS over the parameters, divided by all solves, "
+        "warm-up "
+        "counted.\n"
+    ]
+    parts += [statement(findings).strip() + "\n" for findings in everything]
+    parts += ["### Against the paper's conclusions\n", _claims(everything)]
+    parts += ["## Files\n", table(("file", "what it is"), FILES.items(), left=2)]
+    parts += ["## How it was made\n", _how(seed, versions)]
+    return "\n".join(parts)
+
+
+def _in_a_line(findings: Findings) -> str:
+    done = [TITLES[s] for s in findings.comparison.index if findings.is_converged(s)]
+    open_ = [TITLES[s] for s in findings.comparison.index if not findings.is_converged(s)]
+    words = f"section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}. "
+    words += f"Converged: {', '.join(done) or 'none'}"
+    return words + (f"; not converged: {', '.join(open_)}." if open_ else ".")
+
+
+def _means(findings: Findings) -> str:
+    """Return one row a source and one column a parameter, in the paper's units."""
+    names = list(findings.parameters.index)
+    units = [findings.unit_of_paper(name) for name in names]
+
+    def row(words: str, column: str) -> list[str]:
+        return [words, *(f"{findings.in_paper_units(n, column)[0]:.3f}" for n in names)]
+
+    rows = [row("start", "published_initial")]
+    if findings.published.columns["initial"].corrected_parameters:
+        rows[0][0] = "start, as printed (see the errata)"
+    rows += [row("maximum of the posterior", "maximum")]
+    for name in findings.comparison.index:
+        if f"published_{name}" in findings.parameters:
+            rows.append(row(f"{TITLES[name]}, published", f"published_{name}"))
+            rows.append(row(f"{TITLES[name]}, the paper's protocol, ours", f"paper_{name}"))
+        verdict = "converged" if findings.is_converged(name) else "not converged"
+        cells = []
+        for n in names:
+            mean, low, high = findings.in_paper_units(n, *(f"long_{name}_{end}" for end in ("mean", *ENDS)))
+            cells.append(interval(mean, low, high, ".3f"))
+        rows.append([f"**{TITLES[name]}, long run ({verdict})**", *cells])
+    header = ["", *(f"{n}, {u[1]}" for n, u in zip(names, units, strict=True))]
+    return f"### Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}\n\n" + table(
+        header, rows
+    )
+
+
+def _costs(everything: Sequence[Findings]) -> str:
+    rows = []
+    for findings in everything:
+        for name in findings.comparison.index:
+            needed = findings.value(name, "needed_solves")
+            rows.append((
+                findings.name, TITLES[name], whole(findings.value(name, "paper_solves")),
+                number(findings.value(name, "paper_error"), ".1f"),
+                whole(needed) if needed == needed else f"more than {whole(findings.value(name, 'n_solves'))}",
+                number(findings.value(name, "ess_per_solve") if findings.is_converged(name) else None, ".2g"),
+            ))  # fmt: skip
+    header = (
+        "experiment", "sampler", "the paper's protocol: solves", "its worst mean, sd off", "solves to "
+        "converge",
+        "ESS per solve",
+    )  # fmt: skip
+    return (
+        "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
+        "distance of "
+        "its worst mean from the reference, in posterior standard deviations. HMC takes central differences "
+        "there, as "
+        "the paper does, and exact gradients in the long runs.\n\n" + table(header, rows, left=2)
+    )
+
+
+def _claims(everything: Sequence[Findings]) -> str:
+    rows = [
+        (f"{findings.published.section}, {PAIRED_BY[findings.pairing]}", j.statement, j.outcome, j.evidence)
+        for findings in everything
+        for j in judge(findings)
+    ]
+    return (
+        table(("experiment", "the paper", "this run", "why"), rows, left=4)
+        + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
+        "posterior have "
+        "one mean: where their tables differ by more than Monte-Carlo error, a run was too short, or sat in "
+        "another "
+        "mode.\n"
+    )
+
+
+def _how(seed: int, versions: Mapping[str, str]) -> str:
+    listed = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return (
+        "```\nmake paper        # sets up .venv and runs the next line\nfmu paper --out results\n```\n\n"
+        f"Seed {seed}; {listed}. The same versions on the same kind of machine give the same draws, bit for "
+        f"bit; "
+        "times differ.\n"
+    )
