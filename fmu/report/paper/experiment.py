@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int, Mapping[str, str]], None]
 
-PAIRINGS = ("index", "shape")
 PAIRED_BY = {"index": "by number", "shape": "by shape"}
 TRUSTED = ("hmc", "emcee")
 """Samplers whose converged long runs make the reference."""

@@ -214,8 +214,8 @@ def _settings(findings: Findings) -> str:
         chains, warmup, draws = findings.lengths[key]
         rows.append((key, f"{chains} × ({warmup} + {draws})", f"`{settings}`"))
     return (
-        "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units, the bounds at 0 and 1; those "
-        "that are null were learnt in warm-up.\n\n" + table(("run", "steps", "settings"), rows, left=3)
+        "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units (the bounds at 0 and 1); "
+        "those that are null were learnt in warm-up.\n\n" + table(("run", "steps", "settings"), rows, left=3)
     )
 
 

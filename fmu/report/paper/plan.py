@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from fmu.cases.published import N_SAMPLES
+from fmu.cases.published import EXPERIMENTS, N_SAMPLES
 from fmu.samplers.kernel import Sampler
 
 PAPER_SAMPLERS = ("mh", "slice", "hmc")
 SAMPLERS = (*PAPER_SAMPLERS, "emcee")
+PAIRINGS = ("index", "shape")
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,12 @@ class Length:
 
 @dataclass(frozen=True)
 class Plan:
-    """Lengths of all runs.
+    """What is run, and for how long.
 
     Attributes
     ----------
+    experiments : tuple of (case, pairing)
+        In the order of the pages.
     paper : Length
         The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
     long : mapping of str to Length
@@ -46,6 +49,9 @@ class Plan:
     seed : int
     """
 
+    experiments: tuple[tuple[str, str], ...] = tuple(
+        (case, pairing) for case in EXPERIMENTS for pairing in PAIRINGS
+    )
     paper: Length = Length(N_SAMPLES, 0, 1)
     long: Mapping[str, Length] = field(
         default_factory=lambda: {

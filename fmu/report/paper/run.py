@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fmu.cases.published import EXPERIMENTS
 from fmu.report.files import OutputDirectory
-from fmu.report.paper.experiment import PAIRINGS, Progress, Result, compute, directory_of
+from fmu.report.paper.experiment import Progress, Result, compute, directory_of
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
 from fmu.report.paper.workers import default_workers, in_processes
@@ -50,14 +49,13 @@ def run_paper(
 
     plan = plan or Plan()
     directory = OutputDirectory(out)
-    directory.check(file_names())
+    directory.check(file_names(plan))
     with directory.staged() as stage:
         # The experiments by number take longest: they go first, whatever the order on the pages.
-        tasks = [(case, pairing, plan, stage) for pairing in PAIRINGS for case in EXPERIMENTS]
+        tasks = [(case, pairing, plan, stage) for case, pairing in sorted(plan.experiments, key=_by_shape)]
         workers = min(default_workers() if workers is None else workers, len(tasks))
-        found = {findings.name: findings for findings in in_processes(run_experiment, tasks, workers, progress)}
-        in_order = [found[directory_of(case, pairing)] for case in EXPERIMENTS for pairing in PAIRINGS]
-        write_closing_pages(in_order, plan, stage)
+        found = {f.name: f for f in in_processes(run_experiment, tasks, workers, progress)}
+        write_closing_pages([found[directory_of(*experiment)] for experiment in plan.experiments], plan, stage)
 
 
 def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Progress | None) -> Findings:
@@ -88,18 +86,20 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
         save_trace(trace, traces / name)
 
 
-def file_names() -> list[str]:
+def file_names(plan: Plan) -> list[str]:
     """Return the names of all files that are always written, relative to the output directory."""
     names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
-    for case in EXPERIMENTS:
-        for pairing in PAIRINGS:
-            name = directory_of(case, pairing)
-            names += [f"{name}/tables.md", f"{name}/convergence.png"]
-            names += [f"{name}/{table}.csv" for table in TABLES]
-            names += [f"{name}/{figure}-{sampler}.png" for figure in FIGURES for sampler in SAMPLERS]
-            names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
-            names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
+    for name in (directory_of(*experiment) for experiment in plan.experiments):
+        names += [f"{name}/tables.md", f"{name}/convergence.png"]
+        names += [f"{name}/{table}.csv" for table in TABLES]
+        names += [f"{name}/{figure}-{sampler}.png" for figure in FIGURES for sampler in SAMPLERS]
+        names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
+        names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
     return names
+
+
+def _by_shape(experiment: tuple[str, str]) -> bool:
+    return experiment[1] == "shape"
 
 
 def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
