@@ -18,6 +18,8 @@ IntArray = NDArray[np.int64]
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
 DENSE_LIMIT = 400
+# An eigenvalue this small beside the highest of interest is zero but for rounding: a rigid-body mode.
+RIGID = 1e-9
 
 
 class SingularMassError(ValueError):

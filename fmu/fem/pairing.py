@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from fmu.fem.modal import RIGID
 from fmu.fem.model import BlockModel, Modes
 
 FloatArray = NDArray[np.float64]
@@ -122,7 +123,10 @@ class ShapePairing:
         for b in observed:
             values[b], shapes[b] = model.blocks[b].modes(theta, self.offered(model, b))
         block, rank, column = self._assigned(observed, shapes)
-        lam = np.take_along_axis(np.concatenate(list(values.values()), axis=1), column, axis=1)
+        merged = np.concatenate(list(values.values()), axis=1)
+        # a block that failed must not leave its references to the others
+        merged[np.any(np.isnan(merged), axis=1)] = np.nan
+        lam = np.take_along_axis(merged, column, axis=1)
         if not gradient:
             return Modes(lam, None, block, rank)
         slopes = np.concatenate(
@@ -177,7 +181,7 @@ class ShapePairing:
 def reference_modes(
     model: BlockModel, theta: FloatArray, sensors: IntArray, dofs: IntArray, n_modes: int
 ) -> ShapePairing:
-    """Return the pairing with the first `n_modes` modes of a reference model that the sensors can see.
+    """Return the pairing with the first `n_modes` elastic modes of a reference model that the sensors can see.
 
     Where no shapes were measured, a mode that moves none of the sensors cannot have been measured either;
     of the others the lowest are taken, in ascending order.
@@ -245,4 +249,6 @@ def _visible_shapes(
         shape[model.blocks[b].dofs] = solved[int(b)][:, r]
     # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
     moved = np.max(np.abs(shapes[:, dofs]))
-    return [shape[dofs] for shape in shapes if np.max(np.abs(shape[sensors])) > 1e-3 * moved]
+    elastic = spectrum.eigenvalues[0] > RIGID * spectrum.eigenvalues[0, -1]
+    visible = np.max(np.abs(shapes[:, sensors]), axis=1) > 1e-3 * moved
+    return list(shapes[np.ix_(elastic & visible, dofs)])

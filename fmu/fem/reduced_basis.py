@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.modal import FullBlock, frequency_hz
+from fmu.fem.modal import RIGID, FullBlock, frequency_hz
 from fmu.fem.separable import CoefficientMap, Term, coefficients, weighted_sum
 
 FloatArray = NDArray[np.float64]
@@ -136,13 +136,13 @@ class Snapshots:
         return Snapshots(self.theta, self.eigenvalues[:, :count], self.shapes[:, :, :count])
 
     def frequency_error(self, block: ReducedBlock) -> FloatArray:
-        """Return |f_reduced − f| / f, shape (n, m).
-
-        A frequency far below the highest one (a rigid-body mode) is measured by a millionth of that one.
-        """
-        exact = frequency_hz(self.eigenvalues)
-        reduced = frequency_hz(block.eigenvalues(self.theta, exact.shape[1]))
-        return np.abs(reduced - exact) / np.maximum(exact, 1e-6 * exact[:, -1:])
+        """Return |f_reduced − f| / f, shape (n, m); for a rigid-body mode, 0 or infinity: is it rigid there too."""
+        exact, reduced = self.eigenvalues, block.eigenvalues(self.theta, self.eigenvalues.shape[1])
+        top = exact[:, -1:]
+        rigid = exact <= RIGID * top
+        error = np.where(reduced <= 10.0 * RIGID * top, 0.0, np.inf)
+        f, f_reduced = frequency_hz(exact), frequency_hz(reduced)
+        return np.divide(np.abs(f_reduced - f), f, out=error, where=~rigid)
 
 
 def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: FloatArray) -> FloatArray:
@@ -152,14 +152,22 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
     """
     M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
     X = np.concatenate(list(snapshots.shapes), axis=1)
+    if X.shape[1] > block.size:  # the smaller of the two Gram matrices: with M = L Lᵀ, that of the rows of Lᵀ X
+        L = np.linalg.cholesky(M.toarray())
+        energy, U = np.linalg.eigh(L.T @ X @ X.T @ L)
+        return np.linalg.solve(L.T, U[:, _strongest(energy)])
     energy, U = np.linalg.eigh(X.T @ (M @ X))
-    order = np.argsort(energy)[::-1]
-    order = order[energy[order] > _SNAPSHOT_RANK * energy[order[0]]]
+    order = _strongest(energy)
     V = X @ (U[:, order] / np.sqrt(energy[order]))
     for _ in range(2):  # the weak directions lose orthogonality to rounding; Cholesky–QR restores it
         L = np.linalg.cholesky(V.T @ (M @ V))
         V = np.linalg.solve(L, V.T).T
     return V
+
+
+def _strongest(energy: FloatArray) -> IntArray:
+    order = np.argsort(energy)[::-1]
+    return order[energy[order] > _SNAPSHOT_RANK * energy[order[0]]]
 
 
 def smallest_basis(

@@ -58,6 +58,8 @@ class ModalData:
             if len(getattr(self, name)) != n:
                 raise ValueError(f"{name}: must be {n}, one a mode (got {len(getattr(self, name))})")
 
+        if len(set(self.labels)) < n:
+            raise ValueError(f"labels: must be distinct (got {self.labels})")
         if self.shapes is not None:
             shapes = np.array(self.shapes, dtype=float)
             if shapes.shape != (len(self.sensors), n):

@@ -212,7 +212,9 @@ class UpdatingProblem:
 
     def _model_description(self) -> Any:
         describe = getattr(self.model, "configuration", None)
-        return describe() if callable(describe) else repr(self.model)
+        return (
+            describe() if callable(describe) else f"{type(self.model).__module__}.{type(self.model).__qualname__}"
+        )
 
     def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
         points = np.asarray(theta, dtype=float)
@@ -230,7 +232,7 @@ class UpdatingProblem:
         """Return `terms` with -inf in place of what is not finite, after noting where that happened."""
         failed = ~np.all(np.isfinite(terms), axis=1)
         if np.any(failed):
-            self.failures.extend(points[failed])
+            self.failures.extend(points[failed & self._inside(points)])
             terms = np.where(failed[:, None], -np.inf, terms)
         return terms
 

@@ -15,6 +15,10 @@ from fmu.posterior.measurement import ModalData
 FloatArray = NDArray[np.float64]
 
 
+class SingularCondensationError(ValueError):
+    """The unmeasured part of the structure can move while the sensors are held."""
+
+
 class ModalResidual:
     """How far measured modes are from being modes of the condensed model.
 
@@ -72,7 +76,7 @@ class ModalResidual:
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the pseudo-log-likelihood of each mode, shape (n, n_modes), at theta (n, n_parameters)."""
-        return np.stack([self._terms(self._residual(self._at(point[None]))) for point in theta])
+        return np.stack([self._one(point[None], gradient=False)[0] for point in theta])
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_modes, n_parameters)."""
@@ -97,15 +101,21 @@ class ModalResidual:
         size = np.sum((residual / self._scale) ** 2, axis=0)
         return 0.5 * self._n_sensors * np.log(self.beta / np.pi) - self.beta * size
 
-    def _one(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms at one theta, and their gradients by adjoints.
+    def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Return the terms at one theta, and their gradients by adjoints; NaN where the condensation fails.
 
         With u = Tφ, w = Tr and T the static condensation, of which dT_s = −K_ss⁻¹ (dK T)_s, the change of
         r = Tᵀ(K − ω²M)u along itself is wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements
         under the loads Mu and Mw with the sensors held.
         """
-        condensed = self._at(theta)
+        slope = np.full((len(self.beta), theta.shape[1]), np.nan)
+        try:
+            condensed = self._at(theta)
+        except SingularCondensationError:
+            return np.full(len(self.beta), np.nan), slope
         residual = self._residual(condensed)
+        if not gradient:
+            return self._terms(residual), slope
         u, w = condensed.extended(self._shapes), condensed.extended(residual)
         a, b = condensed.held(condensed.M @ u), condensed.held(condensed.M @ w)
         lam = self._eigenvalues
@@ -129,7 +139,9 @@ class _Condensation:
             try:
                 self._solve = ssl.splu(K[m:, m:]).solve
             except RuntimeError as error:
-                raise ValueError("sensors: the structure can still move when they are held") from error
+                raise SingularCondensationError(
+                    "sensors: the structure can still move when they are held"
+                ) from error
 
     def extended(self, x: FloatArray) -> FloatArray:
         """Return T x, the whole structure following the sensors as in statics."""

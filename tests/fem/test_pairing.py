@@ -81,10 +81,7 @@ def test_a_mode_that_a_block_may_hold_back_makes_the_row_doubtful():
     assert_allclose(lowest.eigenvalues[3], [3.0, 5.0], rtol=1e-14)
 
 
-TAKEN = pytest.mark.xfail(reason="NaN counts as MAC 0, and the assignment takes what is left in the other block")
-
-
-@pytest.mark.parametrize("failing", [0, pytest.param(1, marks=TAKEN)])
+@pytest.mark.parametrize("failing", [0, 1])
 def test_a_failed_block_does_not_hand_its_measured_modes_to_another(failing):
     """Pairing by shape where the block of a reference cannot be solved: NaN, not the next best mode elsewhere."""
     eye = np.eye(4)

@@ -118,7 +118,6 @@ def test_measured_shapes_pair_by_shape(beam, data):
     assert_allclose(problem.frequencies(THETA), data.frequencies_hz[order], rtol=0.05)
 
 
-@pytest.mark.xfail(reason="the factorisation raises instead of giving -inf")
 def test_a_theta_without_stiffness_is_no_exception(beam, data):
     unbounded = [Parameter(n, start=t, prior=Normal(t, t)) for n, t in zip(("E", "I", "rho"), THETA, strict=True)]
     problem = UpdatingProblem(beam, data, unbounded, error="modal-residual", reduction=False)
