@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fmu.cases.published import EXPERIMENTS
-from fmu.report.markdown import table as markdown_table
+from fmu.report import markdown
 from fmu.report.paper import spectrum
 
 if TYPE_CHECKING:
@@ -104,7 +104,9 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
             wrong = problem.frequencies(column.printed_theta)
             right = problem.frequencies(column.theta)
             cells = ", ".join(f"{names[j]} = {column.parameters[j]}" for j in column.corrected_parameters)
-            meant = ", ".join(f"{names[j]} = {value:.3g}" for j, value in column.corrected_parameters.items())
+            meant = ", ".join(
+                f"{names[j]} = {markdown.number(value, '.3g')}" for j, value in column.corrected_parameters.items()
+            )
             yield Erratum(
                 place, cells, meant,
                 f"as printed the model gives {_list(wrong)} Hz; with the values found {_list(right)} Hz; "
@@ -115,7 +117,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
             if not low <= value <= high:
                 yield Erratum(
                     f"{place}, {names[j]}", str(column.parameters[j]),
-                    f"outside its bounds [{low:.3g}, {high:.3g}]",
+                    f"outside its bounds [{markdown.number(low, '.3g')}, {markdown.number(high, '.3g')}]",
                     f"section {experiment.section} gives the bounds; the column's frequencies do belong to "
                     f"this value",
                 )  # fmt: skip
@@ -188,7 +190,7 @@ def errata_page(errata: list[Erratum]) -> str:
         "them "
         "([recomputed.md](recomputed.md)).\n\n"
         f"## In the tables\n\nModes are named by their plane of motion and their number in it; {planes}.\n\n"
-        + markdown_table(("#", "where", "printed", "found", "evidence"), rows, left=5)
+        + markdown.table(("#", "where", "printed", "found", "evidence"), rows, left=5)
         + f"\n## In the algorithms\n\n{ALGORITHMS}"
     )
 

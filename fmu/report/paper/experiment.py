@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -105,6 +106,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
         Called after every step as ``progress(phase, done, total, info)``, the phase being the experiment's name.
     """
     from fmu import cases
+    from fmu.analysis.certificate import CertificateWarning
     from fmu.posterior.maxima import local_maxima
     from fmu.sampling import sample
 
@@ -113,17 +115,20 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
     maxima = local_maxima(problem, plan.starts[pairing], plan.seed)
     counter = _Counter(directory_of(case, pairing), plan.steps, progress)
 
-    def run(words: str, settings: Sampler, length: Length, init: object) -> xr.DataTree:
-        trace = sample(
-            problem,
-            settings,
-            draws=length.draws,
-            warmup=length.warmup,
-            chains=length.chains,
-            seed=plan.seed,
-            init=init,  # type: ignore[arg-type]
-            progress=counter.watch(words),
-        )
+    def run(words: str, settings: Sampler, length: Length, init: Any) -> xr.DataTree:
+        with warnings.catch_warnings():
+            # every run's certificate stands on the page; on the way from a far start its warning means nothing
+            warnings.simplefilter("ignore", CertificateWarning)
+            trace = sample(
+                problem,
+                settings,
+                draws=length.draws,
+                warmup=length.warmup,
+                chains=length.chains,
+                seed=plan.seed,
+                init=init,
+                progress=counter.watch(words),
+            )
         counter.done += length.steps
         return trace
 

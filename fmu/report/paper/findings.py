@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fmu.cases.published import Experiment as Published
 
 
+_CERTIFICATE = "certificate_"
 DEEP = 1e3
 """A maximum further below the highest than this, in log-probability, may trap a chain but deceives nobody."""
 
@@ -43,6 +44,9 @@ class Findings:
         Of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
     lengths : mapping of str to tuple of int
         Chains, warm-up and draws of every run, by the same keys.
+    certificates : mapping of str to mapping of str to float
+        How far the reduced model was from the full one at some draws of every run (`fmu.analysis.certificate`),
+        by the same keys.
     """
 
     case: str
@@ -57,6 +61,7 @@ class Findings:
     reference_converged: bool
     settings: Mapping[str, str]
     lengths: Mapping[str, tuple[int, int, int]]
+    certificates: Mapping[str, Mapping[str, float]]
 
     @classmethod
     def of(cls, result: Result) -> Findings:
@@ -83,6 +88,14 @@ class Findings:
             settings={key: str(trace.attrs["settings"]) for key, trace in traces.items()},
             lengths={
                 key: (int(trace.attrs["chains"]), int(trace.attrs["warmup"]), int(trace.attrs["draws"]))
+                for key, trace in traces.items()
+            },
+            certificates={
+                key: {
+                    str(name).removeprefix(_CERTIFICATE): float(value)
+                    for name, value in trace.attrs.items()
+                    if str(name).startswith(_CERTIFICATE)
+                }
                 for key, trace in traces.items()
             },
         )

@@ -70,7 +70,9 @@ def _initial(findings: Findings) -> str:
     cells = []
     for j, name in enumerate(findings.parameters.index):
         text = f"{name} = {column.parameters[j]}"
-        cells.append(text + (f" (must be {column.theta[j]:.3g})" if j in column.corrected_parameters else ""))
+        cells.append(
+            text + (f" (must be {number(column.theta[j], '.3g')})" if j in column.corrected_parameters else "")
+        )
     rows = [
         (
             mode, f"{row.measured_hz:g}", f"{row.published_initial_hz:g}", f"{row.published_initial_error:g}",
@@ -212,10 +214,16 @@ def _settings(findings: Findings) -> str:
     rows = []
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]
-        rows.append((key, f"{chains} × ({warmup} + {draws})", f"`{settings}`"))
+        errors = [findings.certificates[key].get(name) for name in ("frequency_error", "log_prob_error")]
+        rows.append(
+            (key, f"{chains} × ({warmup} + {draws})", *(number(e, ".1e") for e in errors), f"`{settings}`")
+        )
     return (
         "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units (the bounds at 0 and 1); "
-        "those that are null were learnt in warm-up.\n\n" + table(("run", "steps", "settings"), rows, left=3)
+        "those that are null were learnt in warm-up. Frequency and log-probability: the largest error of the "
+        "reduced model, relative and absolute, against the full one at draws of the run; far below the maximum, "
+        "where the paper's protocol starts, only the frequency matters.\n\n"
+        + table(("run", "steps", "frequency", "log-probability", "settings"), rows, left=2)
     )
 
 

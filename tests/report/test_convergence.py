@@ -1,0 +1,111 @@
+"""Running errors, what they cost, and where a run began to convince."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fmu.report.paper.convergence import lengths_up_to, running_error, shortened, solves_by_step, solves_needed
+from fmu.report.paper.reference import MISSED, Reference, missed, pooled
+
+REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given", True)
+
+
+def make_trace(a, b, walkers=1, warm_solves=7, lp=0.0):
+    """A trace of two parameters whose step k (from 0) took k + 1 solves in every walker."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    steps = np.arange(a.shape[1]) // walkers + 1
+    dims = ("chain", "draw")
+    trace = xr.DataTree.from_dict(
+        {
+            "posterior": xr.Dataset({"a": (dims, a), "b": (dims, b)}),
+            "sample_stats": xr.Dataset(
+                {"n_solves": (dims, np.broadcast_to(steps, a.shape)), "lp": (dims, np.full(a.shape, lp))}
+            ),
+            "warmup_sample_stats": xr.Dataset({"n_solves": (dims, np.full((len(a), 1), warm_solves))}),
+        }
+    )
+    trace.attrs = {"walkers": walkers, "sampler": "mh", "wall_s": 1.0}
+    return trace
+
+
+def test_solves_count_the_warmup_and_all_walkers():
+    trace = make_trace(np.zeros((2, 3)), np.zeros((2, 3)))
+    np.testing.assert_array_equal(solves_by_step(trace), [[8, 10, 13]] * 2)
+    ensemble = make_trace(np.zeros((1, 6)), np.zeros((1, 6)), walkers=2)
+    np.testing.assert_array_equal(solves_by_step(ensemble), [[9, 13, 19]])
+
+
+def test_running_error_of_a_chain():
+    trace = make_trace([[3.0, 5.0], [1.0, 1.0]], [[20.0, 20.0], [30.0, 50.0]])
+    curve = running_error(trace, REFERENCE)
+    # chain 0: means of a are 3 and 4, one and one and a half sd off; chain 1: means of b are 30 and 40
+    np.testing.assert_allclose(curve.error, np.array([[1.0, 1.5], [1.0, 2.0]]) / np.sqrt(2))
+    np.testing.assert_array_equal(curve.solves, [8, 10])
+
+
+def test_running_error_of_an_ensemble_averages_its_walkers():
+    trace = make_trace([[3.0, 5.0, 9.0, 11.0]], [[20.0] * 4], walkers=2)
+    curve = running_error(trace, REFERENCE)
+    np.testing.assert_allclose(curve.error, np.array([[1.5, 3.0]]) / np.sqrt(2))
+
+
+def test_lengths_grow_geometrically_and_end_at_the_whole_run():
+    lengths = lengths_up_to(1000, 2.0, 50)
+    assert lengths[0] == 50
+    assert lengths[-1] == 1000
+    assert np.all(lengths[1:] / lengths[:-1] <= 2.05)
+    np.testing.assert_array_equal(lengths_up_to(30, 2.0, 50), [30])
+
+
+def test_shortened_trace_keeps_the_first_draws():
+    trace = make_trace([np.arange(10.0)], [np.arange(10.0)])
+    short = shortened(trace, 4)
+    np.testing.assert_array_equal(short["posterior"]["a"], [[0, 1, 2, 3]])
+    assert short.attrs == trace.attrs
+
+
+@pytest.mark.parametrize("walkers", [1, 2])
+def test_solves_needed_is_where_the_verdict_turned_good_for_good(walkers):
+    steps = 400
+    trace = make_trace(np.zeros((2, steps * walkers)), np.zeros((2, steps * walkers)), walkers)
+
+    def verdict(short):
+        length = short["posterior"].sizes["draw"] // walkers
+        return [] if length >= 200 or 60 <= length <= 80 else ["too short"]
+
+    needed = solves_needed(trace, verdict)
+    assert 200 <= needed.draws <= 250
+    cost = 7 + walkers * needed.draws * (needed.draws + 1) // 2
+    assert needed.solves == 2 * cost
+
+
+def test_solves_needed_of_a_run_that_never_convinces():
+    trace = make_trace(np.zeros((2, 400)), np.zeros((2, 400)))
+    needed = solves_needed(trace, lambda short: ["no"] if short["posterior"].sizes["draw"] == 400 else [])
+    assert needed.draws is None
+    assert needed.solves is None
+
+
+def test_a_trace_that_stayed_below_the_highest_maximum_missed_it():
+    maxima = (SimpleNamespace(log_prob=-40.0), SimpleNamespace(log_prob=-108.0))
+    at = make_trace(np.zeros((2, 5)), np.zeros((2, 5)), lp=-40.0 - MISSED + 0.1)
+    below = make_trace(np.zeros((2, 5)), np.zeros((2, 5)), lp=-108.0)
+    assert missed(at, maxima) == []
+    (words,) = missed(below, maxima)
+    assert "never visited" in words
+    assert "68" in words
+
+
+def test_pooled_reference_weighs_by_effective_draws():
+    rng = np.random.default_rng(1)
+    short, long = (make_trace(*rng.standard_normal((2, 4, n))) for n in (300, 4_000))
+    reference = pooled({"short": short, "long": long}, "both", True)
+    every = np.concatenate(
+        [trace["posterior"][name].to_numpy().ravel() for trace in (short, long) for name in "a"]
+    )
+    np.testing.assert_allclose(reference.mean[0], every.mean(), atol=2e-3)
+    np.testing.assert_allclose(reference.sd, 1.0, atol=0.03)
+    np.testing.assert_allclose(reference.mcse, 1 / np.sqrt(4 * 4_300), rtol=0.1)
+    assert reference.resolution == pytest.approx(1 / np.sqrt(4 * 4_300), rel=0.1)
