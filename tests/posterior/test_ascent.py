@@ -1,0 +1,87 @@
+"""The Gauss–Newton ascent on quadratics whose maximum inside a box is known, and on what hinders it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import lsq_linear
+
+from fmu.posterior.ascent import GaussNewton, ascend, decrement
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.problem import UpdatingProblem
+
+
+def quadratic(J, b):
+    """V = |Ju − b|²/2, with its exact Hessian."""
+
+    def V(u):
+        r = u @ J.T - b
+        return 0.5 * np.sum(r**2, axis=1), r @ J, np.broadcast_to(J.T @ J, (len(u), J.shape[1], J.shape[1])).copy()
+
+    return V
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_least_squares_in_a_box(seed):
+    """Ill-conditioned, its unconstrained minimum outside: SciPy's active-set solver gives the truth."""
+    rng = np.random.default_rng(seed)
+    J = rng.standard_normal((6, 4)) @ np.diag([30.0, 5.0, 1.0, 0.3])
+    b = J @ rng.uniform(-1.0, 2.0, 4) + rng.standard_normal(6)
+    truth = lsq_linear(J, b, (0.0, 1.0), method="bvls", tol=1e-14).x
+    assert np.any((truth == 0.0) | (truth == 1.0))
+    ends = ascend(quadratic(J, b), rng.uniform(size=(40, 4)), np.zeros(4), np.ones(4), tolerance=1e-14)
+    assert ends.stationary.all()
+    assert ends.steps < 40
+    assert_allclose(ends.position, np.broadcast_to(truth, (40, 4)), atol=1e-5)
+
+
+def test_a_direction_that_nothing_determines_stops_nobody():
+    J, b = np.array([[1.0, 1.0]]), np.array([0.8])
+    ends = ascend(quadratic(J, b), np.array([[0.0, 0.0], [1.0, 1.0]]), np.zeros(2), np.ones(2))
+    assert ends.stationary.all()
+    assert_allclose(ends.position.sum(axis=1), 0.8, atol=1e-4)
+
+
+def test_a_start_without_a_value_stays_and_is_not_stationary():
+    def V(u):
+        value, g, H = quadratic(np.eye(2), np.full(2, 0.5))(u)
+        return np.where(u[:, 0] > 0.9, np.inf, value), g, H
+
+    ends = ascend(V, np.array([[0.95, 0.1], [0.1, 0.1]]), np.zeros(2), np.ones(2))
+    assert_array_equal(ends.stationary, [False, True])
+    assert_array_equal(ends.position[0], [0.95, 0.1])
+    assert_allclose(ends.position[1], 0.5, atol=1e-4)
+
+
+def test_steps_are_limited():
+    ends = ascend(quadratic(np.eye(2), np.full(2, 0.5)), np.zeros((1, 2)), np.zeros(2), np.ones(2), max_steps=1)
+    assert not ends.stationary.any()
+
+
+def test_decrement_ignores_the_pressed_coordinates_alone():
+    u, g, H = np.array([[0.0, 0.5], [0.5, 0.5]]), np.array([[3.0, 2.0]] * 2), np.array([np.diag([1.0, 4.0])] * 2)
+    # the first point is pressed against the wall at u₀ = 0
+    assert_allclose(decrement(u, g, H, np.zeros(2), np.ones(2)), [0.5, 5.0])
+
+
+def test_problem_as_least_squares(chain):
+    """V is −log P up to a constant; slope and Gauss–Newton curvature as differences have them."""
+    parameters = [
+        Parameter("k0", 1.0, 0.1, 4.0, prior=Normal(0.5, mean=1.0)),
+        Parameter("k1", 1.0, 0.1, 4.0),
+    ]
+    problem = UpdatingProblem(chain, ModalData([0.1, 0.2]), parameters, pairing="index", beta=[300.0, 100.0])
+    V = GaussNewton(problem)
+    u = np.array([[0.3, 0.4], [0.8, 0.1]])
+    value, gradient, hessian = V(u)
+    theta = problem.offset + problem.scale * u
+    log_prob = problem.log_prob(theta)
+    assert value[0] - value[1] == pytest.approx(log_prob[1] - log_prob[0], rel=1e-10)
+    assert_allclose(gradient, -problem.log_prob_and_grad(theta)[1] * problem.scale, rtol=1e-10)
+    h = 1e-5
+    J = np.stack(
+        [(problem.frequencies(theta + h * e) - problem.frequencies(theta - h * e)) / (2 * h) for e in np.eye(2)],
+        axis=-1,
+    ) * problem.scale * np.sqrt([[[600.0], [200.0]]])  # fmt: skip
+    expected = np.einsum("nmk,nml->nkl", J, J) + np.diag([problem.scale[0] ** 2 / 0.25, 0.0])
+    assert_allclose(hessian, expected, rtol=1e-5, atol=1e-6)
