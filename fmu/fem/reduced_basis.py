@@ -103,10 +103,11 @@ class ReducedBlock:
         self._K_rows, self._M_rows = K.reshape(-1, K.shape[-1]), M.reshape(-1, M.shape[-1])
 
     def _forms(self, rows: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return φᵀ K_k φ, shape (n, n_terms, m)."""
+        """Return φᵀ K_k φ, shape (n, n_terms, m), for symmetric K_k one below the other in `rows`."""
         n, r, m = phi.shape
-        products = (rows @ phi).reshape(n, len(rows) // r, r, m)
-        return np.sum(products * phi[:, None], axis=2)
+        shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
+        products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
+        return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
 
 
 @dataclass(frozen=True)
@@ -194,13 +195,9 @@ def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
 
 
 def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return Σ_k weights[:, k] · matrices[k], shape (n, r, r); elementwise, hence the same in every batch."""
-    total = weights[:, 0, None, None] * matrices[0]
-    part = np.empty_like(total)
-    for k in range(1, len(matrices)):
-        np.multiply(weights[:, k, None, None], matrices[k], out=part)
-        total += part
-    return total
+    """Return Σ_k weights[:, k] · matrices[k], shape (n, r, r)."""
+    # einsum without `optimize` adds term by term: a batch changes no bit
+    return np.einsum("nk,kij->nij", weights, matrices)
 
 
 def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:

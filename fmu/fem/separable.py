@@ -195,7 +195,7 @@ class CoefficientMap:
     def __call__(self, theta: FloatArray) -> FloatArray:
         """Return c_k(theta), shape (n, n_terms)."""
         if len(self._linear) == len(self.terms):
-            return theta[:, self._source]
+            return theta.take(self._source, axis=1)
         value = np.ones((len(theta), len(self.terms)))
         value[:, self._linear] = theta[:, self._source]
         for k in self._general:
@@ -204,13 +204,10 @@ class CoefficientMap:
 
     def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
         """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
-        slopes = coefficient_gradients(self.terms, theta) if self._general else self._slopes
-        gradient = np.zeros((len(theta), forms.shape[2], self.n_parameters))
-        for k, term in enumerate(self.terms):
-            for j, power in enumerate(term.powers):
-                if power:
-                    gradient[:, :, j] += forms[:, k] * slopes[..., k, j, None]
-        return gradient
+        # einsum without `optimize` adds term by term: a batch changes no bit
+        if self._general:
+            return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
+        return np.einsum("nkm,kj->nmj", forms, self._slopes)
 
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ class FrequencyError:
 
     measured: FloatArray
     beta: ArrayLike = 1.0
+    _normaliser: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         beta = np.array(self.beta, dtype=float)
@@ -41,7 +42,9 @@ class FrequencyError:
             raise ValueError(f"beta: must be a number or {len(self.measured)} numbers (got shape {beta.shape})")
         if not np.all(np.isfinite(beta) & (beta > 0)):
             raise ValueError(f"beta: must be positive and finite (got {beta.tolist()})")
-        object.__setattr__(self, "beta", np.broadcast_to(beta, np.shape(self.measured)).copy())
+        beta = np.broadcast_to(beta, np.shape(self.measured)).copy()
+        object.__setattr__(self, "beta", beta)
+        object.__setattr__(self, "_normaliser", 0.5 * np.log(beta / np.pi))
 
     @property
     def sd(self) -> FloatArray:
@@ -50,11 +53,10 @@ class FrequencyError:
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), for frequencies of that shape in Hz."""
-        beta = np.asarray(self.beta)
         # in C order, in which the terms of a row are summed in the same order whatever the batch
         error = np.ascontiguousarray(frequencies) - self.measured
         with np.errstate(over="ignore"):
-            return 0.5 * np.log(beta / np.pi) - beta * error**2
+            return self._normaliser - np.asarray(self.beta) * error**2
 
     def gradient(self, frequencies: FloatArray) -> FloatArray:
         """Return the derivative of each mode's term with respect to its frequency, shape (n, n_modes)."""

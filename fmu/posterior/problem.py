@@ -113,11 +113,14 @@ class UpdatingProblem:
     def log_prob(self, theta: ArrayLike) -> Any:
         """Return log P(θ|D) up to the evidence: the sum of `log_likelihood` and `log_prior`."""
         points, single = self._points(theta)
-        value = np.full(len(points), -np.inf)
-        inside = self._inside(points)
-        if np.any(inside):
-            likelihood = self._terms(points[inside]).sum(axis=1)
-            value[inside] = likelihood + self._prior.log_pdf(points[inside])
+        within = self._within(points)
+        if np.count_nonzero(within) == within.size > 0:  # as a rule; it saves the copies
+            value = self._posterior(points)
+        else:
+            value = np.full(len(points), -np.inf)
+            inside = within.all(axis=1)
+            if inside.any():
+                value[inside] = self._posterior(points[inside])
         return float(value[0]) if single else value
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
@@ -125,8 +128,8 @@ class UpdatingProblem:
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         gradient = np.full(points.shape, np.nan)
-        inside = self._inside(points)
-        if np.any(inside):
+        inside = self._within(points).all(axis=1)
+        if inside.any():
             x = points[inside]
             terms, slopes = self.likelihood.terms_and_gradient(x)
             value[inside] = self._recorded(terms, x).sum(axis=1) + self._prior.log_pdf(x)
@@ -149,7 +152,7 @@ class UpdatingProblem:
         """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
-        inside = self._inside(points)
+        inside = self._within(points).all(axis=1)
         value[inside] = self._prior.log_pdf(points[inside])
         return float(value[0]) if single else value
 
@@ -217,24 +220,29 @@ class UpdatingProblem:
         )
 
     def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
-        points = np.asarray(theta, dtype=float)
+        points = np.asarray(theta, dtype=float, order="C")
         if points.ndim not in (1, 2) or points.shape[-1] != self.ndim:
             raise ValueError(f"theta: must have shape ({self.ndim},) or (n, {self.ndim}) (got {points.shape})")
-        return np.atleast_2d(points), points.ndim == 1
+        return (points[None], True) if points.ndim == 1 else (points, False)
 
-    def _inside(self, points: FloatArray) -> NDArray[np.bool_]:
-        return np.all((points >= self.lower) & (points <= self.upper), axis=1)
+    def _within(self, points: FloatArray) -> NDArray[np.bool_]:
+        return (points >= self.lower) & (points <= self.upper)
+
+    def _posterior(self, points: FloatArray) -> FloatArray:
+        """Return the log-probability, shape (n,), at points (n, ndim) inside the bounds."""
+        return self._terms(points).sum(axis=1) + self._prior.log_pdf(points)
 
     def _terms(self, points: FloatArray) -> FloatArray:
         return self._recorded(self.likelihood.terms(points), points)
 
     def _recorded(self, terms: FloatArray, points: FloatArray) -> FloatArray:
         """Return `terms` with -inf in place of what is not finite, after noting where that happened."""
-        failed = ~np.all(np.isfinite(terms), axis=1)
-        if np.any(failed):
-            self.failures.extend(points[failed & self._inside(points)])
-            terms = np.where(failed[:, None], -np.inf, terms)
-        return terms
+        finite = np.isfinite(terms)
+        if np.count_nonzero(finite) == finite.size:
+            return terms
+        failed = ~finite.all(axis=1)
+        self.failures.extend(points[failed & self._within(points).all(axis=1)])
+        return np.where(failed[:, None], -np.inf, terms)
 
     def _check(self) -> None:
         if len(set(self.names)) < self.ndim:
