@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fmu.analysis.comparison import compare as compare
     from fmu.analysis.diagnostics import summary as summary
     from fmu.analysis.prediction import expectation as expectation
+    from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
     from fmu.fem.frame import Frame as Frame
     from fmu.fem.separable import SeparableModel as SeparableModel
@@ -46,6 +47,7 @@ _HOME = {
     "UpdatingProblem": "fmu.posterior.problem",
     "compare": "fmu.analysis.comparison",
     "expectation": "fmu.analysis.prediction",
+    "find_map": "fmu.analysis.search",
     "load_trace": "fmu.analysis.trace",
     "sample": "fmu.sampling",
     "summary": "fmu.analysis.diagnostics",
@@ -65,6 +67,7 @@ __all__ = [
     "cases",
     "compare",
     "expectation",
+    "find_map",
     "load_trace",
     "sample",
     "summary",

@@ -1,0 +1,197 @@
+"""The maxima of a posterior as a result: where they are, what they weigh, and how a trace keeps them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.mass import LocalQuadratic
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorMaximum:
+    """A local maximum of the posterior within the bounds. SI units.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (ndim,)
+    log_prob : float
+        As ``problem.log_prob``.
+    frequencies : ndarray, shape (n_modes,)
+        Hz, paired with the measured modes.
+    starts : int
+        How many starts climbed to it.
+    at_bound : ndarray of int, shape (ndim,)
+        −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere.
+    gradient : ndarray, shape (ndim,)
+        Of the log-probability: not zero where a bound is active.
+    hessian : ndarray, shape (ndim, ndim)
+        −∇² log P or an approximation.
+    curvature : str
+        Which of them: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
+    mean, sd : ndarray, shape (ndim,)
+        Of the part of the posterior that belongs to this maximum.
+    log_mass : float
+        Logarithm of that part's integral ∫ P(D|θ) P(θ) dθ.
+    effective_draws : float
+        How many independent draws `mean`, `sd` and `log_mass` are worth; 0 where they come from the Laplace
+        approximation alone.
+    share : float
+        The mass over that of all maxima found.
+    """
+
+    theta: FloatArray
+    log_prob: float
+    frequencies: FloatArray
+    starts: int
+    at_bound: IntArray
+    gradient: FloatArray
+    hessian: FloatArray
+    curvature: str
+    mean: FloatArray
+    sd: FloatArray
+    log_mass: float
+    effective_draws: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Maxima:
+    """All local maxima that were found, the highest first; a sequence of `PosteriorMaximum`.
+
+    Attributes
+    ----------
+    maxima : tuple of PosteriorMaximum
+    names, units : tuple of str
+        Of the parameters.
+    labels : tuple of str
+        Of the measured modes.
+    lower, upper, start : ndarray, shape (ndim,)
+        The bounds, and the model before updating.
+    """
+
+    maxima: tuple[PosteriorMaximum, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    lower: FloatArray
+    upper: FloatArray
+    start: FloatArray
+
+    def __iter__(self) -> Iterator[PosteriorMaximum]:
+        return iter(self.maxima)
+
+    def __len__(self) -> int:
+        return len(self.maxima)
+
+    def __getitem__(self, index: int) -> PosteriorMaximum:
+        return self.maxima[index]
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the mass of all maxima together: an estimate of log P(D), as good as the maxima are all."""
+        return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a maximum, SI units.
+
+        Columns ``log_prob``, ``share``, ``starts``, ``at_bounds`` (words); each parameter; its posterior mean and
+        standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.
+        """
+        import pandas as pd
+
+        rows = []
+        for m in self.maxima:
+            row: dict[str, object] = {
+                "log_prob": m.log_prob,
+                "share": m.share,
+                "starts": m.starts,
+                "at_bounds": self.words_at_bounds(m),
+            }
+            row |= dict(zip(self.names, m.theta, strict=True))
+            for k, name in enumerate(self.names):
+                row |= {f"{name}_mean": m.mean[k], f"{name}_sd": m.sd[k]}
+            row |= {f"{label}_hz": f for label, f in zip(self.labels, m.frequencies, strict=True)}
+            rows.append(row)
+        table = pd.DataFrame(rows, index=pd.RangeIndex(1, len(rows) + 1, name="maximum"))
+        table.attrs["units"] = dict(zip(self.names, self.units, strict=True))
+        return table
+
+    def words_at_bounds(self, maximum: PosteriorMaximum) -> str:
+        """Name the active bounds: ``"Ix2 upper, Ax1 upper"``; empty if there is none."""
+        side = {-1: "lower", 1: "upper"}
+        return ", ".join(
+            f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
+        )
+
+    def words_of_theta(self, theta: FloatArray) -> str:
+        """Name a parameter vector: ``"Ix1 = 3.904e-09 m⁴, Ax1 = 0.0009 m²"``."""
+        parts = zip(self.names, theta, self.units, strict=True)
+        return ", ".join(f"{name} = {x:.4g} {unit}".rstrip() for name, x, unit in parts)
+
+    def drop(self, theta: FloatArray) -> FloatArray:
+        """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
+        models = (LocalQuadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
+        return np.stack([model.drop(theta) for model in models])
+
+    def __str__(self) -> str:
+        return self.table().to_string(float_format="{:.4g}".format)
+
+    def _repr_html_(self) -> str:
+        return str(self.table().to_html(float_format="{:.4g}".format))
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return what `from_dataset` needs, as a trace keeps it."""
+        import xarray as xr
+
+        stacked = {name: np.array([getattr(m, name) for m in self.maxima]) for name in _DIMENSIONS}
+        return xr.Dataset(
+            {name: (("maximum", *dims), stacked[name]) for name, dims in _DIMENSIONS.items()}
+            | {name: ("parameter", getattr(self, name)) for name in ("lower", "upper", "start")},
+            coords={
+                "maximum": np.arange(1, len(self) + 1),
+                "parameter": list(self.names),
+                "mode": list(self.labels),
+                "unit": ("parameter", list(self.units)),
+            },
+        )
+
+    @classmethod
+    def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
+        """Return what `to_dataset` was called on."""
+        columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS}
+        rows = [{name: column[i] for name, column in columns.items()} for i in range(dataset.sizes["maximum"])]
+        names, units, labels = (
+            tuple(map(str, dataset[name].to_numpy())) for name in ("parameter", "unit", "mode")
+        )
+        lower, upper, start = (dataset[name].to_numpy() for name in ("lower", "upper", "start"))
+        maxima = tuple(PosteriorMaximum(**row) for row in rows)
+        return cls(maxima, names, units, labels, lower, upper, start)
+
+
+_DIMENSIONS: dict[str, tuple[str, ...]] = {
+    "theta": ("parameter",),
+    "log_prob": (),
+    "frequencies": ("mode",),
+    "starts": (),
+    "at_bound": ("parameter",),
+    "gradient": ("parameter",),
+    "hessian": ("parameter", "parameter_"),
+    "curvature": (),
+    "mean": ("parameter",),
+    "sd": ("parameter",),
+    "log_mass": (),
+    "effective_draws": (),
+    "share": (),
+}

@@ -1,0 +1,114 @@
+"""The deterministic updating that engineers already do, from many starts: every maximum, with its curvature."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.curvature import hessian_at
+from fmu.analysis.mass import LocalQuadratic, Mass, masses
+from fmu.analysis.maxima import Maxima, PosteriorMaximum
+
+if TYPE_CHECKING:
+    from fmu.posterior.maxima import Maximum
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+STARTS = 256
+"""A climb takes about a millisecond, and of a maximum that was not found nothing can warn."""
+_WEIGHING = 1
+
+
+def find_map(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> Maxima:
+    """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
+
+    This is the updating that ends in one parameter vector, and the check that no sampler can do by itself: whether
+    there are other places where the posterior is, and how much of it.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    starts : int
+        Climbs, see `fmu.posterior.maxima.local_maxima`. Fewer are faster and may miss a maximum.
+    seed : int
+        Chooses the starts, and the draws that weigh the maxima.
+
+    Returns
+    -------
+    Maxima
+        The highest first. The Hessians are differences of the exact gradient where that is smooth
+        (`fmu.analysis.curvature`). The masses are integrals over the box by importance sampling around each
+        maximum (`fmu.analysis.mass.masses`), so that active bounds and what a Hessian leaves out count.
+
+    Raises
+    ------
+    ValueError
+        If `starts` is not positive, or `problem` is no updating problem.
+    """
+    if not (hasattr(problem, "parameters") and hasattr(problem, "likelihood")):
+        raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
+    from fmu.posterior.maxima import local_maxima
+
+    found = local_maxima(problem, starts, seed)
+    theta = np.array([maximum.theta for maximum in found])
+    gradient = np.asarray(problem.log_prob_and_grad(theta)[1]) * problem.scale
+    hessians, curvatures = zip(*(hessian_at(problem, x) for x in theta), strict=True)
+    lower, upper = ((bound - problem.offset) / problem.scale for bound in (problem.lower, problem.upper))
+    models = [
+        LocalQuadratic((m.theta - problem.offset) / problem.scale, m.log_prob, g, H)
+        for m, g, H in zip(found, gradient, hessians, strict=True)
+    ]
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
+    weighed = masses(lambda u: problem.log_prob(_theta(problem, u)), models, lower, upper, rng)
+    frequencies = problem.frequencies(theta)
+    total = float(np.logaddexp.reduce([mass.log_mass for mass in weighed]))
+    return Maxima(
+        maxima=tuple(
+            _in_si(problem, total, *parts)
+            for parts in zip(found, models, curvatures, weighed, frequencies, strict=True)
+        ),
+        names=problem.names,
+        units=problem.units,
+        labels=tuple(problem.data.labels),
+        lower=problem.lower,
+        upper=problem.upper,
+        start=problem.start,
+    )
+
+
+def _theta(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
+    return np.clip(problem.offset + problem.scale * u, problem.lower, problem.upper)
+
+
+def _in_si(
+    problem: UpdatingProblem,
+    total: float,
+    found: Maximum,
+    model: LocalQuadratic,
+    curvature: str,
+    mass: Mass,
+    frequencies: FloatArray,
+) -> PosteriorMaximum:
+    """Return one maximum, back from scaled coordinates."""
+    scale = problem.scale
+    at_bound = np.where(model.gradient > 0, found.theta >= problem.upper, 0) - np.where(
+        model.gradient < 0, found.theta <= problem.lower, 0
+    )
+    return PosteriorMaximum(
+        theta=found.theta,
+        log_prob=found.log_prob,
+        frequencies=frequencies,
+        starts=found.starts,
+        at_bound=at_bound.astype(np.int64),
+        gradient=model.gradient / scale,
+        hessian=model.hessian / np.outer(scale, scale),
+        curvature=curvature,
+        mean=problem.offset + scale * mass.mean,
+        sd=scale * np.sqrt(np.diag(mass.covariance)),
+        log_mass=mass.log_mass + float(np.sum(np.log(scale))),
+        effective_draws=mass.effective,
+        share=float(np.exp(mass.log_mass - total)),
+    )
