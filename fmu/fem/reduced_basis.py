@@ -150,9 +150,17 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
     """Return the POD of mode shapes, shape (size, r_max), strongest direction first.
 
     Orthonormal in the block's mass matrix at `centre` (n_parameters,).
+
+    Notes
+    -----
+    Each shape is weighted by 1/ω. What a truncated basis leaves out is made of high modes, of some frequency Ω, and
+    raises an eigenvalue by Ω²‖e‖²/ω² of itself: with the weight an error of the same size counts the same in
+    every relative frequency.
     """
     M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
-    X = np.concatenate(list(snapshots.shapes), axis=1)
+    lam = snapshots.eigenvalues
+    weight = 1.0 / np.sqrt(np.maximum(lam, 1e-6 * lam[:, -1:]))
+    X = np.concatenate(list(snapshots.shapes * weight[:, None, :]), axis=1)
     if X.shape[1] > block.size:  # the smaller of the two Gram matrices: with M = L Lᵀ, that of the rows of Lᵀ X
         L = np.linalg.cholesky(M.toarray())
         energy, U = np.linalg.eigh(L.T @ X @ X.T @ L)
