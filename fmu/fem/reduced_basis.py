@@ -137,7 +137,7 @@ class Snapshots:
         return Snapshots(self.theta, self.eigenvalues[:, :count], self.shapes[:, :, :count])
 
     def frequency_error(self, block: ReducedBlock) -> FloatArray:
-        """Return |f_reduced − f| / f, shape (n, m); for a rigid-body mode, 0 or infinity: is it rigid there too."""
+        """Return |f_reduced − f| / f, shape (n, m); for a rigid-body mode 0 or infinity: is it one there too."""
         exact, reduced = self.eigenvalues, block.eigenvalues(self.theta, self.eigenvalues.shape[1])
         top = exact[:, -1:]
         rigid = exact <= RIGID * top
@@ -153,8 +153,8 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
 
     Notes
     -----
-    Each shape is weighted by 1/ω. What a truncated basis leaves out is made of high modes, of some frequency Ω, and
-    raises an eigenvalue by Ω²‖e‖²/ω² of itself: with the weight an error of the same size counts the same in
+    Each shape is weighted by 1/ω. What a truncated basis leaves out is made of high modes, of some frequency Ω,
+    and raises an eigenvalue by Ω²‖e‖²/ω² of itself: with the weight an error of the same size counts the same in
     every relative frequency.
     """
     M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
