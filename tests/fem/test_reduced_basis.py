@@ -1,0 +1,251 @@
+"""The reduced block: above the exact eigenvalues, the same bits in any batch, failures kept apart."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modal import FullBlock, frequency_hz
+from fmu.fem.reduced_basis import ReducedBlock, Snapshots, proper_orthogonal_basis, smallest_basis
+from fmu.fem.separable import SeparableModel, Term
+
+COUNT = 4
+SIZES = (1, 2, 3, 16, 64, 513)
+PLANE = ("z", "ry")
+
+
+def beam(updates, supports=None):
+    """Return a cantilever of two groups with a tip mass, and its block of bending in x-z."""
+    nodes = np.linspace(0, 1.0, 25)[:, None] * [1.0, 0.0, 0.0]
+    elements = np.stack([np.arange(24), np.arange(1, 25)], axis=1)
+    section, steel = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6), Material(E=2.1e11, nu=0.3, rho=7850.0)
+    groups = [ElementGroup(str(g), part, section, steel) for g, part in enumerate(np.split(elements, 2))]
+    supports = {0: DIRECTIONS} if supports is None else supports
+    model = Frame(nodes, groups, supports, [PointMass(24, 2.0)]).separable(updates)
+    (bending,) = (b for b in model.blocks if {model.dofs[i][1] for i in b} == set(PLANE))
+    return model, bending
+
+
+def moduli():
+    """K linear, M constant."""
+    model, dofs = beam({"E0": [("E", "0")], "E1": [("E", "1")]})
+    return FullBlock(model, dofs), np.array([1.4e11, 1.4e11]), np.array([2.8e11, 2.8e11])
+
+
+def sections():
+    """K and M linear in two parameters each."""
+    model, dofs = beam({"I0": [("Iy", "0")], "A1": [("A", "1")]})
+    return FullBlock(model, dofs), np.array([2e-6, 1.5e-3]), np.array([8e-6, 6e-3])
+
+
+def thicknesses():
+    """A strip: K goes with the cube of the thickness, M with the thickness, each half with its own."""
+    model, dofs = beam({"E0": [("E", "0")], "E1": [("E", "1")], "rho0": [("rho", "0")], "rho1": [("rho", "1")]})
+    K = {t.powers: t.matrix for t in model.K_terms}
+    M = {t.powers: t.matrix for t in model.M_terms}
+    K_terms = [
+        Term(K[1.0, 0, 0, 0] * 2.1e11, (3.0, 0.0)),
+        Term(K[0, 1.0, 0, 0] * 2.1e11, (0.0, 3.0)),
+    ]
+    M_terms = [
+        Term(M[0, 0, 1.0, 0] * 7850.0, (1.0, 0.0)),
+        Term(M[0, 0, 0, 1.0] * 7850.0, (0.0, 1.0)),
+        Term(M[0, 0, 0, 0], (0.0, 0.0)),
+    ]
+    strip = SeparableModel(K_terms, M_terms, model.dofs)
+    return FullBlock(strip, dofs), np.array([0.6, 0.6]), np.array([1.5, 1.5])
+
+
+@pytest.fixture(scope="module", params=[moduli, sections, thicknesses])
+def trained(request):
+    """Return a full block, its POD to rounding, and the box."""
+    block, lower, upper = request.param()
+    unit = np.vstack([np.random.default_rng(0).uniform(size=(40, 2)), [[0, 0], [0, 1], [1, 0], [1, 1]]])
+    snapshots = Snapshots.solve(block, lower + (upper - lower) * unit, COUNT)
+    basis = proper_orthogonal_basis(block, snapshots, 0.5 * (lower + upper))
+    return block, ReducedBlock(block, basis, COUNT), lower, upper
+
+
+def sample(lower, upper, n, seed=7):
+    return lower + (upper - lower) * np.random.default_rng(seed).uniform(size=(n, len(lower)))
+
+
+def test_reduced_eigenvalues_fall_onto_the_exact_ones_as_the_basis_grows(trained):
+    block, reduced, lower, upper = trained
+    theta = sample(lower, upper, 25)
+    exact = block.eigenvalues(theta, COUNT)
+    errors = np.array(
+        [reduced.truncated(size).eigenvalues(theta, COUNT) / exact - 1.0 for size in (4, 6, 8, 10, 12, 16)]
+    )
+    # Rayleigh and Courant–Fischer, but for the full solver's rounding
+    assert np.all(errors > -1e-7)
+    assert np.all(np.diff(errors, axis=0) < 1e-7)
+    worst = errors.max(axis=(1, 2))
+    assert worst[0] > 1e-5  # otherwise the rest says nothing
+    assert worst[-1] < 1e-7
+
+
+def test_gradient_is_that_of_the_full_model(trained):
+    block, reduced, lower, upper = trained
+    theta = sample(lower, upper, 12)
+    exact = block.eigenvalue_gradient(theta, *block.modes(theta, COUNT))
+    gradient = reduced.eigenvalue_gradient(theta, *reduced.modes(theta, COUNT))
+    assert exact.shape == (12, COUNT, 2)
+    assert_allclose(gradient, exact, rtol=1e-5, atol=1e-5 * np.abs(exact * theta[:, None]).max() / theta.max())
+
+
+def test_gradient_is_that_of_the_reduced_eigenvalue_however_coarse_the_basis(trained):
+    """∂λ/∂θ of the small problem itself, exactly: a sampler must see the slope of what it is given."""
+    _, reduced, lower, upper = trained
+    coarse = reduced.truncated(6)
+    (theta,) = sample(lower, upper, 1)
+    (gradient,) = coarse.eigenvalue_gradient(theta[None], *coarse.modes(theta[None], COUNT))
+    for j in range(2):
+        step = 0.01 * theta[j] * np.eye(2)[j]
+        points = theta + np.array([1, 2, 3, -1, -2, -3])[:, None] * step
+        lam = coarse.eigenvalues(points, COUNT)
+        difference = np.array([45, -9, 1]) @ (lam[:3] - lam[3:]) / (60 * 0.01 * theta[j])
+        assert_allclose(gradient[:, j], difference, rtol=1e-7, atol=1e-8 * np.abs(gradient[:, j]).max())
+
+
+def test_shapes_are_orthonormal_in_the_mass_matrix(trained):
+    block, reduced, lower, upper = trained
+    theta = sample(lower, upper, 3)
+    lam, phi = reduced.modes(theta, COUNT)
+    assert_allclose(lam, reduced.eigenvalues(theta, COUNT), rtol=1e-9)
+    weights = block._M_map(theta)
+    for shape, weight in zip(phi, weights, strict=True):
+        M = sum(w * t.matrix for w, t in zip(weight, block.M_terms, strict=True))
+        physical = reduced.basis @ shape
+        assert_allclose(physical.T @ (M @ physical), np.eye(COUNT), atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1, 4, 7, 16])
+def test_a_batch_changes_no_bit(trained, size):
+    _, reduced, lower, upper = trained
+    block, count = reduced.truncated(size), min(size, COUNT)
+    theta = sample(lower, upper, max(SIZES))
+    alone = [block.eigenvalues(row[None], count)[0] for row in theta]
+    modes = [block.modes(row[None], count) for row in theta]
+    slopes = [block.eigenvalue_gradient(row[None], *mode)[0] for row, mode in zip(theta, modes, strict=True)]
+    for n in SIZES:
+        for first in sorted({0, (max(SIZES) - n) // 2, max(SIZES) - n}):
+            rows = slice(first, first + n)
+            batch = theta[rows]
+            assert_array_equal(block.eigenvalues(batch, count), alone[rows])
+            lam, phi = block.modes(batch, count)
+            assert_array_equal(lam, [mode[0][0] for mode in modes[rows]])
+            assert_array_equal(phi, [mode[1][0] for mode in modes[rows]])
+            assert_array_equal(block.eigenvalue_gradient(batch, lam, phi), slopes[rows])
+
+
+def test_a_matrix_that_fails_takes_only_its_own_row(trained):
+    _, reduced, lower, upper = trained
+    theta = sample(lower, upper, 6)
+    expected, modes = reduced.eigenvalues(theta, COUNT), reduced.modes(theta, COUNT)
+    spoilt = theta.copy()
+    spoilt[2] = np.nan if reduced.constant_mass else -theta[2]  # no stiffness, or no positive mass
+    good = np.arange(6) != 2
+    with np.errstate(invalid="ignore"):
+        values, (lam, phi) = reduced.eigenvalues(spoilt, COUNT), reduced.modes(spoilt, COUNT)
+        only = reduced.eigenvalues(spoilt[2:3], COUNT)
+    assert_array_equal(values[good], expected[good])
+    assert_array_equal(lam[good], modes[0][good])
+    assert_array_equal(phi[good], modes[1][good])
+    for failed in (values[2], lam[2], phi[2], only[0]):
+        assert np.all(np.isnan(failed))
+
+
+@pytest.mark.parametrize("n_dofs", [3, 30])
+def test_shapes_compare_at_the_sensors_as_they_do_in_full(trained, n_dofs):
+    """Products and norms are all that MAC needs; more sensors than basis vectors are compressed without a loss."""
+    _, reduced, lower, upper = trained
+    block = reduced.truncated(9)
+    rng = np.random.default_rng(3)
+    dofs = np.sort(rng.permutation(len(block.dofs))[:n_dofs])
+    reference = rng.standard_normal((n_dofs, 2))
+    _, phi = block.modes(sample(lower, upper, 4), COUNT)
+    observe, there = block.observe(dofs, reference)
+    seen, expected = observe(phi), (block.basis @ phi)[:, dofs]
+    assert seen.shape[1] == min(n_dofs, 9)
+    assert_allclose(np.sum(seen**2, axis=1), np.sum(expected**2, axis=1), rtol=1e-10)
+    product = np.swapaxes(expected, 1, 2) @ reference
+    assert_allclose(np.swapaxes(seen, 1, 2) @ there, product, rtol=1e-9, atol=1e-10 * np.abs(product).max())
+
+
+@pytest.mark.parametrize("points", [4, 60], ids=["fewer snapshots than unknowns", "more"])
+def test_proper_orthogonal_basis(points):
+    block, lower, upper = sections()
+    centre = 0.5 * (lower + upper)
+    snapshots = Snapshots.solve(block, sample(lower, upper, points), COUNT)
+    basis = proper_orthogonal_basis(block, snapshots, centre)
+    M = sum(w * t.matrix.toarray() for w, t in zip(block._M_map(centre[None])[0], block.M_terms, strict=True))
+    assert_allclose(basis.T @ M @ basis, np.eye(basis.shape[1]), atol=1e-9)
+    # no direction beyond rounding, and none of the snapshots left out
+    assert basis.shape[1] <= min(points * COUNT, 40)
+    X = np.concatenate(list(snapshots.shapes), axis=1)
+    assert_allclose(basis @ (basis.T @ (M @ X)), X, atol=1e-4 * np.abs(X).max())
+    left = [np.linalg.norm(X - basis[:, :r] @ (basis[:, :r].T @ (M @ X))) for r in (2, 4, 6, 8)]
+    assert np.all(np.diff(left) < 0)
+    # a direction counts by what it does to a relative frequency: the lowest mode is not left to the last
+    errors = snapshots.frequency_error(ReducedBlock(block, basis, COUNT).truncated(8)).max(axis=0)
+    assert errors[0] < 10 * errors[-1]
+
+
+def test_smallest_basis_is_found_by_bisection(trained):
+    _, reduced, _, _ = trained
+    for wanted in (COUNT, 9, reduced.size):
+        tried = []
+
+        def acceptable(candidate, wanted=wanted, tried=tried):
+            tried.append(candidate.size)
+            assert_array_equal(candidate.basis, reduced.basis[:, : candidate.size])
+            return candidate.size >= wanted
+
+        assert smallest_basis(reduced, acceptable, 1).size == wanted
+        assert len(tried) <= 6
+    assert smallest_basis(reduced, lambda candidate: False, 1).size == reduced.size
+    assert smallest_basis(reduced, lambda candidate: True, 1).size == COUNT  # the trusted modes need as many
+    assert smallest_basis(reduced, lambda candidate: True, 8).size == 8
+
+
+def test_snapshots_are_collected_and_cut(trained):
+    block, reduced, lower, upper = trained
+    first, second = (Snapshots.solve(block, sample(lower, upper, n, seed=n), COUNT) for n in (2, 3))
+    both = first + second
+    assert both.theta.shape == (5, 2)
+    assert both.shapes.shape == (5, block.size, COUNT)
+    assert_array_equal(both.eigenvalues[2:], second.eigenvalues)
+    few = both.lowest(2)
+    assert_array_equal(few.eigenvalues, both.eigenvalues[:, :2])
+    assert_array_equal(few.shapes, both.shapes[:, :, :2])
+    coarse = reduced.truncated(5)
+    expected = np.abs(frequency_hz(coarse.eigenvalues(both.theta, 2)) / frequency_hz(few.eigenvalues) - 1.0)
+    assert_allclose(few.frequency_error(coarse), expected, rtol=1e-6)
+    assert Snapshots.solve(block, first.theta, 10_000).eigenvalues.shape == (2, block.size)
+
+
+def test_rigid_body_modes_are_right_when_they_are_rigid():
+    model, dofs = beam({"E0": [("E", "0")], "E1": [("E", "1")]}, supports={})
+    block, theta = FullBlock(model, dofs), sample(np.full(2, 1.4e11), np.full(2, 2.8e11), 5)
+    snapshots = Snapshots.solve(block, theta, COUNT)
+    basis = proper_orthogonal_basis(block, snapshots, theta[0])
+    good = snapshots.frequency_error(ReducedBlock(block, basis, COUNT))
+    assert_array_equal(good[:, :2], 0.0)
+    assert np.all(good[:, 2:] < 1e-6)
+    elastic = proper_orthogonal_basis(
+        block, Snapshots(theta, snapshots.eigenvalues[:, 2:], snapshots.shapes[:, :, 2:]), theta[0]
+    )
+    bad = snapshots.frequency_error(ReducedBlock(block, elastic, COUNT))
+    assert_array_equal(bad[:, :2], np.inf)
+
+
+def test_a_structure_of_one_degree_of_freedom():
+    model = SeparableModel([Term(sp.csr_array([[2.0]]), (1.0,))], [Term(sp.csr_array([[0.5]]), (1.0,))])
+    block = FullBlock(model, np.array([0]))
+    reduced = ReducedBlock(block, np.array([[np.sqrt(2.0)]]), 1)
+    theta = np.linspace(0.5, 2.0, 9)[:, None]
+    assert_allclose(reduced.eigenvalues(theta, 1), np.full((9, 1), 4.0), rtol=1e-14)
+    lam, phi = reduced.modes(theta, 1)
+    assert_allclose(reduced.eigenvalue_gradient(theta, lam, phi), np.zeros((9, 1, 1)), atol=1e-13)
