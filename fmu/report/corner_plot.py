@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
-_ROOM = 0.06
+_ROOM, _CLEAR = 0.06, 0.09
 _VERMILLION = "#D55E00"
 
 
@@ -134,12 +134,15 @@ def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
 
 
 def _arrange_ticks(panel: Any) -> None:
-    """Keep ticks away from the corners, where those of two panels would meet."""
-    from matplotlib.ticker import MaxNLocator
+    """Keep ticks away from the corners, where the labels of two panels would meet."""
+    from matplotlib.ticker import FixedLocator, MaxNLocator
 
     for axis in (panel.xaxis, panel.yaxis):
         if len(axis.get_ticklocs()):
-            axis.set_major_locator(MaxNLocator(4, prune="both"))
+            low, high = axis.get_view_interval()
+            ticks = MaxNLocator(4).tick_values(low, high)
+            margin = _CLEAR * (high - low)
+            axis.set_major_locator(FixedLocator(ticks[(ticks >= low + margin) & (ticks <= high - margin)]))
     panel.tick_params(labelsize=FONT - 2, labelrotation=0)
 
 

@@ -1,4 +1,5 @@
-"""One experiment of the paper, run for a few seconds: too short to mean anything, long enough to write down."""
+"""One experiment of the paper, run for a few seconds: too short to mean anything, long enough to write "
+"down."""
 
 import pytest
 
@@ -21,7 +22,7 @@ def plan():
             "emcee": Length(20, 5, 2),
         },
         reference=Length(30, 20, 2),
-        starts={"index": 2, "shape": 2},
+        starts=4,
         box_points=2**8,
     )
 

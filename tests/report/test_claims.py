@@ -48,6 +48,13 @@ def test_nothing_is_said_of_two_runs_that_did_not_converge(make):
     assert outcomes(make(open_=tuple(RATES))) == ["cannot be judged"] * 3
 
 
+def test_close_efficiencies_are_not_told_apart(make):
+    close = make(rates={**RATES, "slice": 0.019, "emcee": 0.045})
+    assert outcomes(close) == ["agrees", "agrees", "too close to call"]
+    assert "Best: Hamiltonian Monte Carlo, emcee ensemble (too close to call)" in statement(close)
+    assert "too close" not in statement(make())
+
+
 def test_statement_names_the_best_and_the_price_of_central_differences(make):
     words = statement(make())
     assert "Best: Hamiltonian Monte Carlo" in words

@@ -1,5 +1,7 @@
 """The tables of an experiment hold what its traces and the paper hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as sl
@@ -13,7 +15,8 @@ MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])
 
 
 def weak_plane(theta):
-    """First five weak-plane frequencies from dense matrices, all planes solved together and picked by motion."""
+    """First five weak-plane frequencies from dense matrices, all planes solved together and picked by "
+    "motion."""
     updates = {"I1": [("Iy", "1")], "I2": [("Iy", "2")], "A1": [("A", "1")], "A2": [("A", "2")]}
     model = cantilever.beam(2).separable(updates)
     here = [i for i, (_, direction) in enumerate(model.dofs) if direction in ("z", "ry")]
@@ -126,6 +129,19 @@ def test_the_page_shows_the_numbers_in_the_papers_units(result, findings):
     assert f"| Ax2 | 1e-4 m² | 8.46 | {mean[3] / 1e-4:.3f} |" in page
     assert "Ix1 = 5e-9 (must be 7e-9)" in page
     assert "| 1 | 31.9 | 31.3 | 1.97 |" in page
+
+
+def test_efficiency_without_the_warmup(result, findings):
+    row = findings.comparison.loc["hmc"]
+    assert row["sampling_solves"] == int(result.long["hmc"]["sample_stats"]["n_solves"].sum())
+    assert row["ess_per_sampling_solve"] == pytest.approx(row["ess_bulk_min"] / row["sampling_solves"])
+    assert row["sampling_solves"] < row["n_solves"]
+
+
+def test_what_was_learnt_is_shown_in_brief(findings):
+    learnt = {**findings.learnt, "hmc, long": '{"step_size": 0.61234, "inverse_mass": [[1, 2], [3, 4]]}'}
+    page = experiment_page(replace(findings, learnt=learnt))
+    assert "| step_size 0.612; inverse_mass: 2 × 2 numbers |" in page
 
 
 def test_progress_is_one_phase_that_ends(result, messages):

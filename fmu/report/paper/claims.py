@@ -28,6 +28,8 @@ CLAIMS = {
 """Sections 5.1, 5.2 and 6: which sampler is said to beat which."""
 
 
+CLOSE = 1.25
+"""Efficiencies whose ratio is smaller are not told apart: an estimated ESS scatters by a tenth or so."""
 SEPARATED = (
     "The posterior has separated modes and each run reports the ones it fell into: results that differ "
     "between "
@@ -37,7 +39,10 @@ SEPARATED = (
 
 @dataclass(frozen=True)
 class Judgement:
-    """A statement of the paper, and its outcome: ``"agrees"``, ``"disagrees"``, ``"cannot be judged"``."""
+    """A statement of the paper and what became of it.
+
+    `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
+    """
 
     statement: str
     outcome: str
@@ -65,6 +70,8 @@ def _decide(findings: Findings, better: str, worse: str) -> tuple[str, str]:
         words = f"{TITLES[winner]} converged, {TITLES[loser]} did not in {spent} solves"
         return ("agrees" if winner == better else "disagrees"), words
     words = f"{rate[better]:.2g} against {rate[worse]:.2g} effective draws per solve"
+    if max(rate.values()) < CLOSE * min(rate.values()):
+        return "too close to call", words
     return ("agrees" if rate[better] > rate[worse] else "disagrees"), words
 
 
@@ -77,7 +84,13 @@ def statement(findings: Findings) -> str:
         words = heading + "No sampler converged; nothing here says which one is better. "
         return words + (SEPARATED if len(findings.separate_maxima) > 1 else "")
     rates = ", ".join(f"{TITLES[s]} {findings.value(s, 'ess_per_solve'):.2g}" for s in ranked)
-    words = heading + f"Best: {TITLES[ranked[0]]}. Converged, with their effective draws per solve: {rates}. "
+    first = [
+        s
+        for s in ranked
+        if findings.value(s, "ess_per_solve") * CLOSE > findings.value(ranked[0], "ess_per_solve")
+    ]
+    words = heading + f"Best: {', '.join(TITLES[s] for s in first)}{' (too close to call)' if first[1:] else ''}. "
+    words += f"Converged, with their effective draws per solve: {rates}. "
     if len(ranked) < len(samplers):
         words += f"Not converged: {', '.join(TITLES[s] for s in samplers if s not in ranked)}. "
     if "hmc" in ranked:
@@ -85,7 +98,8 @@ def statement(findings: Findings) -> str:
     in_sd, in_mcse, names = findings.agreement
     if len(names) > 1:
         words += (
-            f"The converged samplers give one answer: their means differ by at most {in_sd:.2f} posterior sd, "
+            f"The converged samplers give one answer: their means differ by at most {in_sd:.2f} posterior "
+            f"sd, "
             f"{in_mcse:.1f} standard errors of the difference. "
         )
     return words

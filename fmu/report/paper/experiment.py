@@ -15,6 +15,7 @@ from fmu.report.paper.convergence import Curve, Needed, running_error, solves_ne
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Length, Plan, long_settings, paper_settings
 from fmu.report.paper.reference import Reference, around, missed, pooled
 from fmu.report.paper.spectrum import paired_names, shares
+from fmu.report.plots import TITLES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,7 +113,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
 
     published = EXPERIMENTS[case]
     problem = cases.load(case, pairing)
-    maxima = local_maxima(problem, plan.starts[pairing], plan.seed)
+    maxima = local_maxima(problem, plan.starts, plan.seed)
     counter = _Counter(directory_of(case, pairing), plan.steps, progress)
 
     def run(words: str, settings: Sampler, length: Length, init: Any) -> xr.DataTree:
@@ -185,7 +186,7 @@ def _reference(long: Mapping[str, xr.DataTree], comparison: pd.DataFrame) -> Ref
     from fmu.analysis.comparison import CONVERGED
 
     good = {s: long[s] for s in TRUSTED if comparison.loc[s, "verdict"] == CONVERGED}
-    return pooled(good, f"long runs of {' and '.join(good)}, pooled", True) if good else None
+    return pooled(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled", True) if good else None
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:

@@ -42,6 +42,8 @@ class Findings:
     reference_converged : bool
     settings : mapping of str to str
         Of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
+    learnt : mapping of str to str
+        What each warm-up put in place of settings that were not given, as JSON, by the same keys.
     lengths : mapping of str to tuple of int
         Chains, warm-up and draws of every run, by the same keys.
     certificates : mapping of str to mapping of str to float
@@ -60,6 +62,7 @@ class Findings:
     origin: str
     reference_converged: bool
     settings: Mapping[str, str]
+    learnt: Mapping[str, str]
     lengths: Mapping[str, tuple[int, int, int]]
     certificates: Mapping[str, Mapping[str, float]]
 
@@ -86,6 +89,7 @@ class Findings:
             origin=result.reference.origin,
             reference_converged=result.reference.converged,
             settings={key: str(trace.attrs["settings"]) for key, trace in traces.items()},
+            learnt={key: str(trace.attrs.get("learnt", "{}")) for key, trace in traces.items()},
             lengths={
                 key: (int(trace.attrs["chains"]), int(trace.attrs["warmup"]), int(trace.attrs["draws"]))
                 for key, trace in traces.items()

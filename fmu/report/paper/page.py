@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from fmu.report.markdown import MISSING, interval, number, table, whole
@@ -14,6 +15,12 @@ from fmu.report.plots import TITLES
 
 ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
 _PRINTED = {"mh": "M-H", "slice": "slice sampling", "hmc": "HMC"}
+
+_REACHED = ("sampler", "converged", "R-hat", "bulk ESS", "tail ESS", "mcse/sd", "moved", "divergences")
+_COST = (
+    "sampler", "model solves", "of them gradients", "to converge", "ESS per solve", "without warm-up",
+    "time, s", "ESS per s", "the paper's protocol: solves", "its mean, sd off", "published, sd off",
+)  # fmt: skip
 
 
 def experiment_page(findings: Findings) -> str:
@@ -133,42 +140,39 @@ def _long(findings: Findings, sampler: str) -> str:
 
 
 def _comparison(findings: Findings) -> str:
-    """Return the table of the long runs, and what the paper's protocol cost and gave."""
-    header = (
-        "sampler", "converged", "R-hat", "bulk ESS", "tail ESS", "mcse/sd", "moved", "model solves", "of "
-        "them gradients",
-        "ESS per solve", "s", "ESS per s", "solves needed", "paper's protocol: solves", "its worst mean, sd "
-        "off",
-        "published vector, sd off",
-    )  # fmt: skip
-    rows = [
+    """Return what the long runs reached, what they cost, and what the paper's protocol cost and gave."""
+    rows = list(_rows(findings.comparison))
+    reached = [
         (
             TITLES[name], "yes" if findings.is_converged(name) else "**no**", number(row.rhat_max, ".4f"),
             number(row.ess_bulk_min, ".0f"), number(row.ess_tail_min, ".0f"), number(row.mcse_over_sd_max, ".3f"),
-            number(row.accept_rate, ".2f"), whole(row.n_solves), whole(row.n_gradients),
-            number(row.ess_per_solve, ".2g"), number(row.wall_s, ".1f"), number(row.ess_per_s, ".3g"),
-            whole(row.needed_solves), whole(row.paper_solves), number(row.paper_error, ".1f"),
+            number(row.accept_rate, ".2f"), whole(row.divergences),
+        )
+        for name, row in rows
+    ]  # fmt: skip
+    cost = [
+        (
+            TITLES[name], whole(row.n_solves), whole(row.n_gradients), whole(row.needed_solves),
+            number(row.ess_per_solve, ".2g"), number(row.ess_per_sampling_solve, ".2g"), number(row.wall_s, ".1f"),
+            number(row.ess_per_s, ".3g"), whole(row.paper_solves), number(row.paper_error, ".1f"),
             number(row.published_error, ".1f"),
         )
-        for name, row in _rows(findings.comparison)
+        for name, row in rows
     ]  # fmt: skip
-    reasons = [
-        f"- {TITLES[name]}: {row.verdict}."
-        for name, row in _rows(findings.comparison)
-        if not findings.is_converged(name)
-    ]
+    failed = [f"- {TITLES[name]}: {row.verdict}.\n" for name, row in rows if not findings.is_converged(name)]
+    origin = findings.origin + ("" if findings.reference_converged else " (no converged run at hand)")
     return (
-        table(header, rows)
-        + "\nThe worst parameter counts. Model solves count all chains and the warm-up; an exact gradient is "
-        "one solve. "
-        "*Solves needed*: after how many the long run passed for converged, and did at every greater length "
-        "looked at; "
-        f"{MISSING} if it never did. *sd off*: distance of a mean from the reference in posterior standard "
-        f"deviations, for the parameter where it is largest. Reference: {findings.origin}"
-        + ("" if findings.reference_converged else " (no converged run at hand)")
-        + ".\n\n"
-        + "\n".join(reasons)
-        + ("\n" if reasons else "")
+        "The long runs; of every statistic the worst parameter's.\n\n"
+        + table(_REACHED, reached)
+        + ("\n" if failed else "")
+        + "".join(failed)
+        + "\nWhat they cost, all chains and the warm-up counted, and the paper's protocol beside them. An "
+        "exact gradient "
+        "is one solve. *To converge*: after how many solves the long run passed for converged, and did at "
+        "every "
+        f"greater length looked at; {MISSING} if it never did. *Off*: distance of the worst parameter's mean "
+        f"from the "
+        f"reference, in posterior standard deviations. Reference: {origin}.\n\n" + table(_COST, cost)
     )
 
 
@@ -215,16 +219,28 @@ def _settings(findings: Findings) -> str:
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]
         errors = [findings.certificates[key].get(name) for name in ("frequency_error", "log_prob_error")]
-        rows.append(
-            (key, f"{chains} × ({warmup} + {draws})", *(number(e, ".1e") for e in errors), f"`{settings}`")
-        )
+        learnt = "; ".join(_brief("", json.loads(findings.learnt[key])))
+        steps = f"{chains} × ({warmup} + {draws})"
+        rows.append((key, steps, *(number(e, ".1e") for e in errors), learnt or MISSING, f"`{settings}`"))
     return (
-        "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units (the bounds at 0 and 1); "
+        "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units (the bounds at 0 and "
+        "1); "
         "those that are null were learnt in warm-up. Frequency and log-probability: the largest error of the "
-        "reduced model, relative and absolute, against the full one at draws of the run; far below the maximum, "
+        "reduced model, relative and absolute, against the full one at draws of the run; far below the "
+        "maximum, "
         "where the paper's protocol starts, only the frequency matters.\n\n"
-        + table(("run", "steps", "frequency", "log-probability", "settings"), rows, left=2)
+        + table(("run", "steps", "frequency", "log-probability", "learnt", "settings"), rows, left=2)
     )
+
+
+def _brief(name: str, value: Any) -> list[str]:
+    """Return settings as words: numbers as they are, of arrays the shape."""
+    if isinstance(value, dict):
+        return [words for key, item in value.items() for words in _brief(key, item)]
+    if isinstance(value, list):
+        shape = f"{len(value)} × {len(value[0])}" if value and isinstance(value[0], list) else str(len(value))
+        return [f"{name}: {shape} numbers"]
+    return [f"{name} {number(value, '.3g')}"] if isinstance(value, int | float) else []
 
 
 def _rows(frame: Any) -> list[tuple[Any, Any]]:

@@ -41,9 +41,8 @@ class Plan:
         The long runs, one a sampler, from draws of the prior.
     reference : Length
         HMC from the highest maximum, made where no long run can serve as the reference.
-    starts : mapping of str to int
-        From how many points maxima are searched, by pairing. By number, the kinks where modes cross keep an
-        ascent from going far.
+    starts : int
+        From how many points maxima are searched.
     box_points : int
         Points of the parameter box at which the spectrum is looked at.
     seed : int
@@ -58,11 +57,11 @@ class Plan:
             "mh": Length(20_000, 2_000, 4),
             "slice": Length(4_000, 500, 4),
             "hmc": Length(2_000, 1_000, 4),
-            "emcee": Length(3_500, 500, 4),
+            "emcee": Length(4_000, 500, 4),
         }
     )
     reference: Length = Length(2_000, 1_000, 4)
-    starts: Mapping[str, int] = field(default_factory=lambda: {"index": 128, "shape": 16})
+    starts: int = 256
     box_points: int = 2**14
     seed: int = 1
 

@@ -92,6 +92,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
 def comparison_table(result: Result) -> pd.DataFrame:
     """Return `fmu.compare` of the long runs with what the paper's protocol cost beside it, one row a sampler.
 
+    ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
     ``needed_solves``: model solves, warm-up counted, after which the long run passed for converged at every length
     looked at, missing if it never did; ``paper_solves``: what the paper's protocol took; ``paper_error``: how far
     its means lie from the reference (the largest over the parameters, in posterior sd); ``published_error``:
@@ -101,6 +102,8 @@ def comparison_table(result: Result) -> pd.DataFrame:
     off = {s: _distance(result, posterior_mean(trace)) for s, trace in result.paper.items()}
     published = {s: _distance(result, result.published.columns[s].theta) for s in PAPER_SAMPLERS}
     cost = {s: int(trace.attrs["n_solves"]) for s, trace in result.paper.items()}
+    table["sampling_solves"] = [int(trace.attrs["n_solves"]) for trace in result.long.values()]
+    table["ess_per_sampling_solve"] = table["ess_bulk_min"] / table["sampling_solves"]
     table["needed_solves"] = [result.needed[s].solves for s in table.index]
     table["needed_draws"] = [result.needed[s].draws for s in table.index]
     table["paper_solves"] = [cost.get(s) for s in table.index]

@@ -1,4 +1,4 @@
-"""Experiments side by side in processes of their own. What they compute does not depend on how many there are."""
+"""Experiments side by side in processes of their own; what they compute does not depend on how many."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import queue
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
+from contextlib import suppress
 from typing import Any
 
 from fmu.report.paper.experiment import Progress
 
 _TICK_S = 0.1
 _messages: Any = None
+_stop: Any = None
 
 
 def default_workers() -> int:
@@ -45,36 +47,46 @@ def in_processes[T](
         return [work(*task, progress) for task in tasks]
     context = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
     messages = context.Queue()
-    with ProcessPoolExecutor(workers, context, _start, (messages,)) as pool:
-        futures = [pool.submit(_run, work, task, progress is not None) for task in tasks]
+    stop = context.Event()
+    with ProcessPoolExecutor(workers, context, _start, (messages, stop)) as pool:
         try:
+            futures = [pool.submit(_run, work, task) for task in tasks]
             _listen(futures, messages, progress)
+            for future in futures:
+                if future.done() and future.exception() is not None:
+                    future.result()
             return [future.result() for future in futures]
-        finally:
+        except BaseException:
+            stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def _listen(futures: Sequence[Future[Any]], messages: Any, progress: Progress | None) -> None:
     """Pass messages on until all is done or something has failed."""
     while True:
         done, pending = wait(futures, timeout=_TICK_S)
-        while progress is not None:
-            try:
-                progress(*messages.get_nowait())
-            except queue.Empty:
-                break
+        with suppress(queue.Empty):
+            while True:
+                message = messages.get_nowait()
+                if progress is not None:
+                    progress(*message)
         if not pending or any(future.exception() is not None for future in done):
             return
 
 
-def _start(messages: Any) -> None:
-    """Remember where to report to; runs once in every process."""
-    global _messages
-    _messages = messages
+class _Abandoned(Exception):  # noqa: N818 - not an error
+    """Another task has failed, or the user wants no more."""
 
 
-def _run[T](work: Callable[..., T], task: tuple[Any, ...], reports: bool) -> T:
-    """Do one task; reports at most ten times a second."""
+def _start(messages: Any, stop: Any) -> None:
+    """Remember where to report to and who says stop; runs once in every process."""
+    global _messages, _stop
+    _messages, _stop = messages, stop
+
+
+def _run[T](work: Callable[..., T], task: tuple[Any, ...]) -> T:
+    """Do one task; at most ten times a second it reports, and asks whether to go on."""
     last = 0.0
 
     def report(phase: str, done: int, total: int, info: dict[str, str]) -> None:
@@ -82,6 +94,8 @@ def _run[T](work: Callable[..., T], task: tuple[Any, ...], reports: bool) -> T:
         now = time.monotonic()
         if done == total or now >= last + _TICK_S:
             last = now
+            if _stop.is_set():
+                raise _Abandoned
             _messages.put((phase, done, total, dict(info)))
 
-    return work(*task, report if reports else None)
+    return work(*task, report)
