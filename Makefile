@@ -29,7 +29,9 @@ lint: $(READY)  ## Check style and types
 	.venv/bin/mypy
 
 bench: $(READY)  ## Measure the speed budget, into results/benchmarks.md
-	.venv/bin/python -m tests.benchmarks --out results/benchmarks.md
+	mkdir -p .benchmarks
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest tests/benchmarks --benchmark-only --benchmark-json=.benchmarks/run.json
+	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md
 
 clean-environment:  ## Remove .venv, to be made anew by the next command
 	rm -rf .venv

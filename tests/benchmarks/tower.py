@@ -53,7 +53,12 @@ def tower_problem() -> fmu.UpdatingProblem:
     model = tower().separable({f"E_{name}": [("E", name)] for name in names})
     parameters = [
         fmu.Parameter(
-            f"E_{name}", start=3.3e10, lower=2.3e10, upper=4.3e10, prior=Normal(sd=0.5e10, mean=3.3e10), unit="N/m²"
+            f"E_{name}",
+            start=3.3e10,
+            lower=2.3e10,
+            upper=4.3e10,
+            prior=Normal(sd=0.5e10, mean=3.3e10),
+            unit="N/m²",
         )
         for name in names
     ]

@@ -1,0 +1,141 @@
+"""The no-U-turn sampler of NumPyro, BlackJAX and nutpie: in logit coordinates, as their libraries treat bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import blackjax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import nutpie
+from nutpie.compiled_pyfunc import from_pyfunc
+from numpyro.infer import MCMC, NUTS
+
+from tests.benchmarks.peers.jax_model import JaxPosterior
+from tests.benchmarks.peers.outcome import Cost, Counted, Length, Outcome, Stopwatch
+from tests.benchmarks.peers.target import Target
+
+CHAINS = 4
+
+
+def numpyro_nuts(
+    posterior: JaxPosterior, length: Length, chain_method: str, dense: bool = False, chains: int = CHAINS
+) -> Callable[[int], Outcome]:
+    """Return what runs NumPyro's NUTS for a seed; compiled beforehand, so that no run pays for it."""
+
+    def model() -> None:
+        u = numpyro.sample("u", dist.TruncatedNormal(posterior.loc, posterior.sd, low=0.0, high=1.0).to_event(1))
+        predicted = dist.Normal(posterior.frequencies(u), posterior.noise)
+        numpyro.sample("f", predicted.to_event(1), obs=posterior.measured)
+
+    mcmc = MCMC(
+        NUTS(model, dense_mass=dense),
+        num_warmup=length.warmup,
+        num_samples=length.draws,
+        num_chains=chains,
+        chain_method=chain_method,
+        progress_bar=False,
+    )
+
+    def once(seed: int) -> Outcome:
+        start = jnp.asarray(posterior.target.to_logit(posterior.target.starts(seed, chains)))
+        keys = jax.random.split(jax.random.PRNGKey(seed))
+        stopwatch = Stopwatch()
+        mcmc.warmup(
+            keys[0],
+            init_params={"u": start if chains > 1 else start[0]},
+            extra_fields=("num_steps",),
+            collect_warmup=True,
+        )
+        n_warmup = int(mcmc.get_extra_fields()["num_steps"].sum())
+        warmed = stopwatch.read(n_warmup)
+        mcmc.run(keys[1], extra_fields=("num_steps", "diverging"))
+        u = np.asarray(mcmc.get_samples(group_by_chain=True)["u"])
+        extra = mcmc.get_extra_fields()
+        drawn = stopwatch.read(int(extra["num_steps"].sum()))
+        return Outcome(posterior.theta(u), warmed, drawn, divergences=int(extra["diverging"].sum()))
+
+    once(0)
+    return once
+
+
+def blackjax_nuts(posterior: JaxPosterior, length: Length) -> Callable[[int], Outcome]:
+    """Return what runs BlackJAX's NUTS after its window adaptation for a seed, compiled beforehand."""
+    log_prob = posterior.logit_log_prob
+    adaptation = blackjax.window_adaptation(blackjax.nuts, log_prob)
+    step = blackjax.nuts.build_kernel()
+
+    def adapt(key: Any, start: Any) -> Any:
+        (state, parameters), info = adaptation.run(key, start, length.warmup)
+        return state, parameters, info.info.num_integration_steps.sum()
+
+    def draw(key: Any, state: Any, parameters: Any) -> Any:
+        def one(state: Any, key: Any) -> Any:
+            state, info = step(key, state, log_prob, **parameters)
+            return state, (state.position, info.num_integration_steps, info.is_divergent)
+
+        return jax.lax.scan(one, state, jax.random.split(key, length.draws))[1]
+
+    adapt_all, draw_all = jax.jit(jax.vmap(adapt)), jax.jit(jax.vmap(draw))
+
+    def once(seed: int) -> Outcome:
+        start = jnp.asarray(posterior.target.to_logit(posterior.target.starts(seed, CHAINS)))
+        keys = jax.random.split(jax.random.PRNGKey(seed), (2, CHAINS))
+        stopwatch = Stopwatch()
+        state, parameters, steps = adapt_all(keys[0], start)
+        warmed = stopwatch.read(int(steps.sum()))
+        z, steps, divergent = draw_all(keys[1], state, parameters)
+        u = np.asarray(jax.nn.sigmoid(z))
+        drawn = stopwatch.read(int(steps.sum()))
+        return Outcome(posterior.theta(u), warmed, drawn, divergences=int(divergent.sum()))
+
+    once(0)
+    return once
+
+
+def nutpie_nuts(target: Target, length: Length) -> Callable[[int], Outcome]:
+    """Return what runs nutpie's NUTS for a seed, on fmu's own log-probability and exact gradient.
+
+    nutpie runs one chain after the other, each with its warm-up. The time is divided between warm-up and draws by
+    the number of gradients, which is where it goes.
+    """
+    ndim = target.problem.ndim
+
+    def once(seed: int) -> Outcome:
+        density = Counted(target.logit_log_prob_and_grad)
+        starts = iter(target.to_logit(target.starts(seed, CHAINS)))
+        model = from_pyfunc(
+            ndim,
+            lambda: lambda z, **_: density(z),
+            lambda *_: lambda z, **_: {"theta": target.from_logit(np.asarray(z))},
+            [np.dtype("float64")],
+            [(ndim,)],
+            ["theta"],
+            make_initial_point_fn=lambda _: next(starts),
+        )
+        stopwatch = Stopwatch()
+        trace = nutpie.sample(
+            model,
+            draws=length.draws,
+            tune=length.warmup,
+            chains=CHAINS,
+            cores=1,
+            seed=seed,
+            progress_bar=False,
+        )
+        total = stopwatch.read(density.calls)
+        stats = trace["sample_stats"]
+        kept = int(stats["n_steps"].sum())
+        share = kept / density.calls
+        return Outcome(
+            trace["posterior"]["theta"].to_numpy(),
+            warmup=Cost(total.cpu_s * (1 - share), total.wall_s * (1 - share), density.calls - kept),
+            draws=Cost(total.cpu_s * share, total.wall_s * share, kept),
+            divergences=int(stats["diverging"].sum()),
+        )
+
+    return once

@@ -1,0 +1,169 @@
+"""The posteriors, in the coordinates and with the log-probabilities that the peers need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.special import expit, log_expit
+
+import fmu
+from fmu.fem.pairing import RankPairing
+from fmu.fem.structure import PairedStructure
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """One case with one pairing.
+
+    Attributes
+    ----------
+    case, pairing : str
+    problem : UpdatingProblem
+    """
+
+    case: str
+    pairing: str
+    problem: Any
+
+    @classmethod
+    def load(cls, case: str, pairing: str) -> Target:
+        """Return the case with its reduced model trained."""
+        return cls(case, pairing, fmu.cases.load(case, pairing=pairing))
+
+    @property
+    def key(self) -> str:
+        """Short name."""
+        return f"{self.case}-{self.pairing}"
+
+    @property
+    def title(self) -> str:
+        """Name for readers."""
+        return f"{self.case}, pairing by {'number' if self.pairing == 'index' else self.pairing}"
+
+    @property
+    def structure(self) -> PairedStructure:
+        """The beam with its pairing and its reduced model."""
+        return self.problem.model
+
+    def starts(self, seed: int, n: int) -> FloatArray:
+        """Return starting points, shape (n, ndim), drawn from the prior; the same for every sampler."""
+        return self.problem.sample_prior(np.random.default_rng([seed, 20]), n)
+
+    def to_logit(self, theta: FloatArray) -> FloatArray:
+        """Return the coordinates without bounds, log((θ − lower)/(upper − θ))."""
+        problem = self.problem
+        return np.log(theta - problem.lower) - np.log(problem.upper - theta)
+
+    def from_logit(self, z: FloatArray) -> FloatArray:
+        """Return θ."""
+        problem = self.problem
+        return np.clip(problem.lower + (problem.upper - problem.lower) * expit(z), problem.lower, problem.upper)
+
+    def logit_log_prob_and_grad(self, z: FloatArray) -> tuple[float, FloatArray]:
+        """Return the log-density in logit coordinates and its gradient, at z (ndim,), by fmu's exact gradient."""
+        u = expit(z)
+        width = self.problem.upper - self.problem.lower
+        value, gradient = self.problem.log_prob_and_grad(self.from_logit(z))
+        jacobian = np.sum(log_expit(z) + log_expit(-z))
+        return float(value + jacobian), gradient * width * u * (1.0 - u) + 1.0 - 2.0 * u
+
+
+class SciPyLogProb:
+    """The log-probability that a user would write with SciPy: dense matrices, one theta, one call of eigh.
+
+    Up to a constant. Generous to its user: the matrices of every term are at hand, so that assembly is one sum.
+    """
+
+    def __init__(self, target: Target, dofs: FloatArray | slice = slice(None)) -> None:
+        problem, model = target.problem, target.structure.structure
+        self.lower, self.upper = problem.lower, problem.upper
+        self.precision = np.array([p.prior.sd for p in problem.parameters]) ** -2.0
+        self.mean = np.array([p.prior.mean for p in problem.parameters])
+        self.beta = problem.likelihood.beta
+        self.measured = np.asarray(problem.data.frequencies_hz)
+        self.K, self.K_powers = _dense(model.K_terms, dofs)
+        self.M, self.M_powers = _dense(model.M_terms, dofs)
+        self.solves = 0
+
+    def __call__(self, theta: FloatArray) -> float:
+        """Return the log-probability at theta (ndim,)."""
+        if np.any(theta < self.lower) or np.any(theta > self.upper):
+            return -np.inf
+        self.solves += 1
+        error = self.frequencies(theta) - self.measured
+        return -np.sum(self.beta * error**2) - 0.5 * np.sum(self.precision * (theta - self.mean) ** 2)
+
+    def matrices(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return K and M, dense."""
+        K = np.tensordot(np.prod(theta**self.K_powers, axis=1), self.K, 1)
+        return K, np.tensordot(np.prod(theta**self.M_powers, axis=1), self.M, 1)
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return the paired frequencies in Hz."""
+        raise NotImplementedError
+
+
+class WholeBeam(SciPyLogProb):
+    """The ten lowest modes of all 300 degrees of freedom, paired by number or by MAC."""
+
+    def __init__(self, target: Target) -> None:
+        super().__init__(target)
+        self.rule = target.structure.rule
+        self.by_number = target.pairing == "index"
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return the paired frequencies in Hz."""
+        lam, phi = sl.eigh(*self.matrices(theta), subset_by_index=[0, 9])
+        if self.by_number:
+            picked = np.array(self.rule.numbers) - 1
+        else:
+            seen, reference = phi[self.rule.dofs], self.rule.shapes
+            mac = (reference.T @ seen) ** 2 / np.outer(np.sum(reference**2, 0), np.sum(seen**2, 0))
+            picked = linear_sum_assignment(mac, maximize=True)[1]
+        return np.sqrt(lam[picked]) / (2.0 * np.pi)
+
+
+class WeakPlane(SciPyLogProb):
+    """The five lowest eigenvalues of the 100 degrees of freedom of the weak plane, which need no pairing."""
+
+    def __init__(self, target: Target) -> None:
+        super().__init__(target, target.structure.structure.blocks[weak_block(target)])
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return the frequencies in Hz."""
+        lam = sl.eigh(*self.matrices(theta), subset_by_index=[0, 4], eigvals_only=True)
+        return np.sqrt(lam) / (2.0 * np.pi)
+
+
+def weak_block(target: Target) -> int:
+    """Return which decoupled block the measured modes live in.
+
+    Raises
+    ------
+    ValueError
+        If they are not the lowest modes of one block.
+    """
+    pairing = target.structure.pairing
+    if not isinstance(pairing, RankPairing) or len(set(pairing.block)) > 1 or pairing.rank != (0, 1, 2, 3, 4):
+        raise ValueError(f"target: its modes must be the five lowest of one block (got {pairing})")
+    return pairing.block[0]
+
+
+def disagreement(target: Target, log_prob: Any, theta: FloatArray) -> float:
+    """Return how much two log-probabilities differ at most at theta (n, ndim), a constant apart."""
+    difference = np.array([float(log_prob(x)) for x in theta]) - target.problem.log_prob(theta)
+    return float(np.ptp(difference))
+
+
+def _dense(terms: Any, dofs: Any) -> tuple[FloatArray, FloatArray]:
+    matrices = np.stack([term.matrix.toarray()[dofs][:, dofs] for term in terms])
+    powers = np.array([term.powers for term in terms])
+    used = np.array([np.any(matrix) for matrix in matrices])
+    return matrices[used], powers[used]

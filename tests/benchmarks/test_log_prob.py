@@ -1,0 +1,64 @@
+"""The speed budget of the log-probability, as ratios to the LAPACK calls that it cannot do without."""
+
+import numpy as np
+import pytest
+import scipy.linalg as sl
+
+from tests.benchmarks.ratio import spd
+
+YOUNG, SECTION = "cantilever-young", "cantilever-section"
+VALUES = [(YOUNG, "shape", 1.5), (SECTION, "shape", 2.5), (YOUNG, "index", 3.0), (SECTION, "index", 4.0)]
+
+
+def prior_draws(problem, n):
+    return problem.sample_prior(np.random.default_rng(1), n)
+
+
+@pytest.mark.parametrize("n", [16, 64, 512])
+@pytest.mark.parametrize(("case", "pairing", "budget"), VALUES)
+def test_values(load, against, case, pairing, budget, n):
+    problem, matrices = load(case, pairing), spd(n, 20)
+    theta = prior_draws(problem, n)
+    what = f"log_prob, {case} by {pairing}, batch of {n}, against eigvalsh 20×20"
+    against(what, lambda: problem.log_prob(theta), lambda: np.linalg.eigvalsh(matrices), budget)
+
+
+@pytest.mark.parametrize("n", [16, 64, 512])
+@pytest.mark.parametrize("case", [YOUNG, SECTION])
+def test_values_by_general_assignment(load, against, case, n):
+    problem, matrices = load(case), spd(n, 20)
+    theta = prior_draws(problem, n)
+    general = problem.model.rule.bind(problem.model.reduced)
+    likelihood = problem.likelihood.error
+
+    def log_prob():
+        frequencies = np.sqrt(general(theta).eigenvalues) / (2 * np.pi)
+        return likelihood.log_prob_terms(frequencies).sum(axis=1) + problem.log_prior(theta)
+
+    what = f"log_prob, {case} by general MAC assignment, batch of {n}, against eigh 20×20"
+    against(what, log_prob, lambda: np.linalg.eigh(matrices), 2.0)
+
+
+@pytest.mark.parametrize("n", [16, 64, 512])
+@pytest.mark.parametrize("case", [YOUNG, SECTION])
+def test_gradient(load, against, case, n):
+    problem, matrices = load(case), spd(n, 20)
+    theta = prior_draws(problem, n)
+    what = f"log_prob_and_grad, {case} by shape, batch of {n}, against eigh 20×20"
+    against(what, lambda: problem.log_prob_and_grad(theta), lambda: np.linalg.eigh(matrices), 1.5)
+
+
+@pytest.mark.parametrize(("n", "budget"), [(64, 300.0), (1, 120.0)])
+def test_against_the_obvious_thing(load, against, n, budget):
+    """SciPy's dense solver on the whole 300-DOF beam, its matrices ready assembled."""
+    problem = load(YOUNG)
+    theta = prior_draws(problem, n)
+    K, M = (matrix(theta[0]).toarray() for matrix in (problem.model.structure.K, problem.model.structure.M))
+    point = theta if n > 1 else theta[0]
+
+    def obvious():
+        for _ in range(n):
+            sl.eigh(K, M, subset_by_index=[0, 9])
+
+    what = f"log_prob faster than scipy.linalg.eigh on 300 DOF, per theta, {'batch of 64' if n > 1 else 'single'}"
+    against(what, lambda: problem.log_prob(point), obvious, budget, at_most=False)
