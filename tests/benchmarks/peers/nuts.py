@@ -12,8 +12,8 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 import nutpie
-from nutpie.compiled_pyfunc import from_pyfunc
 from numpyro.infer import MCMC, NUTS
+from nutpie.compiled_pyfunc import from_pyfunc
 
 from tests.benchmarks.peers.jax_model import JaxPosterior
 from tests.benchmarks.peers.outcome import Cost, Counted, Length, Outcome, Stopwatch
