@@ -1,0 +1,214 @@
+"""The reduced model of a problem: as good as promised in all four cases, trained once, and remembered."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fmu import cases
+from fmu.fem.modal import frequency_gradient, frequency_hz
+from fmu.fem.structure import PairedStructure
+from fmu.posterior import focus
+from fmu.posterior.focus import LOG_PROB_TOLERANCE, plausible_points
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.problem import UpdatingProblem
+
+CASES = [(case, pairing) for case in ("cantilever-young", "cantilever-section") for pairing in ("shape", "index")]
+SIZES = (1, 2, 3, 16, 64, 513)
+
+
+@pytest.fixture(scope="module", params=CASES, ids=[f"{c[11:]}, {p}" for c, p in CASES])
+def problem(request, load_case):
+    return load_case(*request.param)
+
+
+@pytest.fixture(scope="module")
+def over_the_box(problem):
+    """Return every corner of the box and 400 random points, with the modes of both models there."""
+    corners = np.array(list(product(*zip(problem.lower, problem.upper, strict=True))))
+    unit = np.random.default_rng(2026).uniform(size=(400, problem.ndim))
+    theta = np.concatenate([corners, problem.lower + unit * (problem.upper - problem.lower)])
+    structure = problem.model
+    solves = structure.full_solves
+    reduced = structure.modes(theta, gradient=True)
+    assert structure.full_solves == solves
+    return theta, reduced, structure.rule.bind(structure.full)(theta, gradient=True)
+
+
+def test_frequencies_are_within_a_millionth_over_the_box(over_the_box):
+    _, reduced, exact = over_the_box
+    f, f_exact = frequency_hz(reduced.eigenvalues), frequency_hz(exact.eigenvalues)
+    assert_allclose(f, f_exact, rtol=1e-6)
+    # Rayleigh's principle, but for the full solver's own rounding
+    assert np.all(f > f_exact * (1 - 1e-7))
+
+
+def test_pairing_agrees_with_assignment_by_the_full_model_over_the_box(over_the_box):
+    _, reduced, exact = over_the_box
+    assert_array_equal(reduced.block, exact.block)
+    assert_array_equal(reduced.rank, exact.rank)
+
+
+def test_gradients_are_within_a_hundred_thousandth_over_the_box(problem, over_the_box):
+    """∂ log f over the width of the box, relative to the largest at that theta."""
+    _, reduced, exact = over_the_box
+    slopes = []
+    for modes in (reduced, exact):
+        f = frequency_hz(modes.eigenvalues)
+        slopes.append(frequency_gradient(f, modes.gradient) * problem.scale / f[..., None])
+    error = np.max(np.abs(slopes[0] - slopes[1]), axis=(1, 2)) / np.max(np.abs(slopes[1]), axis=(1, 2))
+    assert np.max(error) < 1e-5
+
+
+def test_log_prob_is_within_its_tolerance_at_plausible_points(problem):
+    theta = plausible_points(problem, 250, np.random.default_rng(314))
+    full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
+    assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
+
+
+def test_log_prob_is_within_its_tolerance_where_a_posterior_lives(problem):
+    """Draws of a random walk from the best maximum, started and run on the reduced model alone."""
+    rng = np.random.default_rng(5)
+    theta = plausible_points(problem, 100, rng)[:100]
+    value = problem.log_prob(theta)
+    for _ in range(60):
+        proposal = theta + 0.02 * problem.scale * rng.standard_normal(theta.shape)
+        proposed = problem.log_prob(proposal)
+        accepted = np.log(rng.uniform(size=len(theta))) < proposed - value
+        theta, value = np.where(accepted[:, None], proposal, theta), np.where(accepted, proposed, value)
+    assert np.max(value) - np.min(value) < 50
+    full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1) + problem.log_prior(theta)
+    assert_allclose(value, exact, rtol=0, atol=LOG_PROB_TOLERANCE)
+
+
+def test_a_batch_changes_no_bit(problem):
+    rng = np.random.default_rng(8)
+    theta = problem.sample_prior(rng, max(SIZES))
+    theta[::7] = np.where(rng.uniform(size=theta[::7].shape) < 0.5, problem.lower, problem.upper)  # corners
+    theta[3::50] *= 2.0  # outside the bounds
+    values = [problem.log_prob(row) for row in theta]
+    assert np.sum(np.isinf(values)) == len(theta[3::50])
+    pairs = [problem.log_prob_and_grad(row) for row in theta]
+    for n in SIZES:
+        for first in sorted({0, (max(SIZES) - n) // 3, max(SIZES) - n}):
+            rows = slice(first, first + n)
+            assert_array_equal(problem.log_prob(theta[rows]), values[rows])
+            value, gradient = problem.log_prob_and_grad(theta[rows])
+            assert_array_equal(value, [v for v, _ in pairs[rows]])
+            assert_array_equal(gradient, [g for _, g in pairs[rows]])
+    assert_array_equal(problem.log_prob(np.asfortranarray(theta)), values)
+    assert_array_equal(problem.log_prob(theta[::-1])[::-1], values)
+
+
+def test_a_theta_outside_the_bounds_gets_the_full_models_frequencies_and_is_counted(problem):
+    theta = np.vstack([problem.start, problem.upper * 1.1, problem.lower * 0.9, problem.start])
+    before = problem.model.full_solves
+    frequencies = problem.frequencies(theta)
+    assert problem.model.full_solves == before + 2
+    assert_array_equal(frequencies[1:3], frequency_hz(problem.model.full_modes(theta[1:3]).eigenvalues))
+    assert_array_equal(frequencies[[0, 3]], [problem.frequencies(problem.start)] * 2)
+    problem.log_prob(theta)  # outside the bounds there is nothing to solve
+    assert problem.model.full_solves == before + 2
+
+
+@pytest.fixture
+def bases(tmp_path, monkeypatch):
+    """Return an empty cache of its own."""
+    monkeypatch.setenv("FMU_CACHE_DIR", str(tmp_path))
+    return tmp_path
+
+
+def oscillators(chain, **changes):
+    """Return a problem of three masses, trained in no time."""
+    parameters = [Parameter(n, 2.0, 1.0, 4.0, prior=Normal(2.0, mean=2.0)) for n in ("k0", "k1")]
+    return UpdatingProblem(chain, ModalData([0.1, 0.2]), parameters, pairing="index", **changes)
+
+
+@pytest.fixture
+def trainings(monkeypatch):
+    """Return a list that grows by one whenever a structure is trained."""
+    calls, train = [], PairedStructure.train
+
+    def counted(self, *arguments, **options):
+        calls.append(self)
+        return train(self, *arguments, **options)
+
+    monkeypatch.setattr(PairedStructure, "train", counted)
+    return calls
+
+
+def test_a_second_problem_reads_what_the_first_one_trained(bases, trainings):
+    first = cases.load("cantilever-section")
+    assert len(trainings) == 1
+    (file,) = bases.iterdir()
+    written = file.stat().st_mtime_ns
+    second = cases.load("cantilever-section")
+    assert len(trainings) == 1
+    assert file.stat().st_mtime_ns == written
+    theta = first.sample_prior(np.random.default_rng(0), 20)
+    assert_array_equal(second.log_prob(theta), first.log_prob(theta))
+    assert repr(second.model) == repr(first.model)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not a zip", b"\x80\x04]\x94." * 20])
+def test_a_broken_file_is_trained_again_and_replaced(bases, trainings, chain, content):
+    theta = np.array([1.5, 2.5])
+    expected = oscillators(chain).log_prob(theta)
+    (file,) = bases.iterdir()
+    good = file.read_bytes()
+    for broken in (content, good[:-7], good[:50] + b"?" + good[51:]):
+        file.write_bytes(broken)
+        assert oscillators(chain).log_prob(theta) == expected
+        assert file.read_bytes() == good
+    assert len(trainings) == 4
+
+
+def test_what_changes_the_posterior_changes_the_file(bases, trainings, chain):
+    oscillators(chain)
+    for changes in ({"beta": 2.0}, {"beta": [1.0, 3.0]}):
+        oscillators(chain, **changes)
+    assert len(list(bases.iterdir())) == len(trainings) == 3
+    oscillators(chain, beta=[1.0, 3.0])
+    assert len(trainings) == 3
+
+
+def test_without_a_cache_every_problem_is_trained(tmp_path, monkeypatch, trainings, chain):
+    monkeypatch.setenv("FMU_CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert oscillators(chain).log_prob([1.5, 2.5]) == oscillators(chain).log_prob([1.5, 2.5])
+    assert len(trainings) == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_cache_that_cannot_be_written_is_no_hindrance(tmp_path, monkeypatch, trainings, chain):
+    (tmp_path / "file").write_text("no directory")
+    monkeypatch.setenv("FMU_CACHE_DIR", str(tmp_path / "file" / "bases"))
+    assert np.isfinite(oscillators(chain).log_prob([1.5, 2.5]))
+    assert len(trainings) == 1
+
+
+def test_training_goes_on_until_the_log_probability_is_right(bases, monkeypatch):
+    """A measurement so exact that a millionth of a frequency is too coarse."""
+    sharp = cases.load("cantilever-young")
+    options = {"beta": 1e4, "name": "sharp"}
+
+    def build():
+        return UpdatingProblem(
+            sharp.model.structure,
+            ModalData(sharp.frequencies(sharp.start * 0.9), sensors=sharp.data.sensors),
+            sharp.parameters,
+            **options,
+        )
+
+    size = [b.size for b in build().model.reduced.blocks]
+    problem = build()
+    theta = plausible_points(problem, 100, np.random.default_rng(9))
+    full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
+    assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
+    monkeypatch.setattr(focus, "LOG_PROB_TOLERANCE", 1e9)
+    assert sum(b.size for b in build().model.reduced.blocks) < sum(size)
