@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fmu import cases as cases
     from fmu.analysis.comparison import compare as compare
+    from fmu.analysis.diagnosis import diagnose as diagnose
     from fmu.analysis.diagnostics import summary as summary
     from fmu.analysis.prediction import expectation as expectation
     from fmu.analysis.search import find_map as find_map
@@ -46,6 +47,7 @@ _HOME = {
     "Slice": "fmu.samplers.slice",
     "UpdatingProblem": "fmu.posterior.problem",
     "compare": "fmu.analysis.comparison",
+    "diagnose": "fmu.analysis.diagnosis",
     "expectation": "fmu.analysis.prediction",
     "find_map": "fmu.analysis.search",
     "load_trace": "fmu.analysis.trace",
@@ -66,6 +68,7 @@ __all__ = [
     "__version__",
     "cases",
     "compare",
+    "diagnose",
     "expectation",
     "find_map",
     "load_trace",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis import effective
+from fmu.analysis.movement import energy_fraction, longest_stands
 from fmu.analysis.trace import check_trace
 
 if TYPE_CHECKING:
@@ -23,6 +25,10 @@ MIN_CHAINS = 2
 MIN_ENSEMBLES = 4
 MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
+MCSE_LIMIT = 0.1
+DIVERGING_LIMIT = 1e-3
+ENERGY_LIMIT = 0.3
+STANDING_LIMIT, STANDING_DRAWS = 0.2, 20
 
 
 def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
@@ -121,10 +127,14 @@ def autocorrelation_times_run(trace: xr.DataTree) -> FloatArray:
 def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) -> list[str]:
     """Say why a trace must not be called converged; an empty list means that nothing speaks against it.
 
-    The rule: at least two chains; R-hat of every parameter below 1.01; bulk and tail ESS of every parameter at
-    least 400 and at least 100 a chain (Vehtari et al. 2021). For an ensemble sampler, whose ensembles are the
+    The rule: at least two chains; no chain that stands still for a fifth of its draws; R-hat of every parameter
+    below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 a chain (Vehtari et al. 2021);
+    standard errors of the means below a tenth of the posterior sd. Of Hamiltonian trajectories at most one in a
+    thousand diverges, and E-BFMI of every chain is at least 0.3. For an ensemble sampler, whose ensembles are the
     chains: at least four ensembles; and beside R-hat over ensembles at least 50 autocorrelation times of steps,
     and walkers that mix (R-hat over walkers below 1.05). A quantity that is NaN fails its test.
+
+    What the draws do not show, a place that no chain came to, is the matter of `fmu.diagnose`.
 
     Parameters
     ----------
@@ -146,10 +156,13 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     kind, needed = ("ensemble", MIN_ENSEMBLES) if is_ensemble else ("chain", MIN_CHAINS)
     if chains < needed:
         failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}, at least {needed} are needed")
+    failures += _standing(trace)
     failures += _above(table["rhat"].to_numpy(), RHAT_LIMIT, table.index, "R-hat")
     required = max(ESS_LIMIT, ESS_PER_CHAIN * chains)
     for column, label in (("ess_bulk", "bulk ESS"), ("ess_tail", "tail ESS")):
         failures += _below(table[column].to_numpy(), required, table.index, label)
+    failures += _above((table["mcse_mean"] / table["sd"]).to_numpy(), MCSE_LIMIT, table.index, "MCSE over sd")
+    failures += _trajectories(trace)
     if is_ensemble:
         lengths = autocorrelation_times_run(trace)
         failures += _below(lengths, MIN_AUTOCORRELATION_TIMES, table.index, "number of autocorrelation times")
@@ -157,7 +170,33 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     return failures
 
 
-def _above(values: FloatArray, limit: float, names: pd.Index, label: str) -> list[str]:
+def _standing(trace: xr.DataTree) -> list[str]:
+    """Return a sentence on the chain, or walker of an ensemble, that stands still longest, if that is too long."""
+    walkers = walkers_of(trace)
+    stands = longest_stands(parameter_draws(trace), walkers)
+    steps = trace["posterior"].sizes["draw"] // walkers
+    chain, walker = (int(k) for k in np.unravel_index(np.argmax(stands), stands.shape))
+    if stands[chain, walker] < max(STANDING_LIMIT * steps, STANDING_DRAWS):
+        return []
+    who = f"chain {chain}" if walkers == 1 else f"walker {walker} of ensemble {chain}"
+    return [f"{who} stands still for {stands[chain, walker]} of its {steps} draws"]
+
+
+def _trajectories(trace: xr.DataTree) -> list[str]:
+    """Return what speaks against Hamiltonian trajectories; an empty list for samplers without them."""
+    stats, failures = trace["sample_stats"], []
+    if "diverging" in stats:
+        diverging = stats["diverging"].to_numpy()
+        if not np.mean(diverging) <= DIVERGING_LIMIT:
+            failures.append(f"{int(diverging.sum())} of {diverging.size} trajectories diverged")
+    if "energy" in stats:
+        chains = [f"chain {k}" for k in range(stats.sizes["chain"])]
+        fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
+        failures += _below(fraction, ENERGY_LIMIT, chains, "E-BFMI")
+    return failures
+
+
+def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
     """Return a sentence on the worst of `values` unless all are below `limit`."""
     if np.all(values < limit):
         return []
@@ -165,7 +204,7 @@ def _above(values: FloatArray, limit: float, names: pd.Index, label: str) -> lis
     return [f"{label} {values[worst]:.4g} of {names[worst]} is not below {limit:g}"]
 
 
-def _below(values: FloatArray, limit: float, names: pd.Index, label: str) -> list[str]:
+def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
     """Return a sentence on the worst of `values` unless all are at least `limit`."""
     if np.all(values >= limit):
         return []

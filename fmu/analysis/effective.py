@@ -84,8 +84,8 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 
 
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:
-    """Reshape (ensembles, steps * walkers), step-major, to (ensembles, walkers, steps)."""
-    return x.reshape(len(x), -1, walkers).swapaxes(1, 2)
+    """Reshape (ensembles, steps * walkers, ...), step-major, to (ensembles, walkers, steps, ...)."""
+    return x.reshape(len(x), x.shape[1] // walkers, walkers, *x.shape[2:]).swapaxes(1, 2)
 
 
 def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -136,9 +136,8 @@ class Maxima:
         )
 
     def words_of_theta(self, theta: FloatArray) -> str:
-        """Name a parameter vector: ``"Ix1 = 3.904e-09 m⁴, Ax1 = 0.0009 m²"``."""
-        parts = zip(self.names, theta, self.units, strict=True)
-        return ", ".join(f"{name} = {x:.4g} {unit}".rstrip() for name, x, unit in parts)
+        """Name a parameter vector, as `in_words` does."""
+        return in_words(self.names, theta, self.units)
 
     def drop(self, theta: FloatArray) -> FloatArray:
         """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
@@ -195,3 +194,9 @@ _DIMENSIONS: dict[str, tuple[str, ...]] = {
     "effective_draws": (),
     "share": (),
 }
+
+
+def in_words(names: Iterable[str], theta: FloatArray, units: Iterable[str]) -> str:
+    """Name a parameter vector: ``"Ix1 = 3.904e-09 m⁴, Ax1 = 0.0009 m²"``."""
+    parts = zip(names, theta, units, strict=True)
+    return ", ".join(f"{name} = {x:.4g} {unit}".rstrip() for name, x, unit in parts)

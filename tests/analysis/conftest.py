@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fmu import cases
+from fmu.analysis.search import find_map
 from fmu.analysis.trace import to_trace
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Normal, Parameter
@@ -47,6 +49,31 @@ def problem():
     ]
     data = ModalData([101.0, 99.5, 102.0], labels=("W1", "W2", "T1"))
     return UpdatingProblem(LinearModel(), data, parameters, beta=[0.5, 1.0, 2.0], name="linear")
+
+
+@pytest.fixture(scope="session")
+def section():
+    """The problem whose posterior has separate modes, nearly all its probability in one that is hard to find."""
+    return cases.load("cantilever-section", "index")
+
+
+@pytest.fixture(scope="session")
+def section_maxima(section):
+    return find_map(section)
+
+
+@pytest.fixture(scope="session")
+def around(section, section_maxima):
+    """Points scattered within half a standard deviation around a maximum (from 0) of `section`."""
+
+    def scatter(maximum, *shape):
+        rng = np.random.default_rng(maximum)
+        m = section_maxima[maximum]
+        theta = m.mean + 0.5 * m.sd * rng.standard_normal((*shape, section.ndim))
+        inset = 1e-3 * (section.upper - section.lower)
+        return np.clip(theta, section.lower + inset, section.upper - inset)
+
+    return scatter
 
 
 @pytest.fixture

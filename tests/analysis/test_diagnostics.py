@@ -139,7 +139,8 @@ def test_nan_is_a_failure(make_trace, good, column):
 
 def test_chains_that_stand_still_have_not_converged(make_trace):
     failures = convergence_failures(make_trace(np.zeros((4, 500, 2))))
-    assert [f.split(" nan")[0] for f in failures] == ["R-hat", "bulk ESS", "tail ESS"]
+    assert failures[0] == "chain 0 stands still for 500 of its 500 draws"
+    assert [f.split(" nan")[0] for f in failures[1:]] == ["R-hat", "bulk ESS", "tail ESS", "MCSE over sd"]
 
 
 def test_good_ensembles_have_converged(make_trace, good_ensembles):
@@ -165,3 +166,54 @@ def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_t
     failures = convergence_failures(trace)
     assert any(f.startswith("R-hat over walkers") for f in failures)
     assert any(f.startswith("number of autocorrelation times") for f in failures)
+
+
+def test_chain_that_stands_still_for_long_is_named(make_trace, good):
+    good[2, 100:199] = good[2, 100]
+    assert not any("stands still" in f for f in convergence_failures(make_trace(good)))
+    good[2, 100:200] = good[2, 100]
+    failures = convergence_failures(make_trace(good))
+    assert failures[0] == "chain 2 stands still for 100 of its 500 draws"
+
+
+def test_walker_that_stands_still_is_named(make_trace, good_ensembles):
+    good_ensembles[1, 300:500, 7] = good_ensembles[1, 300, 7]
+    failures = convergence_failures(make_trace(flat(good_ensembles), walkers=10))
+    assert failures[0] == "walker 7 of ensemble 1 stands still for 200 of its 900 draws"
+
+
+def test_short_runs_are_not_called_standing(make_trace):
+    position = np.random.default_rng(28).standard_normal((4, 30, 2))
+    position[0, :19] = position[0, 0]
+    assert not any("stands still" in f for f in convergence_failures(make_trace(position)))
+
+
+def test_standard_error_is_held_against_the_sd(make_trace, good):
+    trace = make_trace(good)
+    table = summary(trace)
+    table.loc["x1", "mcse_mean"] = 0.11 * table.loc["x1", "sd"]
+    assert convergence_failures(trace, table) == ["MCSE over sd 0.11 of x1 is not below 0.1"]
+    table.loc["x1", "mcse_mean"] = np.nan
+    assert convergence_failures(trace, table) == ["MCSE over sd nan of x1 is not below 0.1"]
+
+
+def test_divergences(make_trace, good):
+    two, three = (np.arange(500) < n for n in (0, 3))
+    assert convergence_failures(make_trace(good, diverging=two)) == []
+    assert convergence_failures(make_trace(good, diverging=three)) == ["12 of 2000 trajectories diverged"]
+    one = np.zeros((4, 500), dtype=bool)
+    one[0, :2] = True
+    assert convergence_failures(make_trace(good, diverging=one)) == []
+
+
+def test_energies_that_are_not_explored(make_trace, good, ar1):
+    rng = np.random.default_rng(29)
+    fresh = rng.standard_normal((4, 500))
+    assert convergence_failures(make_trace(good, energy=fresh)) == []
+    fresh[2] = ar1(rng, (1, 500), 0.95)[0]
+    (failure,) = convergence_failures(make_trace(good, energy=fresh))
+    assert failure.startswith("E-BFMI 0.")
+    assert failure.endswith("of chain 2 is below 0.3")
+    fresh[2] = 1.0
+    (failure,) = convergence_failures(make_trace(good, energy=fresh))
+    assert failure == "E-BFMI nan of chain 2 is below 0.3"

@@ -54,16 +54,6 @@ def on_grid(problem, split=0.0):
     return found
 
 
-@pytest.fixture(scope="module")
-def section():
-    return fmu.cases.load("cantilever-section", "index")
-
-
-@pytest.fixture(scope="module")
-def section_maxima(section):
-    return find_map(section)
-
-
 def test_two_maxima_of_comparable_mass():
     problem = squares()
     found = find_map(problem, starts=32)

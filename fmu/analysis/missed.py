@@ -1,0 +1,121 @@
+"""The maxima that a run left out: what no diagnostic of its own draws can tell."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from fmu.analysis.diagnostics import parameter_draws, walkers_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.analysis.maxima import Maxima
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NEGLIGIBLE = 0.01
+"""Share of the probability that a run may leave out."""
+OUT_OF_PROPORTION = 10.0
+NEARBY = 0.9999
+"""A draw is near a maximum within the ellipsoid that holds this much of a Gaussian."""
+_RELIABLE, _ABOVE = 20.0, 0.1
+
+
+def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
+    """Return the maximum (from 0) that each draw (n, ndim) is near to, −1 where there is none.
+
+    A draw is near a maximum where the quadratic model of log P has fallen by no more than in the ellipsoid that
+    holds `NEARBY` of a Gaussian; near several, it belongs to the one whose model is highest there.
+    """
+    drop = maxima.drop(theta)
+    height = np.array([m.log_prob for m in maxima])[:, None] - drop
+    reach = gammaincinv(0.5 * theta.shape[1], NEARBY)  # half of the χ² quantile
+    height[drop > reach] = -np.inf
+    return np.where(np.all(np.isneginf(height), axis=0), -1, np.argmax(height, axis=0))
+
+
+def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
+    """Name the maxima of more than negligible mass that a run never came near, or visited out of proportion.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    maxima : Maxima
+
+    Returns
+    -------
+    list of str
+        One sentence a maximum.
+    """
+    walkers = walkers_of(trace)
+    draws = parameter_draws(trace)
+    chains, _, ndim = draws.shape
+    nearest = nearest_maxima(draws.reshape(-1, ndim), maxima)
+    visits = np.bincount(nearest[nearest >= 0], minlength=len(maxima)) / len(nearest)
+    reached = float(trace["sample_stats"]["lp"].max())
+    # where a draw is above all that was found, or importance sampling failed, the masses are not to be relied on
+    reliable = reached < maxima[0].log_prob + _ABOVE and all(
+        m.effective_draws >= _RELIABLE for m in maxima if m.share > NEGLIGIBLE
+    )
+    unseen = [k for k, m in enumerate(maxima) if m.share > NEGLIGIBLE and visits[k] == 0]
+    if unseen:
+        return [_never_visited(maxima, k, reached) for k in unseen] + [
+            _whereabouts(nearest.reshape(chains, -1, walkers), maxima)
+        ]
+    return [
+        f"{_name(maxima, k)} has {percent(v)} of the draws, but about {percent(m.share)} of the probability"
+        for k, (m, v) in enumerate(zip(maxima, visits.tolist(), strict=True))
+        if reliable and _is_out_of_proportion(v, m.share)
+    ]
+
+
+def _name(maxima: Maxima, k: int) -> str:
+    return f"maximum {k + 1} at {maxima.words_of_theta(maxima[k].theta)}"
+
+
+def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
+    return (
+        f"{_name(maxima, k)}, with log-probability {maxima[k].log_prob:.1f} where the best draw has "
+        f"{reached:.1f}, was never visited; it holds about {percent(maxima[k].share)} of the probability"
+    )
+
+
+def _is_out_of_proportion(visits: float, share: float) -> bool:
+    """Say whether a share of draws and one of mass, of which one matters, differ by more than estimates do."""
+    if max(visits, share) < 5 * NEGLIGIBLE:
+        return False
+    return visits > OUT_OF_PROPORTION * share or share > OUT_OF_PROPORTION * visits
+
+
+def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
+    """Say which chains (walkers) are where, from the maxima nearest to their draws (chains, steps, walkers)."""
+    kind = "chain" if nearest.shape[2] == 1 else "walker"
+    homes = np.array(
+        [np.bincount(path + 1, minlength=len(maxima) + 1).argmax() - 1 for path in _each_path(nearest)]
+    )
+    parts = []
+    for k in np.unique(homes).tolist():
+        count = int(np.sum(homes == k))
+        where = "near none of the maxima"
+        if k >= 0:
+            share = percent(maxima[k].share)
+            where = (
+                f"around {_name(maxima, k)} (log-probability {maxima[k].log_prob:.1f}, {share} of the probability)"
+            )
+        parts.append(f"{count} {kind}{'s are' if count > 1 else ' is'} {where}")
+    return f"instead {'; '.join(parts)}"
+
+
+def _each_path(nearest: IntArray) -> IntArray:
+    """Return one row a chain, or a walker of an ensemble."""
+    return nearest.swapaxes(1, 2).reshape(-1, nearest.shape[1])
+
+
+def percent(share: float) -> str:
+    """Return a share in words: ``"100 %"``, ``"0.3 %"``, ``"1e-25 %"``."""
+    return f"{100 * share:.2g} %" if share < 0.995 else "100 %"

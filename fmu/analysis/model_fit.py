@@ -1,0 +1,86 @@
+"""Whether the model fits the data, which no convergence of a sampler tells: a run can be converged and wrong."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.diagnostics import parameter_draws, parameter_names
+from fmu.analysis.prediction import predict_frequencies
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+FloatArray = NDArray[np.float64]
+
+NEAR_A_BOUND = 0.02
+"""Part of the distance between the bounds."""
+MORE_THAN_THE_PRIOR, LEAST_SHARE = 3.0, 0.05
+INTERVAL = 0.99
+_WITHIN = 2.0
+
+
+def bound_warnings(trace: xr.DataTree) -> list[str]:
+    """Name the parameters whose draws are piled up against a bound: the data ask for what the bounds forbid.
+
+    They are where more than three times as much of the posterior as of the prior, and at least 5 %, lies within
+    2 % of the bounds' distance of one of them, and their mean within two standard deviations of it.
+    """
+    constants, names, found = trace["constant_data"], parameter_names(trace), []
+    lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))
+    draws = parameter_draws(trace).reshape(-1, len(names))
+    for k, name in enumerate(names):
+        x, margin = draws[:, k], NEAR_A_BOUND * (upper[k] - lower[k])
+        if not np.isfinite(margin):
+            continue
+        unit = trace["posterior"][name].attrs.get("units", "")
+        for side, bound, sign in (("lower", lower[k], 1.0), ("upper", upper[k], -1.0)):
+            share = float(np.mean(sign * (x - bound) < margin))
+            before = _prior_share(trace, name, bound, sign, margin)
+            is_close = sign * (x.mean() - bound) < _WITHIN * x.std()
+            if share >= LEAST_SHARE and share > MORE_THAN_THE_PRIOR * before and is_close:
+                found.append(
+                    f"{name} is piled up against its {side} bound, {bound:.4g} {unit}".rstrip()
+                    + f": {100 * share:.0f} % of the draws are within {100 * NEAR_A_BOUND:g} % of the bounds' "
+                    f"distance of it, {100 * before:.1f} % of the prior"
+                )
+    return found
+
+
+def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
+    """Return the share of the prior near a bound, that of a uniform one where no draws from the prior are."""
+    if "prior" not in trace.children:
+        return NEAR_A_BOUND
+    return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))
+
+
+def fit_warnings(trace: xr.DataTree) -> list[str]:
+    """Name the measured modes that lie outside the interval in which a new measurement is predicted, eq. (10).
+
+    Measurement noise is in it, and 99 % of the probability. Nothing can be said where there is no predictive
+    distribution of frequencies: of the modal residual, and of a plain density.
+    """
+    if "posterior_predictive" not in trace.children or "frequency" not in trace["posterior_predictive"]:
+        return []
+    table = predict_frequencies(trace, INTERVAL)
+    per_cent = f"{100 * INTERVAL:g}"
+    columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean")
+    return [
+        f"mode {mode} was measured at {measured:.1f} Hz, outside the {per_cent} % interval of its prediction, "
+        f"{low:.1f} to {high:.1f} Hz (mean {mean:.1f} Hz)"
+        for mode, measured, low, high, mean in zip(table.index, *(table[c] for c in columns), strict=True)
+        if not low <= measured <= high
+    ]
+
+
+def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
+    """Say so if a draw has a higher log-probability than any maximum that was found."""
+    reached = float(trace["sample_stats"]["lp"].max())
+    if reached <= highest + 1e-3:
+        return []
+    return [
+        f"a draw has log-probability {reached:.3f}, above the highest maximum found, {highest:.3f}: the search "
+        "missed a maximum, and needs more starts"
+    ]

@@ -1,0 +1,209 @@
+"""Verdicts on real and hand-made runs: whoever is fooled by chains that agree with each other must fail here."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis import effective
+from fmu.analysis.diagnosis import Diagnosis, diagnose, diagnose_all, judge, maxima_of, with_maxima
+from fmu.analysis.diagnostics import convergence_failures, rhat_over_walkers, summary
+from fmu.analysis.search import find_map
+from fmu.analysis.trace import load_trace, save_trace, to_trace
+
+
+@pytest.fixture(scope="module")
+def in_b(section, section_maxima, around):
+    """HMC around maximum B with a metric made for it: four chains that agree."""
+    b = section_maxima[1]
+    precision = b.hessian + np.diag(b.gradient**2)
+    hmc = fmu.HamiltonianMonteCarlo(
+        0.6, 3, inverse_mass=np.linalg.inv(precision * np.outer(section.scale, section.scale))
+    )
+    return fmu.sample(section, hmc, draws=400, warmup=10, init=around(1, 4), seed=3)
+
+
+@pytest.fixture
+def good(make_result, problem):
+    """A trace of the linear problem's own posterior, drawn independently."""
+    mean, sd = exact_posterior(problem)
+    position = mean + sd * np.random.default_rng(41).standard_normal((4, 500, 2))
+    lp = problem.log_prob(position.reshape(-1, 2)).reshape(4, 500)
+    result = make_result(position)
+    result.posterior.stats["lp"] = lp
+    return to_trace(result, problem)
+
+
+def exact_posterior(problem):
+    best = find_map(problem, starts=4)[0]
+    return best.mean, np.diag(np.linalg.cholesky(np.linalg.inv(best.hessian)))
+
+
+def test_chains_that_agree_in_one_of_several_modes_are_found_out(section, in_b, section_maxima):
+    assert convergence_failures(in_b) == []  # R-hat, ESS, E-BFMI: the chains alone see nothing
+    assert summary(in_b)["rhat"].max() < 1.01
+    found = diagnose(in_b, section)
+    assert not found.converged
+    assert found.reasons[0].startswith(
+        "maximum 1 at Ix1 = 3.904e-09 m⁴, Ix2 = 7.5e-09 m⁴, Ax1 = 0.0009 m², Ax2 = 0.0005145 m², with "
+        "log-probability -40.4 where the best draw has -10"
+    )
+    assert found.reasons[0].endswith("was never visited; it holds about 100 % of the probability")
+    assert found.reasons[1].startswith("instead 4 chains are around maximum 2 at Ix1 = 6.873e-09 m⁴")
+    assert "e-25 % of the probability)" in found.reasons[1]
+    assert len(found.reasons) == 2
+
+
+def test_chains_in_the_mode_that_holds_the_probability_may_converge(section, around, section_maxima):
+    trace = fmu.sample(section, "mh", draws=2000, warmup=400, init=around(0, 4), seed=2)
+    found = judge(trace, [section_maxima])
+    assert list(found.reasons) == convergence_failures(trace)
+    assert not any("maximum" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("sampler", ["mh", "slice"])
+def test_dispersed_starts_do_not_converge(section, section_maxima, sampler):
+    trace = fmu.sample(section, sampler, draws=200, warmup=100, seed=1)
+    found = judge(trace, [section_maxima])
+    assert not found.converged
+    assert any("maximum 1 at Ix1 = 3.904e-09" in reason for reason in found.reasons)
+
+
+def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, around):
+    init = np.concatenate([around(k, 1) for k in (0, 1, 2, 2)])
+    found = judge(fmu.sample(section, "mh", draws=400, warmup=300, init=init, seed=1), [section_maxima])
+    assert found.reasons[0].startswith("maximum 2 at Ix1 = 6.873e-09")
+    assert "has 25 % of the draws, but about 2" in found.reasons[0]
+    assert found.reasons[1].startswith("maximum 3 at")
+    assert any(reason.startswith("R-hat") for reason in found.reasons)
+
+
+@pytest.mark.parametrize("modes", [(1, 2), (0, 1)], ids=["B and C", "A and B"])
+def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, section_maxima, around, modes):
+    """The false calm: in equal proportion in every ensemble, so that the ensembles agree."""
+    init = np.concatenate([around(k, 4, 8) for k in modes], axis=1)
+    trace = fmu.sample(section, fmu.Ensemble(walkers=16), draws=250, warmup=0, init=init, seed=1)
+    assert summary(trace)["rhat"].max() < 1.02
+    failures = convergence_failures(trace)
+    assert any(f.startswith("R-hat over walkers") for f in failures)
+    assert any(f.startswith("number of autocorrelation times 1") for f in failures)
+    found = judge(trace, [section_maxima])
+    assert not found.converged
+    if 0 in modes:
+        assert "of the draws, but about 2" in found.reasons[0]
+    else:
+        assert "maximum 1" in found.reasons[0]
+        assert "was never visited" in found.reasons[0]
+        assert "walkers are around maximum 2" in found.reasons[1]
+
+
+class Normal2:
+    """A correlated Gaussian."""
+
+    ndim, lower, upper = 2, np.full(2, -np.inf), np.full(2, np.inf)
+
+    def log_prob(self, theta):
+        x, y = np.asarray(theta).T
+        return -0.5 * (x**2 + (y - 0.5 * x) ** 2)
+
+    def log_prob_and_grad(self, theta):
+        raise NotImplementedError
+
+
+def test_walkers_taken_for_chains_raise_a_false_alarm_on_a_good_run():
+    init = np.random.default_rng(5).standard_normal((4, 8, 2))
+    trace = fmu.sample(Normal2(), fmu.Ensemble(walkers=8, moves="de"), draws=600, warmup=20, init=init, seed=1)
+    x = effective.by_walker(trace["posterior"]["x0"].to_numpy(), 8).reshape(32, -1)
+    assert effective.rhat(x) > 1.01
+    assert np.max(rhat_over_walkers(trace)) > 1.01
+    found = diagnose(trace)
+    assert found.converged
+    assert found.reasons == ()
+
+
+def test_what_another_run_found_counts_without_a_problem(in_b, section, around):
+    in_a = fmu.sample(section, "mh", draws=300, warmup=200, init=around(0, 4), seed=1)
+    found = diagnose(in_b, others={"mh": in_a})
+    assert not found.converged
+    assert found.reasons[0].startswith("the run mh was at Ix1 = 3.9")
+    assert "with log-probability -4" in found.reasons[0]
+    assert "about 100 % of the probability is there" in found.reasons[0]
+    # the other way round nothing of weight was missed
+    assert not any("the run" in reason for reason in diagnose(in_a, others=[in_b]).reasons)
+
+
+def test_maxima_that_a_trace_keeps_count_for_it_and_for_others(in_b, section_maxima, tmp_path):
+    assert maxima_of(in_b) is None
+    kept = load_trace(save_trace(with_maxima(in_b, section_maxima), tmp_path / "kept.nc"))
+    assert str(maxima_of(kept)) == str(section_maxima)
+    assert "maxima" not in in_b.children
+    assert kept.attrs == in_b.attrs
+    for found in (diagnose(kept), diagnose(in_b, others=[kept]), diagnose_all({"a": in_b, "b": kept})["a"]):
+        assert found.reasons[0].startswith("maximum 1 at Ix1 = 3.904e-09 m⁴")
+
+
+def test_others_on_another_posterior_are_left_out(in_b, section_maxima):
+    other = with_maxima(in_b, section_maxima)
+    configuration = json.loads(other.attrs["configuration"])
+    configuration["problem"]["likelihood"]["beta"] = [2.0] * 5
+    other.attrs["configuration"] = json.dumps(configuration)
+    assert diagnose_all({"a": in_b, "b": other})["a"].converged
+
+
+def test_the_search_with_the_greater_mass_counts(in_b, section_maxima):
+    blind = dataclasses.replace(section_maxima, maxima=section_maxima.maxima[1:])
+    assert not judge(in_b, [blind]).reasons[0].startswith("maximum 1 at Ix1 = 3.904e-09 m⁴")
+    for known in ([blind, section_maxima], [section_maxima, blind]):
+        assert judge(in_b, known).reasons[0].startswith("maximum 1 at Ix1 = 3.904e-09 m⁴")
+
+
+def test_good_run_has_converged(good, problem):
+    assert diagnose(good, problem) == Diagnosis(True, (), ())
+    assert diagnose(good, problem).verdict == "converged"
+
+
+def test_one_chain_is_never_called_converged(good, problem):
+    one = good.isel(chain=[0])
+    found = diagnose(one, problem)
+    assert not found.converged
+    assert found.reasons[0] == "1 chain, at least 2 are needed"
+
+
+def test_summary_that_is_nan_is_a_failure(good):
+    table = summary(good)
+    table.loc["rho", "ess_tail"] = np.nan
+    assert not judge(good, table=table).converged
+
+
+def test_warnings_do_not_touch_convergence(good, problem):
+    good["observed_data"]["frequency"] = good["observed_data"]["frequency"] + np.array([0.0, 9.0, 0.0])
+    found = diagnose(good, problem)
+    assert found.converged
+    assert len(found.warnings) == 1
+
+
+def test_text_and_html():
+    found = Diagnosis(False, ("R-hat 2 of <a>", "second"), ("mode 1 & more",))
+    assert str(found) == "not converged\n  - R-hat 2 of <a>\n  - second\nthe model\n  - mode 1 & more"
+    assert found.verdict == "not converged: R-hat 2 of <a>"
+    html = found._repr_html_()
+    assert "<strong>not converged</strong>" in html
+    assert "<li>R-hat 2 of &lt;a&gt;</li><li>second</li>" in html
+    assert "<strong>the model</strong></p><ul><li>mode 1 &amp; more</li>" in html
+    assert str(Diagnosis(True, (), ())) == "converged"
+    assert Diagnosis(True, (), ())._repr_html_() == "<p><strong>converged</strong></p>"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.converged = True
+
+
+def test_bad_arguments(good, section, in_b):
+    with pytest.raises(ValueError, match="trace: must be a trace written by fmu"):
+        diagnose(3)
+    with pytest.raises(ValueError, match=r"others\.2: must be a trace written by fmu"):
+        diagnose(good, others=[good, 3])
+    with pytest.raises(ValueError, match=r"problem: must have the parameters \('E1', 'rho'\) \(got \('Ix1'"):
+        diagnose(good, section)
+    with pytest.raises(ValueError, match=r"others\.b: must have the parameters \('E1', 'rho'\) \(got \('Ix1'"):
+        diagnose(good, others={"b": in_b})

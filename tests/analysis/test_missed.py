@@ -1,0 +1,139 @@
+"""Which maxima draws are near to, and which of them a run left out; with maxima and draws made by hand."""
+
+import numpy as np
+import pytest
+
+from fmu.analysis.maxima import Maxima, PosteriorMaximum
+from fmu.analysis.missed import missed_maxima, nearest_maxima, percent
+
+
+def maximum(theta, log_prob, share, sd=(1.0, 1.0), gradient=(0.0, 0.0), effective=300.0):
+    theta, sd = np.array(theta, dtype=float), np.array(sd)
+    return PosteriorMaximum(
+        theta=theta,
+        log_prob=log_prob,
+        frequencies=np.array([1.0]),
+        starts=1,
+        at_bound=np.zeros(2, dtype=int),
+        gradient=np.array(gradient),
+        hessian=np.diag(sd**-2.0),
+        curvature="differences",
+        mean=theta,
+        sd=sd,
+        log_mass=np.log(share),
+        effective_draws=effective,
+        share=share,
+    )
+
+
+def known(*maxima):
+    infinite = np.full(2, np.inf)
+    return Maxima(maxima, ("x0", "x1"), ("m", ""), ("1",), -infinite, infinite, np.zeros(2), )  # fmt: skip
+
+
+@pytest.fixture
+def two():
+    """The lower one is wide and holds most of the probability."""
+    return known(maximum((0, 0), -1.0, 0.2, sd=(0.1, 0.1)), maximum((20, 0), -4.0, 0.8, sd=(2.0, 2.0)))
+
+
+@pytest.fixture
+def trace_of(make_trace):
+    """A trace whose chains scatter around the given places; the best log-probability is `best`."""
+
+    def make(*places, walkers=1, best=-2.0, sd=0.1):
+        rng = np.random.default_rng(51)
+        position = np.array(places)[:, None] + sd * rng.standard_normal((len(places), 200, 2))
+        return make_trace(position, walkers=walkers, lp=np.full((len(places), 200), best))
+
+    return make
+
+
+def test_a_draw_belongs_to_the_maximum_whose_ellipsoid_it_is_in(two):
+    # χ² of two degrees of freedom exceeds −2 log 1e-4 = 4.292² with probability 1e-4
+    theta = np.array([[0, 0], [0.42, 0], [0.44, 0], [20, 8.5], [20, 8.7], [-50, 0]])
+    np.testing.assert_array_equal(nearest_maxima(theta, two), [0, 0, -1, 1, -1, -1])
+
+
+def test_a_draw_near_two_belongs_to_the_higher_model():
+    both = known(maximum((0, 0), -1.0, 0.5), maximum((3, 0), -1.0, 0.5))
+    np.testing.assert_array_equal(nearest_maxima(np.array([[1.4, 0], [1.6, 0]]), both), [0, 1])
+    lower = known(maximum((0, 0), -1.0, 0.5), maximum((3, 0), -5.0, 0.5))
+    np.testing.assert_array_equal(nearest_maxima(np.array([[1.6, 0]]), lower), [0])
+
+
+def test_at_a_wall_the_density_falls_off_exponentially():
+    """Five decay lengths from the wall is near; without the gradient it would be anyway, ten are not."""
+    wall = known(maximum((0, 0), -1.0, 1.0, sd=(100.0, 1.0), gradient=(-1.0, 0.0)))
+    np.testing.assert_array_equal(nearest_maxima(np.array([[5.0, 0], [10.0, 0]]), wall), [0, -1])
+
+
+def test_a_maximum_never_visited(two, trace_of):
+    first, second = missed_maxima(trace_of((0, 0), (0, 0), best=-2.5), two)
+    assert first == (
+        "maximum 2 at x0 = 20 m, x1 = 0, with log-probability -4.0 where the best draw has -2.5, was never "
+        "visited; it holds about 80 % of the probability"
+    )
+    assert second == (
+        "instead 2 chains are around maximum 1 at x0 = 0 m, x1 = 0 (log-probability -1.0, 20 % of the probability)"
+    )
+
+
+def test_both_visited(two, trace_of):
+    assert missed_maxima(trace_of((0, 0), (20, 0), (20, 1)), two) == []
+
+
+def test_a_maximum_without_mass_need_not_be_visited(trace_of):
+    maxima = known(maximum((0, 0), -1.0, 0.995), maximum((20, 0), -4.0, 0.005))
+    assert missed_maxima(trace_of((0, 0), (0, 0)), maxima) == []
+
+
+def test_mass_counts_and_not_height(trace_of):
+    """The highest maximum may hold nothing, and the lowest all."""
+    maxima = known(maximum((0, 0), 50.0, 1e-4, sd=(1e-6, 1e-6)), maximum((20, 0), -4.0, 0.9999))
+    assert missed_maxima(trace_of((20, 0), (20, 0)), maxima) == []
+    assert "maximum 2" in missed_maxima(trace_of((0, 0), (0, 0), sd=1e-7), maxima)[0]
+
+
+def test_draws_out_of_proportion_to_mass(trace_of):
+    maxima = known(maximum((0, 0), -1.0, 0.97), maximum((20, 0), -4.0, 0.03))
+    (only,) = missed_maxima(trace_of((0, 0), (20, 0)), maxima)
+    assert only == "maximum 2 at x0 = 20 m, x1 = 0 has 50 % of the draws, but about 3 % of the probability"
+    maxima = known(maximum((0, 0), -1.0, 0.9), maximum((20, 0), -4.0, 0.1))
+    assert (
+        missed_maxima(trace_of((0, 0), (20, 0)), maxima) == []
+    )  # five times too many may be the estimate's fault
+    rare = known(maximum((0, 0), -1.0, 0.95), maximum((20, 0), -4.0, 0.05))
+    places = [(20, 0)] * 39 + [(0, 0)]
+    reasons = missed_maxima(trace_of(*places), rare)
+    assert reasons[0].startswith("maximum 1 at x0 = 0 m, x1 = 0 has 2.5 % of the draws, but about 95 %")
+
+
+def test_masses_that_are_not_known_well_say_nothing_of_proportions(trace_of):
+    trace = trace_of((0, 0), (20, 0))
+    poor = known(maximum((0, 0), -1.0, 0.97, effective=19.0), maximum((20, 0), -4.0, 0.03))
+    assert missed_maxima(trace, poor) == []
+    # what comes from the Laplace approximation alone is negligible by far
+    laplace = known(maximum((0, 0), -1.0, 1.0), maximum((20, 0), -90.0, 1e-30, effective=0.0))
+    assert "has 50 % of the draws, but about 1e-28 %" in missed_maxima(trace, laplace)[0]
+    # a draw above all maxima shows that the search did not see everything
+    assert missed_maxima(trace_of((0, 0), (20, 0), best=-0.5), laplace) == []
+
+
+def test_walkers_are_told_apart(two, make_trace):
+    rng = np.random.default_rng(52)
+    position = 0.1 * rng.standard_normal((2, 100, 4, 2))
+    position[:, :, 0, 0] -= 300.0
+    trace = make_trace(position.reshape(2, 400, 2), walkers=4)
+    assert missed_maxima(trace, two)[1] == (
+        "instead 2 walkers are near none of the maxima; 6 walkers are around maximum 1 at x0 = 0 m, x1 = 0 "
+        "(log-probability -1.0, 20 % of the probability)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(1.0, "100 %"), (0.996, "100 %"), (0.25, "25 %"), (0.034, "3.4 %"), (2.7e-27, "2.7e-25 %")],
+)
+def test_percent(share, words):
+    assert percent(share) == words

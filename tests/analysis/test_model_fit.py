@@ -1,0 +1,84 @@
+"""Warnings on the model: draws at bounds, modes outside their predictions, maxima that a search missed."""
+
+import numpy as np
+import pytest
+
+from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings
+from fmu.analysis.trace import to_trace
+
+
+@pytest.fixture
+def trace_of(make_result, problem):
+    """A trace of the linear problem with E1, whose bounds are ∓4, as given: shape (chains, draws)."""
+
+    def make(first):
+        position = np.stack([first, np.zeros_like(first)], axis=-1)
+        return to_trace(make_result(position), problem)
+
+    return make
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(61)
+
+
+def test_draws_at_the_upper_bound(trace_of, rng):
+    (found,) = bound_warnings(trace_of(4.0 - np.abs(0.3 * rng.standard_normal((4, 500)))))
+    assert found.startswith("E1 is piled up against its upper bound, 4 Pa: 4")
+    assert found.endswith("% of the draws are within 2 % of the bounds' distance of it, 0.0 % of the prior")
+
+
+def test_draws_at_the_lower_bound(trace_of, rng):
+    (found,) = bound_warnings(trace_of(-4.0 + rng.exponential(0.2, (4, 500))))
+    assert found.startswith("E1 is piled up against its lower bound, -4 Pa")
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        lambda rng: rng.uniform(-4.0, 4.0, (4, 500)),  # 2 % are near each bound, as of the prior
+        lambda rng: 3.9 + 0.02 * rng.standard_normal((4, 500)),  # narrow, and five standard deviations from it
+        lambda rng: rng.standard_normal((4, 500)),
+    ],
+    ids=["everywhere", "near but not at", "inside"],
+)
+def test_draws_that_the_bound_does_not_hold_back(trace_of, rng, first):
+    assert bound_warnings(trace_of(np.clip(first(rng), -4.0, 4.0))) == []
+
+
+def test_a_prior_that_is_at_the_bound_itself(trace_of, rng):
+    trace = trace_of(4.0 - np.abs(0.3 * rng.standard_normal((4, 500))))
+    trace["prior"]["E1"] = trace["prior"]["E1"] * 0.0 + 3.95
+    assert bound_warnings(trace) == []
+
+
+def test_unbounded_parameters_and_plain_densities(make_trace, rng):
+    assert bound_warnings(make_trace(rng.standard_normal((4, 500, 2)))) == []
+
+
+def test_a_mode_outside_its_prediction_is_named(make_result, problem, rng):
+    # the model says 100 + (2a + b, a/2 − b, a + 3b); noise of 1, 0.71 and 0.5 Hz
+    trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2)) + [0.5, 0.0]), problem)
+    assert trace["observed_data"]["frequency"].to_numpy().tolist() == [101.0, 99.5, 102.0]
+    (found,) = fit_warnings(trace)
+    assert found.startswith("mode T1 was measured at 102.0 Hz, outside the 99 % interval of its prediction, 99.")
+    assert found.endswith("Hz (mean 100.5 Hz)")
+
+
+def test_noise_belongs_to_the_prediction(make_result, problem, rng):
+    """1.0 Hz from 100 + 0.5: a hundred posterior standard deviations, but one and a half of the noise."""
+    trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2)) + [0.5, 0.0]), problem)
+    assert not any("W2" in warning for warning in fit_warnings(trace))
+
+
+def test_without_a_prediction_there_is_nothing_to_say(make_trace, rng):
+    assert fit_warnings(make_trace(rng.standard_normal((4, 50, 2)))) == []
+
+
+def test_a_draw_above_all_maxima(make_trace, rng):
+    trace = make_trace(rng.standard_normal((4, 50, 2)), lp=np.linspace(-9.0, -3.0, 50))
+    assert search_warnings(trace, -2.9) == []
+    assert search_warnings(trace, -3.0) == []
+    (found,) = search_warnings(trace, -3.5)
+    assert "log-probability -3.000, above the highest maximum found, -3.500" in found
