@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from .draws import Draws, RunResult
 from .ensemble import Ensemble
 from .hamiltonian import HamiltonianMonteCarlo
 from .kernel import Info, Kernel, LogDensity, Sampler, State
 from .metropolis import MetropolisHastings
 from .proposals import Independence, LogNormalWalk, RandomWalk
-from .run import Draws, RunResult, run
+from .run import Run, run
 from .slice import Slice
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "LogNormalWalk",
     "MetropolisHastings",
     "RandomWalk",
+    "Run",
     "RunResult",
     "Sampler",
     "Slice",

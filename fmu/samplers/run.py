@@ -4,72 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernel import FloatArray, Info, Kernel, LogDensity, Sampler, State, Tuner
+from .draws import Draws as Draws
+from .draws import RunResult as RunResult
+from .draws import joined
+from .kernel import Info, Kernel, LogDensity, Sampler, State, Tuner
 from .scaled import ScaledDensity
 from .settings import describe, whole_number
 from .starts import check_finite, starting_points
 
 Progress = Callable[[str, int, int, dict[str, str]], None]
-
-
-@dataclass(frozen=True)
-class Draws:
-    """What was drawn in one phase.
-
-    Attributes
-    ----------
-    position : ndarray, shape (chains, draws, ndim)
-        theta, in the density's own coordinates. The draws of an ensemble are steps × walkers, step-major.
-    stats : dict of str to ndarray, shape (chains, draws)
-        ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and what the sampler adds. The sums of n_solves and
-        n_gradients over warm-up and draws are exactly what the density was asked for: the cost of the start is
-        booked on the first stored step.
-    """
-
-    position: FloatArray
-    stats: dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """Draws of a run and its configuration.
-
-    Attributes
-    ----------
-    warmup, posterior : Draws
-    sampler : str
-        Short name of the sampler.
-    settings : dict
-        Its settings, as JSON-able data.
-    seed, chains, draws, warmup_draws, walkers : int
-        `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws a step.
-    init : str
-        "prior", "start" or "array".
-    wall_s, warmup_wall_s : float
-        Seconds spent sampling, warm-up included, and in warm-up alone.
-    learnt : dict
-        The settings that warm-up arrived at and the draws were made with, {} where nothing was learnt.
-    """
-
-    warmup: Draws
-    posterior: Draws
-    sampler: str
-    settings: dict[str, Any]
-    seed: int
-    walkers: int
-    draws: int
-    warmup_draws: int
-    chains: int
-    init: str
-    wall_s: float
-    warmup_wall_s: float
-    learnt: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -134,6 +83,111 @@ class _Store:
         return Draws(self.position.reshape(chains, steps * walkers, self.scaled.ndim), stats)
 
 
+class Run:
+    """A run that can be carried on: warmed up once, extended as often as wanted.
+
+    The same density, settings and seed give the same draws, bit for bit, in however many parts they are drawn.
+    There is one generator a task, from ``SeedSequence(seed).spawn(tasks)``: all chains are one task, but every
+    ensemble is its own.
+
+    Parameters
+    ----------
+    density : LogDensity
+        With attributes `offset` and `scale`, (ndim,), for the scaled view if it has them (see ScaledDensity).
+    sampler : Sampler
+        Settings, in the units of the scaled view.
+    warmup : int
+        Steps before the draws. What is learnt in them is frozen.
+    chains : int
+        Chains, or ensembles.
+    seed : int
+    init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
+        See starting_points.
+    progress : callable, optional
+        Called after every step as ``progress(phase, done, total, info)``: phase "warmup" or "draws", steps done
+        of the phase's total as far as it is known, and a few words by name.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, a setting does not fit the density, or a start is outside the bounds or has a
+        log-density that is not finite.
+    """
+
+    def __init__(
+        self,
+        density: LogDensity,
+        sampler: Sampler,
+        *,
+        warmup: int,
+        chains: int,
+        seed: int,
+        init: Any,
+        progress: Progress | None = None,
+    ) -> None:
+        self.sampler, self.progress = sampler, progress
+        self.chains, self.warmup = whole_number("chains", chains, 1), whole_number("warmup", warmup, 0)
+        self.seed = whole_number("seed", seed, 0)
+        self.init = init if isinstance(init, str) else "array"
+        self.scaled = ScaledDensity(density)
+        kernel = sampler.bind(self.scaled)
+        n_tasks = self.chains if sampler.walkers > 1 else 1
+        generators = [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(n_tasks)]
+        positions = starting_points(self.scaled, init, generators, self.chains, sampler.walkers)
+
+        began = time.perf_counter()
+        self._tasks = []
+        for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
+            first_chain = i * (self.chains // n_tasks)
+            state, info = kernel.init(position)
+            check_finite(self.scaled, position, info.log_prob, first_chain)
+            tuner = sampler.tuner(self.scaled, len(position), self.warmup) if warmup else None
+            self._tasks.append(_Task(kernel, rng, state, first_chain, info, tuner))
+        self._warm = _phase("warmup", self._tasks, self._store(self.warmup), progress)
+        self._learnt = [_frozen(task, self.scaled) for task in self._tasks]
+        self._parts: list[Draws] = []
+        self._drawn = 0
+        self._wall_s = self._warmup_wall_s = time.perf_counter() - began
+
+    def extend(self, draws: int) -> RunResult:
+        """Draw as many further steps, and return everything drawn so far.
+
+        Raises
+        ------
+        ValueError
+            If `draws` is not a whole number of at least 1.
+        """
+        draws = whole_number("draws", draws, 1)
+        began = time.perf_counter()
+        self._parts.append(_phase("draws", self._tasks, self._store(draws), self.progress, self._drawn))
+        self._drawn += draws
+        self._wall_s += time.perf_counter() - began
+        if len(self._parts) > 1:
+            self._parts = [joined(self._parts)]
+        (kept,) = self._parts
+        warm = self._warm
+        if self.warmup == 0:  # no step has named the statistics
+            warm = Draws(warm.position, {key: value[:, :0] for key, value in kept.stats.items()})
+        return RunResult(
+            warmup=warm,
+            posterior=kept,
+            sampler=self.sampler.name,
+            settings=describe(self.sampler),
+            learnt=self._learnt[0],
+            seed=self.seed,
+            walkers=self.sampler.walkers,
+            draws=self._drawn,
+            warmup_draws=self.warmup,
+            chains=self.chains,
+            init=self.init,
+            wall_s=self._wall_s,
+            warmup_wall_s=self._warmup_wall_s,
+        )
+
+    def _store(self, steps: int) -> _Store:
+        return _Store(self.scaled, self.chains, steps, self.sampler.walkers)
+
+
 def run(
     density: LogDensity,
     sampler: Sampler,
@@ -145,71 +199,10 @@ def run(
     init: Any,
     progress: Progress | None = None,
 ) -> RunResult:
-    """Sample a density.
-
-    The same density, settings and seed give the same draws, bit for bit. There is one generator a task, from
-    ``SeedSequence(seed).spawn(tasks)``: all chains are one task, but every ensemble is its own.
-
-    Parameters
-    ----------
-    density : LogDensity
-        With attributes `offset` and `scale`, (ndim,), for the scaled view if it has them (see ScaledDensity).
-    sampler : Sampler
-        Settings, in the units of the scaled view.
-    draws, warmup : int
-        Steps kept as draws, and before them.
-    chains : int
-        Chains, or ensembles.
-    seed : int
-    init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
-        See starting_points.
-    progress : callable, optional
-        Called after every step as ``progress(phase, done, total, info)``: phase "warmup" or "draws", steps done
-        of the phase's total, and a few words by name.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of range, a setting does not fit the density, or a start is outside the bounds or has a
-        log-density that is not finite.
-    """
-    draws, chains = whole_number("draws", draws, 1), whole_number("chains", chains, 1)
-    warmup, seed = whole_number("warmup", warmup, 0), whole_number("seed", seed, 0)
-    scaled = ScaledDensity(density)
-    kernel = sampler.bind(scaled)
-    n_tasks = chains if sampler.walkers > 1 else 1
-    generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(n_tasks)]
-    positions = starting_points(scaled, init, generators, chains, sampler.walkers)
-
-    began = time.perf_counter()
-    tasks = []
-    for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
-        first_chain = i * (chains // n_tasks)
-        state, info = kernel.init(position)
-        check_finite(scaled, position, info.log_prob, first_chain)
-        tuner = sampler.tuner(scaled, len(position), warmup) if warmup else None
-        tasks.append(_Task(kernel, rng, state, first_chain, info, tuner))
-    warm = _phase("warmup", tasks, _Store(scaled, chains, warmup, sampler.walkers), progress)
-    learnt = [_frozen(task, scaled) for task in tasks]
-    warmup_wall_s = time.perf_counter() - began
-    kept = _phase("draws", tasks, _Store(scaled, chains, draws, sampler.walkers), progress)
-    if warmup == 0:  # no step has named the statistics
-        warm = Draws(warm.position, {key: value[:, :0] for key, value in kept.stats.items()})
-    return RunResult(
-        warmup=warm,
-        posterior=kept,
-        sampler=sampler.name,
-        settings=describe(sampler),
-        learnt=learnt[0],
-        seed=seed,
-        walkers=sampler.walkers,
-        draws=draws,
-        warmup_draws=warmup,
-        chains=chains,
-        init=init if isinstance(init, str) else "array",
-        wall_s=time.perf_counter() - began,
-        warmup_wall_s=warmup_wall_s,
-    )
+    """Sample a density: warm up, and draw `draws` steps. The arguments are those of `Run` and `Run.extend`."""
+    draws = whole_number("draws", draws, 1)
+    begun = Run(density, sampler, warmup=warmup, chains=chains, seed=seed, init=init, progress=progress)
+    return begun.extend(draws)
 
 
 def _frozen(task: _Task, scaled: ScaledDensity) -> dict[str, Any]:
@@ -221,15 +214,15 @@ def _frozen(task: _Task, scaled: ScaledDensity) -> dict[str, Any]:
     return describe(settings)
 
 
-def _phase(name: str, tasks: list[_Task], store: _Store, progress: Progress | None) -> Draws:
-    """Run the steps that `store` has room for, all tasks side by side."""
-    total = store.shape[1]
-    for step in range(total):
+def _phase(name: str, tasks: list[_Task], store: _Store, progress: Progress | None, done: int = 0) -> Draws:
+    """Run the steps that `store` has room for, all tasks side by side; `done` were run before."""
+    steps = store.shape[1]
+    for step in range(steps):
         infos = [task.warm_up() if name == "warmup" else task.step() for task in tasks]
         for task, info in zip(tasks, infos, strict=True):
             store.write(step, task, info)
         if progress is not None:
-            progress(name, step + 1, total, _words(infos))
+            progress(name, done + step + 1, done + steps, _words(infos))
     return store.draws()
 
 

@@ -10,6 +10,7 @@ from fmu.samplers import (
     Independence,
     MetropolisHastings,
     RandomWalk,
+    Run,
     Slice,
     named,
     run,
@@ -108,6 +109,63 @@ def test_progress_is_told_of_every_step():
         *(("draws", k, 6) for k in range(1, 7)),
     ]
     assert all(isinstance(text, str) for call in seen for text in call[3].values())
+
+
+class TestCarryingOn:
+    @pytest.mark.parametrize(
+        "sampler",
+        [MetropolisHastings(), Slice(), HamiltonianMonteCarlo(), Ensemble(walkers=8)],
+        ids=["mh", "slice", "hmc", "emcee"],
+    )
+    @pytest.mark.parametrize("warmup", [0, 40])
+    def test_parts_are_bitwise_the_whole(self, sampler, warmup):
+        settings = {"warmup": warmup, "chains": 3, "seed": 5, "init": "prior"}
+        whole = run(TruncatedGaussian(), sampler, draws=37, **settings)
+        parts = Run(TruncatedGaussian(), sampler, **settings)
+        for steps, total in ((1, 1), (10, 11), (26, 37)):
+            result = parts.extend(steps)
+            assert result.draws == total
+        for phase in ("warmup", "posterior"):
+            one, other = getattr(whole, phase), getattr(result, phase)
+            np.testing.assert_array_equal(one.position, other.position)
+            assert one.stats.keys() == other.stats.keys()
+            for name in one.stats:
+                np.testing.assert_array_equal(one.stats[name], other.stats[name])
+                assert one.stats[name].dtype == other.stats[name].dtype
+        assert (result.learnt, result.settings) == (whole.learnt, whole.settings)
+        assert (result.draws, result.warmup_draws, result.walkers) == (37, warmup, sampler.walkers)
+
+    def test_earlier_results_stay_what_they_were(self):
+        begun = Run(TruncatedGaussian(), WALK, warmup=2, chains=2, seed=1, init="prior")
+        first = begun.extend(5)
+        kept = first.posterior.position.copy()
+        second = begun.extend(5)
+        assert first.posterior.position.shape == (2, 5, 2)
+        np.testing.assert_array_equal(first.posterior.position, kept)
+        np.testing.assert_array_equal(second.posterior.position[:, :5], kept)
+        assert second.wall_s > first.wall_s > first.warmup_wall_s == second.warmup_wall_s
+
+    def test_cost_is_counted_once(self):
+        target = Counting(TruncatedGaussian())
+        begun = Run(target, HamiltonianMonteCarlo(0.05, 4), warmup=0, chains=3, seed=1, init="prior")
+        for _ in range(3):
+            result = begun.extend(4)
+        assert result.posterior.stats["n_solves"].sum() == target.n_solves
+
+    def test_progress_goes_on_where_it_was(self):
+        seen = []
+        begun = Run(
+            TruncatedGaussian(), WALK, warmup=1, chains=2, seed=1, init="prior",
+            progress=lambda *call: seen.append(call[:3]),
+        )  # fmt: skip
+        begun.extend(2)
+        begun.extend(1)
+        assert seen == [("warmup", 1, 1), ("draws", 1, 2), ("draws", 2, 2), ("draws", 3, 3)]
+
+    def test_nothing_to_draw(self):
+        begun = Run(TruncatedGaussian(), WALK, warmup=1, chains=2, seed=1, init="prior")
+        with pytest.raises(ValueError, match=r"draws: must be a whole number of at least 1 \(got 0\)"):
+            begun.extend(0)
 
 
 class TestStart:
