@@ -47,8 +47,7 @@ class OutputDirectory:
             listed = ", ".join(foreign[:3]) + (", …" if len(foreign) > 3 else "")
             raise ValueError(
                 f"out: {self.root} holds {len(foreign)} files that this command did not write and will not "
-                f"replace "
-                f"({listed}); move them away or choose another directory"
+                f"replace ({listed}); move them away or choose another directory"
             )
 
     @contextmanager

@@ -21,8 +21,7 @@ def plan():
             "hmc": Length(30, 20, 2),
             "emcee": Length(20, 5, 2),
         },
-        reference=Length(30, 20, 2),
-        starts=4,
+        starts=16,
         box_points=2**8,
     )
 

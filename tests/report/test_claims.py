@@ -22,7 +22,7 @@ def make(findings):
         table["n_gradients"] = [100_000 if s == "hmc" else 0 for s in table.index]
         table["ess_bulk_min"] = table["ess_per_solve"] * table["n_solves"]
         table["needed_solves"] = pd.array([None if s in open_ else 40_000 for s in table.index], dtype="Int64")
-        return replace(findings, comparison=table, agreement=agreement, reference_converged=True, **fields)
+        return replace(findings, comparison=table, agreement=agreement, **fields)
 
     return make
 

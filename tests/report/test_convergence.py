@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 
 from fmu.report.paper.convergence import lengths_up_to, running_error, shortened, solves_by_step, solves_needed
-from fmu.report.paper.reference import MISSED, Reference, missed, pooled
+from fmu.report.paper.reference import Reference, around_the_maxima, pooled
 
-REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given", True)
+REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given")
 
 
 def make_trace(a, b, walkers=1, warm_solves=7, lp=0.0):
@@ -88,20 +88,25 @@ def test_solves_needed_of_a_run_that_never_convinces():
     assert needed.solves is None
 
 
-def test_a_trace_that_stayed_below_the_highest_maximum_missed_it():
-    maxima = (SimpleNamespace(log_prob=-40.0), SimpleNamespace(log_prob=-108.0))
-    at = make_trace(np.zeros((2, 5)), np.zeros((2, 5)), lp=-40.0 - MISSED + 0.1)
-    below = make_trace(np.zeros((2, 5)), np.zeros((2, 5)), lp=-108.0)
-    assert missed(at, maxima) == []
-    (words,) = missed(below, maxima)
-    assert "never visited" in words
-    assert "68" in words
+def test_reference_from_the_maxima_is_the_mixture_that_they_make():
+    one = SimpleNamespace(share=0.75, mean=np.array([0.0, 2.0]), sd=np.array([1.0, 1.0]), effective_draws=100.0)
+    two = SimpleNamespace(share=0.25, mean=np.array([4.0, 2.0]), sd=np.array([1.0, 3.0]), effective_draws=0.0)
+    reference = around_the_maxima([one, two])
+    np.testing.assert_allclose(reference.mean, [1.0, 2.0])
+    np.testing.assert_allclose(reference.sd, np.sqrt([1.0 + 0.75 * 1 + 0.25 * 9, 0.75 + 0.25 * 9]))
+    np.testing.assert_allclose(reference.mcse, np.sqrt([0.75**2 / 100 + 0.25**2, 0.75**2 / 100 + 0.75**2]))
+
+
+def test_a_run_that_misses_the_maximum_is_measured_against_it(result):
+    """Nothing converged in this short run: the reference is the mass around the maximum, not the chains."""
+    np.testing.assert_allclose(result.reference.mean, result.maxima[0].mean, rtol=1e-6)
+    assert result.reference.resolution < 0.2
 
 
 def test_pooled_reference_weighs_by_effective_draws():
     rng = np.random.default_rng(1)
     short, long = (make_trace(*rng.standard_normal((2, 4, n))) for n in (300, 4_000))
-    reference = pooled({"short": short, "long": long}, "both", True)
+    reference = pooled({"short": short, "long": long}, "both")
     every = np.concatenate(
         [trace["posterior"][name].to_numpy().ravel() for trace in (short, long) for name in "a"]
     )

@@ -31,8 +31,7 @@ CLAIMS = {
 CLOSE = 1.25
 """Efficiencies whose ratio is smaller are not told apart: an estimated ESS scatters by a tenth or so."""
 SEPARATED = (
-    "The posterior has separated modes and each run reports the ones it fell into: results that differ "
-    "between "
+    "The posterior has separated modes and each run reports the ones it fell into: results that differ between "
     "samplers here say nothing about the samplers. "
 )
 
@@ -98,8 +97,7 @@ def statement(findings: Findings) -> str:
     in_sd, in_mcse, names = findings.agreement
     if len(names) > 1:
         words += (
-            f"The converged samplers give one answer: their means differ by at most {in_sd:.2f} posterior "
-            f"sd, "
+            f"The converged samplers give one answer: their means differ by at most {in_sd:.2f} posterior sd, "
             f"{in_mcse:.1f} standard errors of the difference. "
         )
     return words

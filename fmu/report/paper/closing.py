@@ -41,16 +41,16 @@ def separated_modes(findings: Findings) -> Iterator[Erratum]:
     if findings.pairing != "index" or len(maxima) < 2:
         return
     top = maxima["log_prob"].iloc[0]
-    heights = ", ".join(
-        f"{chr(ord('A') + k)} with modes {row.modes}" + (f", {top - row.log_prob:.1f} lower" if k else "")
+    heights = "; ".join(
+        f"number {row.Index} with modes {row.modes}" + (f", {top - row.log_prob:.1f} lower" if k else "")
         for k, row in enumerate(maxima.itertuples())
     )
-    missed = [s for s, v in findings.comparison["verdict"].items() if "never visited" in str(v)]
+    missed = findings.never_visited
     yield Erratum(
         f"Section {findings.published.section}, comparison of the samplers",
         "one posterior, sampled by all",
-        f"paired by number the posterior has {len(maxima)} separated maxima: {heights} (log-probability)",
+        f"paired by number the posterior has {len(maxima)} separated maxima: {heights}; number 1 holds "
+        f"{maxima['share'].iloc[0]:.2%} of the probability",
         f"ascents from {int(findings.maxima['starts'].sum())} points; of our {len(findings.comparison)} long "
-        f"runs, started "
-        f"from the prior, {len(missed)} never came near A",
+        f"runs, started from the prior, {len(missed)} never came near number 1",
     )

@@ -65,8 +65,7 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
         yield Erratum(
             f"Table {experiment.frequency_table}, mode {i + 1}",
             f"measured {experiment.measured[i]} Hz is mode number {number}: initially {start.frequencies[i]} "
-            f"Hz, "
-            f"error {start.errors[i]} %",
+            f"Hz, error {start.errors[i]} %",
             f"number {number} is {name} ({hz:.2f} Hz), {_words(name)}; the measured mode is {wanted[i]} "
             f"({frequency[i]:.2f} Hz, error {error:.2f} %)",
             f"the spectrum at the start runs {order}; the accelerometers measure motion in the weak plane",
@@ -109,8 +108,8 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
             )
             yield Erratum(
                 place, cells, meant,
-                f"as printed the model gives {_list(wrong)} Hz; with the values found {_list(right)} Hz; "
-                f"Table {experiment.frequency_table} says {', '.join(map(str, column.frequencies))} Hz",
+                f"as printed the model gives {_list(wrong)} Hz; with the values found {_list(right)} Hz; Table "
+                f"{experiment.frequency_table} says {', '.join(map(str, column.frequencies))} Hz",
             )  # fmt: skip
         for j, value in enumerate(column.printed_theta):
             low, high = problem.lower[j], problem.upper[j]
@@ -118,8 +117,8 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
                 yield Erratum(
                     f"{place}, {names[j]}", str(column.parameters[j]),
                     f"outside its bounds [{markdown.number(low, '.3g')}, {markdown.number(high, '.3g')}]",
-                    f"section {experiment.section} gives the bounds; the column's frequencies do belong to "
-                    f"this value",
+                    f"section {experiment.section} gives the bounds; the column's frequencies do belong to this "
+                    "value",
                 )  # fmt: skip
 
 
@@ -135,9 +134,8 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
                 f"{column.frequencies[i]} Hz, error {column.errors[i]} %",
                 f"{meant:g} Hz",
                 f"the error of the printed frequency is {error:.2f} %; the model at the column's parameters "
-                f"gives "
-                f"{model:.2f} Hz, error {experiment.error_percent(problem.frequencies(column.theta))[i]:.2f} "
-                f"%",
+                f"gives {model:.2f} Hz, error "
+                f"{experiment.error_percent(problem.frequencies(column.theta))[i]:.2f} %",
             )
 
 
@@ -156,8 +154,7 @@ def _errors(case: str) -> Iterator[Erratum]:
                 f"{column.errors[i]} %",
                 f"{experiment.error_percent(column.printed_hz)[i]:.3f} %",
                 f"|{cell} − {experiment.measured[i]}|/{experiment.measured[i]}; rounding of the frequency "
-                f"allows "
-                f"{min(ends):.3f} to {max(ends):.3f} %",
+                f"allows {min(ends):.3f} to {max(ends):.3f} %",
             )
 
 
@@ -184,11 +181,9 @@ def errata_page(errata: list[Erratum]) -> str:
     rows = [(str(k), *erratum) for k, erratum in enumerate(errata, start=1)]
     return (
         "# Errata\n\n"
-        "Of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite "
-        "Element Model "
-        "Updating*. Every number below is computed from the paper's tables and the model that reproduces "
-        "them "
-        "([recomputed.md](recomputed.md)).\n\n"
+        "Of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite Element "
+        "Model Updating*. Every number below is computed from the paper's tables and the model that reproduces "
+        "them ([recomputed.md](recomputed.md)).\n\n"
         f"## In the tables\n\nModes are named by their plane of motion and their number in it; {planes}.\n\n"
         + markdown.table(("#", "where", "printed", "found", "evidence"), rows, left=5)
         + f"\n## In the algorithms\n\n{ALGORITHMS}"

@@ -13,7 +13,7 @@ from fmu.cases.published import EXPERIMENTS
 from fmu.cases.published import Experiment as Published
 from fmu.report.paper.convergence import Curve, Needed, running_error, solves_needed
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Length, Plan, long_settings, paper_settings
-from fmu.report.paper.reference import Reference, around, missed, pooled
+from fmu.report.paper.reference import Reference, around_the_maxima, pooled
 from fmu.report.paper.spectrum import paired_names, shares
 from fmu.report.plots import TITLES
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from fmu.posterior.maxima import Maximum
+    from fmu.analysis.diagnosis import Diagnosis
+    from fmu.analysis.maxima import Maxima
     from fmu.posterior.problem import UpdatingProblem
     from fmu.samplers.kernel import Sampler
 
@@ -49,17 +50,17 @@ class Result:
     pairing : str
         ``"index"`` or ``"shape"``.
     problem : UpdatingProblem
-    maxima : tuple of Maximum
+    maxima : Maxima
         Local maxima of the posterior, the highest first.
     maxima_modes : tuple of str
         The physical modes paired with the measured ones at each maximum, ``"W1 W2 W3 W4 W5"`` for example.
     paper, long : mapping of str to DataTree
         Traces under the paper's protocol and of the long runs, by sampler.
-    reference_run : DataTree or None
-        The run from the highest maximum, where no long run could be the reference.
     reference : Reference
+    diagnoses : mapping of str to Diagnosis
+        The verdicts on the long runs, which know the maxima and each other.
     comparison : DataFrame
-        `fmu.compare` of the long runs, with verdicts that know the maxima.
+        `fmu.compare` of the long runs, with those verdicts.
     needed : mapping of str to Needed
         Of the long runs.
     curves : mapping of str to tuple of Curve
@@ -71,12 +72,12 @@ class Result:
     published: Published
     pairing: str
     problem: UpdatingProblem
-    maxima: tuple[Maximum, ...]
+    maxima: Maxima
     maxima_modes: tuple[str, ...]
     paper: Mapping[str, xr.DataTree]
     long: Mapping[str, xr.DataTree]
-    reference_run: xr.DataTree | None
     reference: Reference
+    diagnoses: Mapping[str, Diagnosis]
     comparison: pd.DataFrame
     needed: Mapping[str, Needed]
     curves: Mapping[str, tuple[Curve, ...]]
@@ -89,9 +90,7 @@ class Result:
 
     def is_converged(self, sampler: str) -> bool:
         """Return whether the verdict on the long run of a sampler was good."""
-        from fmu.analysis.comparison import CONVERGED
-
-        return bool(self.comparison.loc[sampler, "verdict"] == CONVERGED)
+        return self.diagnoses[sampler].converged
 
 
 def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = None) -> Result:
@@ -108,12 +107,15 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
     """
     from fmu import cases
     from fmu.analysis.certificate import CertificateWarning
-    from fmu.posterior.maxima import local_maxima
+    from fmu.analysis.comparison import side_by_side
+    from fmu.analysis.diagnosis import diagnose_all, with_maxima
+    from fmu.analysis.diagnostics import summary
+    from fmu.analysis.search import find_map
     from fmu.sampling import sample
 
     published = EXPERIMENTS[case]
     problem = cases.load(case, pairing)
-    maxima = local_maxima(problem, plan.starts, plan.seed)
+    maxima = find_map(problem, plan.starts, plan.seed)
     counter = _Counter(directory_of(case, pairing), plan.steps, progress)
 
     def run(words: str, settings: Sampler, length: Length, init: Any) -> xr.DataTree:
@@ -131,17 +133,14 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
                 progress=counter.watch(words),
             )
         counter.done += length.steps
-        return trace
+        return with_maxima(trace, maxima)
 
     paper = {s: run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
     long = {s: run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
-    comparison = _comparison(long, maxima)
-    reference_run, reference = None, _reference(long, comparison)
-    if reference is None:
-        starts = around(problem, maxima[0], plan.reference.chains, plan.seed)
-        reference_run = run("hmc from the maximum", long_settings("hmc"), plan.reference, starts)
-        reference = pooled({"hmc": reference_run}, "HMC started in the highest maximum", False)
     counter.finish()
+    summaries = {s: summary(trace) for s, trace in long.items()}
+    diagnoses = diagnose_all(long, summaries=summaries)
+    reference = _reference(long, diagnoses, maxima)
 
     return Result(
         published=published,
@@ -151,10 +150,10 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
         maxima_modes=tuple(" ".join(row) for row in paired_names(problem, np.array([m.theta for m in maxima]))),
         paper=paper,
         long=long,
-        reference_run=reference_run,
         reference=reference,
-        comparison=comparison,
-        needed={s: solves_needed(trace, lambda t: failures(t, maxima)) for s, trace in long.items()},
+        diagnoses=diagnoses,
+        comparison=side_by_side(long, summaries, diagnoses),
+        needed={s: _needed(trace, diagnoses[s], maxima) for s, trace in long.items()},
         curves={
             s: tuple(running_error(t, reference) for t in (trace, paper.get(s)) if t is not None)
             for s, trace in long.items()
@@ -163,30 +162,22 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
     )
 
 
-def failures(trace: xr.DataTree, maxima: tuple[Maximum, ...]) -> list[str]:
-    """Say why a trace must not be called converged, the known maxima considered."""
+def _needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
+    """Return when a run began to pass for converged; one that never did needs no search."""
     from fmu.analysis.diagnostics import convergence_failures
+    from fmu.analysis.missed import missed_maxima
 
-    return missed(trace, maxima) + convergence_failures(trace)
-
-
-def _comparison(long: Mapping[str, xr.DataTree], maxima: tuple[Maximum, ...]) -> pd.DataFrame:
-    """Compare the long runs; a run that missed the highest maximum is not called converged."""
-    from fmu.analysis.comparison import compare
-
-    table = compare(long)
-    for name, trace in long.items():
-        for reason in missed(trace, maxima):
-            table.loc[name, "verdict"] = f"not converged: {reason}"
-    return table
+    if not diagnosis.converged:
+        return Needed(None, None)
+    return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
 
 
-def _reference(long: Mapping[str, xr.DataTree], comparison: pd.DataFrame) -> Reference | None:
-    """Pool the converged ones of the trusted samplers; None if there is none."""
-    from fmu.analysis.comparison import CONVERGED
-
-    good = {s: long[s] for s in TRUSTED if comparison.loc[s, "verdict"] == CONVERGED}
-    return pooled(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled", True) if good else None
+def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
+    """Pool the converged runs of the trusted samplers; without one, ask the maxima."""
+    good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
+    if not good:
+        return around_the_maxima(maxima)
+    return pooled(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled")
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:

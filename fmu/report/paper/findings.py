@@ -31,15 +31,16 @@ class Findings:
     parameters, frequencies, comparison : DataFrame
         See `fmu.report.paper.tables`.
     maxima : DataFrame
-        Local maxima of the posterior, the highest first: the parameters (SI units), ``log_prob``, ``modes`` (the
-        physical modes paired there) and ``starts``.
+        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.Maxima.table`), and beside them the
+        physical ``modes`` paired there.
+    reasons, warnings : mapping of str to tuple of str
+        By sampler, why the long run has not converged, and what speaks against the model.
     places : mapping of str to mapping of str to float
         Share of each long run's draws at which each combination of physical modes is paired.
     agreement : tuple
         See `fmu.report.paper.tables.agreement`.
     origin : str
         Of the reference.
-    reference_converged : bool
     settings : mapping of str to str
         Of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
     learnt : mapping of str to str
@@ -57,10 +58,11 @@ class Findings:
     frequencies: pd.DataFrame
     comparison: pd.DataFrame
     maxima: pd.DataFrame
+    reasons: Mapping[str, tuple[str, ...]]
+    warnings: Mapping[str, tuple[str, ...]]
     places: Mapping[str, Mapping[str, float]]
     agreement: tuple[float, float, tuple[str, ...]]
     origin: str
-    reference_converged: bool
     settings: Mapping[str, str]
     learnt: Mapping[str, str]
     lengths: Mapping[str, tuple[int, int, int]]
@@ -69,14 +71,10 @@ class Findings:
     @classmethod
     def of(cls, result: Result) -> Findings:
         """Return the findings of the runs of an experiment."""
-        import pandas as pd
-
         traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
         traces |= {f"{name}, long": trace for name, trace in result.long.items()}
-        maxima = pd.DataFrame([m.theta for m in result.maxima], columns=list(result.problem.names))
-        maxima["log_prob"] = [m.log_prob for m in result.maxima]
+        maxima = result.maxima.table()
         maxima["modes"] = result.maxima_modes
-        maxima["starts"] = [m.starts for m in result.maxima]
         return cls(
             case=result.published.case,
             pairing=result.pairing,
@@ -84,10 +82,11 @@ class Findings:
             frequencies=frequency_table(result),
             comparison=comparison_table(result),
             maxima=maxima,
+            reasons={name: diagnosis.reasons for name, diagnosis in result.diagnoses.items()},
+            warnings={name: diagnosis.warnings for name, diagnosis in result.diagnoses.items()},
             places=result.places,
             agreement=agreement(result),
             origin=result.reference.origin,
-            reference_converged=result.reference.converged,
             settings={key: str(trace.attrs["settings"]) for key, trace in traces.items()},
             learnt={key: str(trace.attrs.get("learnt", "{}")) for key, trace in traces.items()},
             lengths={
@@ -140,6 +139,11 @@ class Findings:
     def central_difference_rate(self) -> float:
         """HMC's effective draws per solve if every gradient cost 2·ndim solves, as eq. (15) does."""
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
+
+    @property
+    def never_visited(self) -> list[str]:
+        """Samplers whose long run never came near a maximum that matters."""
+        return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
 
     @property
     def separate_maxima(self) -> pd.DataFrame:

@@ -39,8 +39,6 @@ class Plan:
         The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
     long : mapping of str to Length
         The long runs, one a sampler, from draws of the prior.
-    reference : Length
-        HMC from the highest maximum, made where no long run can serve as the reference.
     starts : int
         From how many points maxima are searched.
     box_points : int
@@ -60,7 +58,6 @@ class Plan:
             "emcee": Length(4_000, 500, 4),
         }
     )
-    reference: Length = Length(2_000, 1_000, 4)
     starts: int = 256
     box_points: int = 2**14
     seed: int = 1
@@ -68,7 +65,7 @@ class Plan:
     @property
     def steps(self) -> int:
         """Steps of one experiment in all."""
-        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.long.values(), self.reference)
+        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.long.values())
         return sum(length.steps for length in runs)
 
 

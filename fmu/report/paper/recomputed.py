@@ -78,10 +78,9 @@ def recomputed_page(table: pd.DataFrame) -> str:
     return (
         "# The published frequencies, recomputed\n\n"
         f"The model at the parameters of Tables 1 and 3, modes paired by number: {passed} of {len(table)} "
-        f"frequencies "
-        f"of Tables 2 and 4 come out within {TOLERANCE:.1%} beyond the rounding of the printed digit. The "
-        f"difference "
-        "is taken from what was meant where the remark says that a misprint is printed.\n\n"
+        f"frequencies of Tables 2 and 4 come out within {TOLERANCE:.1%} beyond the rounding of the printed "
+        "digit. The difference is taken from what was meant where the remark says that a misprint is "
+        "printed.\n\n"
         + markdown_table(
             (
                 "table",

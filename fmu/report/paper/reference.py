@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,18 +12,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import xarray as xr
 
-    from fmu.posterior.maxima import Maximum
-    from fmu.posterior.problem import UpdatingProblem
+    from fmu.analysis.maxima import Maxima
 
 FloatArray = NDArray[np.float64]
-
-MISSED = 12.0
-"""A trace that never comes this near to the log-probability of a maximum has not been there.
-
-Near a maximum in d dimensions the log-probability of a draw lies below it by half a χ² variable of d degrees of
-freedom (by the sum of d exponential ones in a corner of the bounds): for d = 5, less than 12 in all but one of a
-hundred draws even in the corner, and a trace has hundreds of draws.
-"""
 
 
 @dataclass(frozen=True)
@@ -36,15 +27,12 @@ class Reference:
         SI units; `mcse` is the standard error of `mean`.
     origin : str
         In words, where it comes from.
-    converged : bool
-        Whether the verdict on every run in it was good.
     """
 
     mean: FloatArray
     sd: FloatArray
     mcse: FloatArray
     origin: str
-    converged: bool
 
     @property
     def resolution(self) -> float:
@@ -52,34 +40,32 @@ class Reference:
         return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
 
 
-def pooled(traces: Mapping[str, xr.DataTree], origin: str, converged: bool) -> Reference:
+def pooled(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
     """Return the mean of several traces, each weighted by its effective sample size, and their sd."""
     from fmu.analysis.diagnostics import summary
 
     tables = [summary(trace) for trace in traces.values()]
-    mean, sd, ess = (
-        np.array([table[column].to_numpy() for table in tables]) for column in ("mean", "sd", "ess_bulk")
+    mean, sd, mcse, ess = (
+        np.array([table[column].to_numpy() for table in tables])
+        for column in ("mean", "sd", "mcse_mean", "ess_bulk")
     )
-    weight = np.where(np.isfinite(ess), ess, 1.0)
-    weight = weight / weight.sum(axis=0)
+    weight = ess / ess.sum(axis=0)
     centre = np.sum(weight * mean, axis=0)
     spread = np.sqrt(np.sum(weight * (sd**2 + (mean - centre) ** 2), axis=0))
-    mcse = np.array([table["mcse_mean"].to_numpy() for table in tables])
-    return Reference(centre, spread, np.sqrt(np.sum((weight * mcse) ** 2, axis=0)), origin, converged)
+    return Reference(centre, spread, np.sqrt(np.sum((weight * mcse) ** 2, axis=0)), origin)
 
 
-def missed(trace: xr.DataTree, maxima: Sequence[Maximum]) -> list[str]:
-    """Say that a trace never came near the highest known maximum, if so: its chains alone cannot tell."""
-    reached = float(trace["sample_stats"]["lp"].max())
-    short = maxima[0].log_prob - reached
-    if short < MISSED:
-        return []
-    return [f"the highest maximum was never visited (log-probability {short:.3g} above the best draw)"]
+def around_the_maxima(maxima: Maxima) -> Reference:
+    """Return what importance sampling around the maxima found says, each maximum weighted by its mass.
 
-
-def around(problem: UpdatingProblem, maximum: Maximum, chains: int, seed: int) -> FloatArray:
-    """Return starts near a maximum and inside the bounds, shape (chains, ndim)."""
-    rng = np.random.default_rng(seed)
-    spread = 1e-3 * problem.scale * np.abs(rng.standard_normal((chains, problem.ndim)))
-    towards_middle = np.where(maximum.theta > 0.5 * (problem.lower + problem.upper), -1.0, 1.0)
-    return np.clip(maximum.theta + towards_middle * spread, problem.lower, problem.upper)
+    No chain is in it, so that it holds where chains stay in the mode that they fell into.
+    """
+    share = np.array([m.share for m in maxima])[:, np.newaxis]
+    mean, sd = (np.array([getattr(m, name) for m in maxima]) for name in ("mean", "sd"))
+    draws = np.array([max(m.effective_draws, 1.0) for m in maxima])[:, np.newaxis]
+    centre = np.sum(share * mean, axis=0)
+    spread = np.sqrt(np.sum(share * (sd**2 + (mean - centre) ** 2), axis=0))
+    mcse = np.sqrt(np.sum((share * sd) ** 2 / draws, axis=0))
+    return Reference(
+        centre, spread, mcse, "importance sampling around the maxima found, for want of a converged run"
+    )

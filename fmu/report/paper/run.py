@@ -87,7 +87,7 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
 
 
 def file_names(plan: Plan) -> list[str]:
-    """Return the names of all files that are always written, relative to the output directory."""
+    """Return the names of all files that are written, relative to the output directory."""
     names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
     for name in (directory_of(*experiment) for experiment in plan.experiments):
         names += [f"{name}/tables.md", f"{name}/convergence.png"]
@@ -107,5 +107,3 @@ def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
     for kind, traces in (("paper", result.paper), ("long", result.long)):
         for sampler, trace in traces.items():
             yield f"{result.name}-{sampler}-{kind}.nc", trace
-    if result.reference_run is not None:
-        yield f"{result.name}-hmc-from-maximum.nc", result.reference_run

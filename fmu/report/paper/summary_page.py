@@ -39,8 +39,7 @@ def summary_page(
     parts = [
         "# Results\n",
         "Both experiments of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in "
-        "Bayesian "
-        "Finite Element Model Updating*, repeated. Written by `fmu paper`; every number is computed.\n",
+        "Bayesian Finite Element Model Updating*, repeated. Written by `fmu paper`; every number is computed.\n",
         f"- {recomputed[0]} of {recomputed[1]} published frequencies come out of one model "
         "([recomputed.md](recomputed.md)); where the paper errs, [errata.md](errata.md) says how.\n"
         + "".join(f"- [{f.name}]({f.name}/tables.md): {_in_a_line(f)}\n" for f in everything),
@@ -52,8 +51,7 @@ def summary_page(
     parts += ["## Which sampler is best\n"]
     parts += [
         "By effective draws per model solve: smallest bulk ESS over the parameters, divided by all solves, "
-        "warm-up "
-        "counted.\n"
+        "warm-up counted.\n"
     ]
     parts += [statement(findings).strip() + "\n" for findings in everything]
     parts += ["### Against the paper's conclusions\n", _claims(everything)]
@@ -116,9 +114,8 @@ def _costs(everything: Sequence[Findings]) -> str:
     )  # fmt: skip
     return (
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
-        "distance of "
-        "its worst mean from the reference, in posterior standard deviations. HMC takes central differences "
-        "there, as "
+        "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
+        "differences there, as "
         "the paper does, and exact gradients in the long runs.\n\n" + table(header, rows, left=2)
     )
 
@@ -132,10 +129,8 @@ def _claims(everything: Sequence[Findings]) -> str:
     return (
         table(("experiment", "the paper", "this run", "why"), rows, left=4)
         + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
-        "posterior have "
-        "one mean: where their tables differ by more than Monte-Carlo error, a run was too short, or sat in "
-        "another "
-        "mode.\n"
+        "posterior have one mean: where their tables differ by more than Monte-Carlo error, a run was too "
+        "short, or sat in another mode.\n"
     )
 
 
@@ -144,6 +139,5 @@ def _how(seed: int, versions: Mapping[str, str]) -> str:
     return (
         "```\nmake paper        # sets up .venv and runs the next line\nfmu paper --out results\n```\n\n"
         f"Seed {seed}; {listed}. The same versions on the same kind of machine give the same draws, bit for "
-        f"bit; "
-        "times differ.\n"
+        "bit; times differ.\n"
     )

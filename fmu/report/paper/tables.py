@@ -58,9 +58,9 @@ def frequency_table(result: Result) -> pd.DataFrame:
     """Return the paper's frequency table (2 or 4) beside ours, one row a measured mode.
 
     Frequencies in Hz (``*_hz``) and errors |f − f_m|/f_m in % (``*_error``): ``published_*`` as printed;
-    ``recomputed_*`` from the published parameters, with this experiment's pairing; ``paper_*`` and ``long_*`` of
-    the model at our posterior mean. ``long_*_predictive`` with its interval is the posterior predictive
-    distribution of a new measurement, eq. (10).
+    ``recomputed_*`` from the published parameters, with this experiment's pairing; ``maximum_*`` at the highest
+    maximum of the posterior; ``paper_*`` and ``long_*`` of the model at our posterior mean. ``long_*_predictive``
+    with its interval is the posterior predictive distribution of a new measurement, eq. (10).
     """
     import pandas as pd
 
@@ -75,6 +75,8 @@ def frequency_table(result: Result) -> pd.DataFrame:
         recomputed = frequencies(column.theta)
         columns[f"recomputed_{name}_hz"] = recomputed
         columns[f"recomputed_{name}_error"] = error(recomputed)
+    columns["maximum_hz"] = result.maxima[0].frequencies
+    columns["maximum_error"] = error(result.maxima[0].frequencies)
     lower, upper = interval_columns(CI_PROB)
     for kind, traces in (("paper", result.paper), ("long", result.long)):
         for name, trace in traces.items():

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import queue
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from contextlib import suppress
 from typing import Any
 
 from fmu.report.paper.experiment import Progress
@@ -46,7 +44,7 @@ def in_processes[T](
     if workers <= 1:
         return [work(*task, progress) for task in tasks]
     context = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
-    messages = context.Queue()
+    messages = context.SimpleQueue()  # writes at once: no message comes later than its task's result
     stop = context.Event()
     with ProcessPoolExecutor(workers, context, _start, (messages, stop)) as pool:
         try:
@@ -66,11 +64,10 @@ def _listen(futures: Sequence[Future[Any]], messages: Any, progress: Progress | 
     """Pass messages on until all is done or something has failed."""
     while True:
         done, pending = wait(futures, timeout=_TICK_S)
-        with suppress(queue.Empty):
-            while True:
-                message = messages.get_nowait()
-                if progress is not None:
-                    progress(*message)
+        while not messages.empty():
+            message = messages.get()
+            if progress is not None:
+                progress(*message)
         if not pending or any(future.exception() is not None for future in done):
             return
 
