@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 MISSING = "–"
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
     """Return a Markdown table.
 
     Parameters
     ----------
     header : sequence of str
     rows : iterable of sequence of str
-    left : int
-        How many of the first columns hold words and are aligned to the left; the others hold numbers.
+    words : collection of int
+        Columns that hold words, aligned to the left; the others hold numbers. Negative ones count from the end.
 
     Raises
     ------
     ValueError
         If a row has another length than the header.
     """
-    lines = [list(header), [":--" if i < left else "--:" for i in range(len(header))]]
+    n = len(header)
+    lines = [list(header), [":--" if i in words or i - n in words else "--:" for i in range(n)]]
     for row in rows:
-        if len(row) != len(header):
-            raise ValueError(f"rows: must have {len(header)} cells (got {list(row)})")
+        if len(row) != n:
+            raise ValueError(f"rows: must have {n} cells (got {list(row)})")
         lines.append([str(cell).replace("|", r"\|") for cell in row])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 

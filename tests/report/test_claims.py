@@ -79,6 +79,12 @@ def test_statement_on_separated_modes(make):
     assert "say nothing about the samplers" not in experiment_page(make(open_=tuple(RATES)))
 
 
+def test_no_efficiency_is_given_for_what_did_not_converge(make):
+    page = experiment_page(make(open_=("slice",)))
+    assert "| Slice sampling | 100 000 | 0 | – | – | – | – |" in page
+    assert "| Metropolis–Hastings | 100 000 | 0 | 40 000 | 0.02 |" in page
+
+
 def test_summary_shows_what_converged_and_what_it_took(make):
     page = summary_page([make(open_=("slice",))], (40, 40), 7, {"numpy": "2.0"})
     assert "**Slice sampling, long run (not converged)**" in page

@@ -8,8 +8,8 @@ from fmu.report.units import shown
 
 
 def test_table():
-    text = table(("name", "a", "b"), [("x|y", "1", "2")])
-    assert text == "| name | a | b |\n| :-- | --: | --: |\n| x\\|y | 1 | 2 |\n"
+    text = table(("name", "a", "b"), [("x|y", "1", "2")], words=(0, -1))
+    assert text == "| name | a | b |\n| :-- | --: | :-- |\n| x\\|y | 1 | 2 |\n"
 
 
 def test_row_of_the_wrong_length():

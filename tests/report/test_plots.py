@@ -126,3 +126,8 @@ def test_convergence(result):
     dotted = [line.get_color() for line in axes.lines if line.get_linestyle() == ":"]
     assert dotted == [COLOURS[name] for name in ("mh", "slice", "hmc")]
     assert any(np.allclose(line.get_ydata(), ENOUGH) for line in axes.lines)
+    (band,) = axes.patches
+    assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx(
+        (axes.get_ylim()[0], result.reference.resolution)
+    )
+    assert result.reference.origin in axes.get_title()

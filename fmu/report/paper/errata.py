@@ -185,7 +185,7 @@ def errata_page(errata: list[Erratum]) -> str:
         "Model Updating*. Every number below is computed from the paper's tables and the model that reproduces "
         "them ([recomputed.md](recomputed.md)).\n\n"
         f"## In the tables\n\nModes are named by their plane of motion and their number in it; {planes}.\n\n"
-        + markdown.table(("#", "where", "printed", "found", "evidence"), rows, left=5)
+        + markdown.table(("#", "where", "printed", "found", "evidence"), rows, words=range(5))
         + f"\n## In the algorithms\n\n{ALGORITHMS}"
     )
 

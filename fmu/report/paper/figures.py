@@ -90,9 +90,11 @@ def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
     axes.set(xscale="log", yscale="log")
     low, high = axes.get_ylim()
     resolution = result.reference.resolution
+    low = min(low, 0.5 * min(resolution, ENOUGH))
     axes.axhspan(low, resolution, color=PALE, zorder=0, linewidth=0)
     axes.axhline(ENOUGH, color=GREY, linestyle="--", linewidth=1.0, zorder=1)
-    axes.set_ylim(min(low, 0.5 * resolution), high)
+    axes.set_ylim(low, high)
+    axes.set_title(f"Error against: {result.reference.origin}", fontsize=FONT - 1, color=GREY)
     axes.set_xlabel("model solves of one chain (one ensemble), warm-up counted", fontsize=FONT)
     axes.set_ylabel("error of the running mean / posterior sd", fontsize=FONT)
     _finish(axes)

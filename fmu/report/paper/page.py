@@ -99,7 +99,7 @@ def _parameters(findings: Findings, sampler: str) -> str:
         "parameter", "unit", "published", "the paper's protocol, ours", _long(findings, sampler),
         _long(findings, "emcee"), "maximum",
     )  # fmt: skip
-    return table(header, rows, left=2)
+    return table(header, rows, words=(0, 1))
 
 
 def _frequencies(findings: Findings, sampler: str) -> str:

@@ -94,6 +94,6 @@ def recomputed_page(table: pd.DataFrame) -> str:
                 "remark",
             ),
             rows,
-            left=2,
+            words=(0, 1, -1),
         )
     )

@@ -13,7 +13,7 @@ from fmu.report.plots import TITLES
 _REACHED = ("sampler", "converged", "R-hat", "bulk ESS", "tail ESS", "mcse/sd", "moved", "divergences")
 _COST = (
     "sampler", "model solves", "of them gradients", "to converge", "ESS per solve", "without warm-up",
-    "time, s", "ESS per s", "the paper's protocol: solves", "its mean, sd off", "published, sd off",
+    "ESS per s", "time, s", "the paper's protocol: solves", "its mean, sd off", "published, sd off",
 )  # fmt: skip
 
 
@@ -31,34 +31,41 @@ def reached_and_cost(findings: Findings) -> str:
     cost = [
         (
             TITLES[name], whole(row.n_solves), whole(row.n_gradients), whole(row.needed_solves),
-            number(row.ess_per_solve, ".2g"), number(row.ess_per_sampling_solve, ".2g"), number(row.wall_s, ".1f"),
-            number(row.ess_per_s, ".3g"), whole(row.paper_solves), number(row.paper_error, ".1f"),
-            number(row.published_error, ".1f"),
+            *_efficiency(findings, name), number(row.wall_s, ".1f"), whole(row.paper_solves),
+            number(row.paper_error, ".1f"), number(row.published_error, ".1f"),
         )
         for name, row in rows
     ]  # fmt: skip
     failed = [
-        f"- {TITLES[name]} has not converged: {'; '.join(reasons)}.\n"
+        f"- {TITLES[name]} has not converged:\n" + "".join(f"  - {reason}\n" for reason in reasons)
         for name, reasons in findings.reasons.items()
         if reasons
     ]
     return (
         "The long runs; of every statistic the worst parameter's.\n\n"
-        + table(_REACHED, reached)
+        + table(_REACHED, reached, words=(0, 1))
         + ("\n" if failed else "")
         + "".join(failed)
         + "\nWhat they cost, all chains and the warm-up counted, and the paper's protocol beside them. An "
         "exact gradient is one solve. *To converge*: after how many solves the long run passed for converged, "
-        f"and did at every greater length looked at; {MISSING} if it never did. *Off*: distance of the worst "
-        "parameter's mean from the reference, in posterior standard deviations. Reference: "
+        f"and did at every greater length looked at; {MISSING} if it never did, and an ESS then means nothing. "
+        "*Off*: distance of the worst parameter's mean from the reference, in posterior standard deviations. "
+        "Reference: "
         f"{findings.origin}.\n\n" + table(_COST, cost)
     )
+
+
+def _efficiency(findings: Findings, sampler: str) -> list[str]:
+    """Return effective draws per solve, per solve after the warm-up, and per second, of a converged run."""
+    columns = {"ess_per_solve": ".2g", "ess_per_sampling_solve": ".2g", "ess_per_s": ".3g"}
+    is_known = findings.is_converged(sampler)
+    return [number(findings.value(sampler, name) if is_known else None, style) for name, style in columns.items()]
 
 
 def claims(findings: Findings) -> str:
     """Return the paper's statements on its samplers and what became of them."""
     rows = [(j.statement, j.outcome, j.evidence) for j in judge(findings)]
-    return table(("the paper", "this run", "why"), rows, left=3)
+    return table(("the paper", "this run", "why"), rows, words=range(3))
 
 
 def maxima(findings: Findings) -> str:
@@ -77,7 +84,7 @@ def maxima(findings: Findings) -> str:
     text = (
         "At each maximum, and in brackets mean and sd of the part of the posterior around it (importance "
         "sampling, no chain). *Lower*: in log-probability than number 1.\n\n"
-        + table([*header, "lower", "share of the probability", "modes paired", "climbs"], rows)
+        + table([*header, "lower", "share of the probability", "modes paired", "climbs"], rows, words=(0, -2))
     )
     if len(findings.separate_maxima) > 1:
         text += f"\n{SEPARATED}"
@@ -107,7 +114,7 @@ def places(findings: Findings) -> str:
     return (
         "\nWhich modes are compared with the measured ones, along the long runs (W: weak plane, S: strong "
         "plane, "
-        "T: torsion, A: axial):\n\n" + table(("sampler", "share of the draws"), rows, left=2)
+        "T: torsion, A: axial):\n\n" + table(("sampler", "share of the draws"), rows, words=(0, 1))
     )
 
 
@@ -117,15 +124,24 @@ def settings(findings: Findings) -> str:
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]
         errors = [findings.certificates[key].get(name) for name in ("frequency_error", "log_prob_error")]
-        learnt = "; ".join(_brief("", json.loads(findings.learnt[key])))
+        given = json.loads(settings)
+        learnt = {name: x for name, x in json.loads(findings.learnt[key]).items() if given.get(name) is None}
         steps = f"{chains} × ({warmup} + {draws})"
-        rows.append((key, steps, *(number(e, ".1e") for e in errors), learnt or MISSING, f"`{settings}`"))
+        rows.append(
+            (
+                key,
+                steps,
+                *(number(e, ".1e") for e in errors),
+                "; ".join(_brief("", learnt)) or MISSING,
+                f"`{settings}`",
+            )
+        )
     return (
         "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units (the bounds at 0 and "
         "1); those that are null were learnt in warm-up. Frequency and log-probability: the largest error of "
         "the reduced model, relative and absolute, against the full one at draws of the run; far below the "
         "maximum, where the paper's protocol starts, only the frequency matters.\n\n"
-        + table(("run", "steps", "frequency", "log-probability", "learnt", "settings"), rows, left=2)
+        + table(("run", "steps", "frequency", "log-probability", "learnt", "settings"), rows, words=(0, 1, 4, 5))
     )
 
 

@@ -55,7 +55,7 @@ def summary_page(
     ]
     parts += [statement(findings).strip() + "\n" for findings in everything]
     parts += ["### Against the paper's conclusions\n", _claims(everything)]
-    parts += ["## Files\n", table(("file", "what it is"), FILES.items(), left=2)]
+    parts += ["## Files\n", table(("file", "what it is"), FILES.items(), words=(0, 1))]
     parts += ["## How it was made\n", _how(seed, versions)]
     return "\n".join(parts)
 
@@ -90,6 +90,8 @@ def _means(findings: Findings) -> str:
             mean, low, high = findings.in_paper_units(n, *(f"long_{name}_{end}" for end in ("mean", *ENDS)))
             cells.append(interval(mean, low, high, ".3f"))
         rows.append([f"**{TITLES[name]}, long run ({verdict})**", *cells])
+    if not any(map(findings.is_converged, findings.comparison.index)):
+        rows.append(row(f"*{findings.origin}*", "reference_mean"))
     header = ["", *(f"{n}, {u[1]}" for n, u in zip(names, units, strict=True))]
     return f"### Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}\n\n" + table(
         header, rows
@@ -116,7 +118,7 @@ def _costs(everything: Sequence[Findings]) -> str:
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
         "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
         "differences there, as "
-        "the paper does, and exact gradients in the long runs.\n\n" + table(header, rows, left=2)
+        "the paper does, and exact gradients in the long runs.\n\n" + table(header, rows, words=(0, 1))
     )
 
 
@@ -127,7 +129,7 @@ def _claims(everything: Sequence[Findings]) -> str:
         for j in judge(findings)
     ]
     return (
-        table(("experiment", "the paper", "this run", "why"), rows, left=4)
+        table(("experiment", "the paper", "this run", "why"), rows, words=range(4))
         + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
         "posterior have one mean: where their tables differ by more than Monte-Carlo error, a run was too "
         "short, or sat in another mode.\n"
