@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from fmu.analysis.diagnosis import Diagnosis
+
 Report = Callable[[str, int, int, Mapping[str, str]], None]
 
 _BAD_INPUT = 2
@@ -83,6 +85,10 @@ def cases() -> None:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--init", type=click.Choice(("prior", "start")), default="prior", show_default=True,
               help="Where the chains start.")  # fmt: skip
+@click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
+              help="Go on until the verdict is good and every effective sample size is at least N.")  # fmt: skip
+@click.option("--max-draws", type=click.IntRange(min=1), help="The most steps kept with --until-ess."
+              "  [default: 32 times --draws]")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: runs/CASE-PAIRING]")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the directory.")
 def run(
@@ -90,6 +96,7 @@ def run(
 ) -> None:
     """Sample the built-in problem CASE.
 
+    Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
     Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, and comparison.csv.
     """
     from fmu import cases as builtin
@@ -97,12 +104,15 @@ def run(
     if case not in builtin.names():
         raise click.BadParameter(f"{case!r} is not one of {', '.join(builtin.names())}.", param_hint="'CASE'")
     with _claimed(out or Path("runs") / f"{case}-{pairing}", overwrite) as directory:
-        from fmu.analysis.comparison import compare
+        from fmu.analysis.comparison import side_by_side
+        from fmu.analysis.diagnosis import diagnose_all
         from fmu.analysis.diagnostics import summary
+        from fmu.analysis.search import find_map
         from fmu.analysis.trace import save_trace
         from fmu.sampling import sample
 
         problem = builtin.load(case, pairing=pairing)
+        maxima = steps["maxima"] = find_map(problem)
         traces, summaries = {}, {}
         with _progress() as report:
             for name in dict.fromkeys(samplers):
@@ -110,12 +120,15 @@ def run(
                 save_trace(traces[name], directory / f"{name}.nc")
                 summaries[name] = summary(traces[name])
                 _write_csv(summaries[name], directory / f"summary-{name}.csv")
-        comparison = compare(traces)
+        _write_csv(maxima.table(), directory / "map.csv")
+        verdicts = diagnose_all(traces, summaries=summaries)
+        comparison = side_by_side(traces, summaries, verdicts)
         _write_csv(comparison, directory / "comparison.csv")
+    click.echo(f"Maxima of the posterior\n{maxima}\n")
     for name, table in summaries.items():
         click.echo(f"{name}\n{_text(table.assign(unit=table.attrs['units']))}\n")
         _echo_failed_points(name, traces[name])
-    _echo_comparison(comparison)
+    _echo_comparison(comparison, verdicts)
     click.echo(f"\nWritten to {directory}")
 
 
@@ -126,7 +139,9 @@ def compare(directory: Path) -> None:
     paths = sorted(directory.glob("*.nc"))
     if not paths:
         raise click.BadParameter(f"{directory} holds no traces (*.nc).", param_hint="'DIRECTORY'")
-    from fmu.analysis.comparison import compare as compare_traces
+    from fmu.analysis.comparison import side_by_side
+    from fmu.analysis.diagnosis import diagnose_all
+    from fmu.analysis.diagnostics import summary
     from fmu.analysis.trace import load_trace
 
     traces = {path.stem: load_trace(path) for path in paths}
@@ -134,7 +149,9 @@ def compare(directory: Path) -> None:
     if len(problems) > 1:
         raise click.BadParameter(f"{directory} mixes problems: {', '.join(sorted(problems))}.",
                                  param_hint="'DIRECTORY'")  # fmt: skip
-    _echo_comparison(compare_traces(traces))
+    summaries = {name: summary(trace) for name, trace in traces.items()}
+    verdicts = diagnose_all(traces, summaries=summaries)
+    _echo_comparison(side_by_side(traces, summaries, verdicts), verdicts)
 
 
 @main.command()
@@ -191,7 +208,9 @@ def _progress() -> Iterator[Report | None]:
             elif done < total and now < drawn[phase] + _REDRAW_S:
                 return
             drawn[phase] = now
-            bars.update(tasks[phase], completed=done, words=" ".join(f"{k} {v}" for k, v in info.items()))
+            bars.update(
+                tasks[phase], completed=done, total=total, words=" ".join(f"{k} {v}" for k, v in info.items())
+            )
 
         yield report
 
@@ -218,15 +237,22 @@ def _text(table: pd.DataFrame) -> str:
     return table.rename_axis(None).to_string(formatters=formats)
 
 
-def _echo_comparison(table: pd.DataFrame) -> None:
-    """Print the numbers with a column a sampler, then the verdicts, which are sentences."""
+def _echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> None:
+    """Print the numbers with a column a sampler, then the verdicts and what speaks against the model, in words."""
     numbers = table.drop(columns="verdict").astype(object).T
     text = numbers.apply(lambda row: row.map(partial(_number, _FORMATS.get(row.name, ".4g"))), axis=1)
     click.echo(text.rename_axis(None, axis=1).to_string())
     click.echo()
     width = max(map(len, table.index))
-    for name, verdict in table["verdict"].items():
-        click.echo(f"{name:{width}}  {verdict}")
+    for name, found in verdicts.items():
+        click.echo(f"{name:{width}}  {found.verdict}")
+        for reason in found.reasons[1:]:
+            click.echo(f"{'':{width}}  - {reason}")
+    told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
+    if verdicts[told].warnings:
+        click.echo(f"\nThe model, by the draws of {told}")
+        for warning in verdicts[told].warnings:
+            click.echo(f"  - {warning}")
 
 
 def _number(style: str, value: Any) -> str:

@@ -8,11 +8,14 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
+    from fmu.analysis.maxima import Maxima
     from fmu.samplers.kernel import LogDensity, Sampler
     from fmu.samplers.run import Progress
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee")
 """The names of the samplers, without importing them."""
+GROWTH_LIMIT = 32
+"""How many times the draws asked for a run may come to that is to reach an effective sample size."""
 
 
 def sample(
@@ -24,6 +27,9 @@ def sample(
     chains: int = 4,
     seed: int = 1,
     init: str | ArrayLike = "prior",
+    until_ess: float | None = None,
+    max_draws: int | None = None,
+    maxima: Maxima | None = None,
     progress: Progress | None = None,
 ) -> xr.DataTree:
     """Draw from the posterior of a problem, or from any log-density.
@@ -45,6 +51,15 @@ def sample(
     seed : int
     init : {"prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start: drawn from the prior, at ``problem.start``, or where the array says (SI units).
+    until_ess : float, optional
+        Go on after `draws`, with what was learnt in warm-up, until the verdict of `fmu.diagnose` is good and the
+        bulk and tail ESS of every parameter are at least this. The run is looked at after `draws` steps, twice as
+        many, four times as many, and so on; it is bit for bit the run of as many draws.
+    max_draws : int, optional
+        The most steps kept, whatever the verdict: 32 times `draws` if not given.
+    maxima : Maxima, optional
+        What `fmu.find_map` found. It is kept in the trace, and every verdict on it takes it into account. With
+        `until_ess` the maxima of an updating problem are searched for if they are not given.
     progress : callable, optional
         Called after every step as ``progress(phase, done, total, info)``.
 
@@ -57,14 +72,16 @@ def sample(
     Raises
     ------
     ValueError
-        If the sampler's name is unknown, a number is out of range, or a chain would start outside the bounds or
-        where the log-probability is not finite.
+        If the sampler's name is unknown, a number is out of range, `max_draws` comes without `until_ess`, or a
+        chain would start outside the bounds or where the log-probability is not finite.
     """
     import numpy as np
 
     from fmu.analysis.certificate import certify
+    from fmu.analysis.diagnosis import with_maxima
     from fmu.analysis.trace import to_trace
-    from fmu.samplers import named, run
+    from fmu.samplers import Run, named
+    from fmu.samplers.settings import whole_number
 
     settings: Any = named(sampler) if isinstance(sampler, str) else sampler
     if not (hasattr(settings, "bind") and hasattr(settings, "walkers")):
@@ -72,18 +89,52 @@ def sample(
             f"sampler: must be one of {', '.join(SAMPLERS)}, or a settings object such as fmu.Slice() "
             f"(got {sampler!r})"
         )
+    draws = whole_number("draws", draws, 1)
+    limit = _limit(draws, until_ess, max_draws)
+    if until_ess is not None and maxima is None and hasattr(problem, "parameters"):
+        from fmu.analysis.search import find_map
+
+        maxima = find_map(problem)  # type: ignore[arg-type]
     start = None if isinstance(init, str) else np.asarray(init, dtype=float)
     full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
-    result = run(
+    begun = Run(
         problem,
         settings,
-        draws=draws,
         warmup=warmup,
         chains=chains,
         seed=seed,
         init=init if start is None else start,
         progress=progress,
     )
+    result = begun.extend(draws)
+    while result.draws < limit and not _is_enough(
+        to_trace(result, problem, start, predictions=False), until_ess, maxima
+    ):
+        result = begun.extend(min(result.draws, limit - result.draws))
     trace = to_trace(result, problem, start)
+    if maxima is not None:
+        trace = with_maxima(trace, maxima)
     trace.attrs.update(certify(trace, problem, full_solves=full_solves))
     return trace
+
+
+def _limit(draws: int, until_ess: float | None, max_draws: int | None) -> int:
+    """Return the most steps to keep; ValueError unless the numbers make sense together."""
+    from fmu.samplers.settings import positive_number, whole_number
+
+    if until_ess is None:
+        if max_draws is not None:
+            raise ValueError(f"max_draws: needs until_ess, without which draws is the number (got {max_draws!r})")
+        return draws
+    positive_number("until_ess", until_ess)
+    return GROWTH_LIMIT * draws if max_draws is None else whole_number("max_draws", max_draws, draws)
+
+
+def _is_enough(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> bool:
+    """Say whether a run has converged and its smallest effective sample size is large enough; NaN is not."""
+    from fmu.analysis.diagnosis import judge
+    from fmu.analysis.diagnostics import summary
+
+    table = summary(trace)
+    ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
+    return bool(ess >= until_ess) and judge(trace, [] if maxima is None else [maxima], table=table).converged

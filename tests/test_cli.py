@@ -11,11 +11,21 @@ from click.testing import CliRunner
 
 import fmu
 from fmu import cli
+from fmu.analysis.diagnosis import maxima_of
 
 
 @pytest.fixture(scope="module")
 def young():
-    return fmu.cases.load("cantilever-young")
+    """A built-in problem; its chains start where the posterior is, for six draws would not get there."""
+    problem = fmu.cases.load("cantilever-young")
+    best = fmu.find_map(problem, starts=16)[0]
+
+    def sample_prior(rng, n):
+        theta = best.mean + 0.3 * best.sd * rng.standard_normal((n, problem.ndim))
+        return np.clip(theta, problem.lower, problem.upper)
+
+    problem.sample_prior = sample_prior
+    return problem
 
 
 @pytest.fixture
@@ -61,6 +71,7 @@ def test_run_writes_traces_and_tables(invoke, tmp_path):
         "summary-mh.csv",
         "summary-slice.csv",
         "comparison.csv",
+        "map.csv",
     }
     trace = fmu.load_trace(out / "slice.nc")
     assert trace["posterior"].sizes == {"chain": 2, "draw": 6}
@@ -78,11 +89,14 @@ def test_run_prints_the_tables_and_nothing_else(invoke):
     result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
     assert result.stderr == ""
     lines = result.stdout.splitlines()
-    assert lines[0] == "mh"
-    assert all(column in lines[1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit"))
-    assert [line.split()[0] for line in lines[2:7]] == ["E1", "E2", "E3", "E4", "E5"]
+    assert lines[0] == "Maxima of the posterior"
+    assert lines[1].split() == ["unit", "before", "maximum", "1", "measured"]
+    at = lines.index("mh")
+    assert all(column in lines[at + 1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit"))
+    assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("n_solves") for line in lines)
     assert any(line.startswith("mh  not converged: R-hat ") for line in lines)
+    assert "The model, by the draws of mh" in lines
     assert lines[-1] == "Written to here"
     assert "\x1b" not in result.stdout
 
@@ -94,6 +108,42 @@ def test_run_on_a_terminal_shows_a_bar_for_every_phase(invoke, monkeypatch):
     assert "3/3" in result.stdout
     assert "mh draws" in result.stdout
     assert "6/6" in result.stdout
+
+
+def test_maxima_are_written_and_kept_in_the_trace(invoke, young):
+    result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
+    table = pd.read_csv("here/map.csv", index_col="maximum")
+    maxima = fmu.find_map(young)
+    pd.testing.assert_frame_equal(table, maxima.table().replace("", np.nan), check_index_type=False)
+    assert str(maxima) in result.stdout
+    assert maxima_of(fmu.load_trace("here/mh.nc"))[0].log_prob == maxima[0].log_prob
+
+
+def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp_path):
+    """All chains start in one place: the verdict names the maximum that they miss, and compare repeats it."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start", "--draws", "60", "--warmup", "60")
+    run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, "--out", "here"])
+    assert run.exit_code == 0, run.output
+    lines = run.stdout.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))
+    assert "maximum 1 at Ix1 = 3.904e-09 m⁴" in lines[at]
+    assert "holds about 100 % of the probability" in lines[at]
+    assert lines[at + 1].startswith("    - instead 4 chains are ")
+    verdict = pd.read_csv("here/comparison.csv", index_col="sampler").loc["mh", "verdict"]
+    assert lines[at] == f"mh  {verdict}"
+    again = CliRunner().invoke(cli.main, ["compare", "here"])
+    assert again.exit_code == 0
+    assert again.stdout.strip() in run.stdout
+    assert lines[at] in again.stdout
+
+
+def test_sampling_on_until_there_is_enough(invoke):
+    arguments = ("--draws", 10, "--warmup", 20, "--chains", 2, "--sampler", "mh", "--out", "here")
+    invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-draws", 35)
+    trace = fmu.load_trace("here/mh.nc")
+    assert trace["posterior"].sizes["draw"] == 35
+    assert trace["warmup_posterior"].sizes["draw"] == 20
 
 
 def test_compare_repeats_the_comparison(invoke):
@@ -122,6 +172,12 @@ def test_numbers_that_do_not_apply_are_dashes(invoke):
         ),
         (["run", "cantilever-young", "--draws", "0"], ["--draws", "0 is not in the range x>=1"]),
         (["run", "cantilever-young", "--draws", "-3"], ["--draws", "-3"]),
+        (["run", "cantilever-young", "--until-ess", "0"], ["--until-ess", "0"]),
+        (["run", "cantilever-young", "--max-draws", "5"], ["max_draws: needs until_ess", "(got 5)"]),
+        (
+            ["run", "cantilever-young", "--until-ess", "9", "--max-draws", "5"],
+            ["max_draws", "at least 1000 (got 5)"],
+        ),
         (["run", "cantilever-young", "--draws", "many"], ["--draws", "'many'"]),
         (["run", "cantilever-young", "--warmup", "-1"], ["--warmup", "-1"]),
         (["run", "cantilever-young", "--chains", "0"], ["--chains", "0"]),
@@ -166,7 +222,7 @@ def test_overwrite_replaces_only_what_the_command_writes(invoke, tmp_path):
     result = invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite")
     assert result.exit_code == 0, result.output
     now = files_in(out)
-    assert set(now) == set(kept) | {"mh.nc", "summary-mh.csv", "comparison.csv"}
+    assert set(now) == set(kept) | {"mh.nc", "summary-mh.csv", "comparison.csv", "map.csv"}
     assert {name: now[name] for name in kept} == kept
     assert b"old" not in (now["mh.nc"], now["comparison.csv"])
 
@@ -242,9 +298,11 @@ def test_failed_points_are_reported(invoke, young, monkeypatch):
     problem, calls = copy.copy(young), []
 
     def log_prob(theta):
+        if len(theta) != 2:
+            return young.log_prob(theta)
         calls.append(theta)
         # The second chain's candidates fail, its start does not.
-        return np.where((np.arange(len(theta)) == 1) & (len(calls) > 1), np.nan, young.log_prob(theta))
+        return np.where((np.arange(2) == 1) & (len(calls) > 1), np.nan, young.log_prob(theta))
 
     problem.log_prob = log_prob
     monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)

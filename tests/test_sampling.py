@@ -115,6 +115,68 @@ def test_given_starts_enter_the_hash(problem):
     assert first.attrs["init"] == "array"
 
 
+def test_sampling_on_is_bitwise_the_longer_run(problem):
+    """Looked at after 40, 80 and 160 draws; the ESS asked for is out of reach."""
+    phases = []
+    grown = fmu.sample(
+        problem, "hmc", draws=40, warmup=30, seed=7, until_ess=1e6, max_draws=130,
+        progress=lambda phase, done, total, info: phases.append((phase, done, total)),
+    )  # fmt: skip
+    whole = fmu.sample(problem, "hmc", draws=130, warmup=30, seed=7, maxima=fmu.find_map(problem))
+    for group in ("posterior", "warmup_posterior", "posterior_predictive", "sample_stats", "maxima"):
+        assert grown[group].identical(whole[group])
+    assert grown.attrs["configuration_hash"] == whole.attrs["configuration_hash"]
+    assert grown.attrs["n_solves"] == whole.attrs["n_solves"]
+    assert [phases[k] for k in (29, 69, 70, 109, 110, -1)] == [
+        ("warmup", 30, 30),
+        ("draws", 40, 40),
+        ("draws", 41, 80),
+        ("draws", 80, 80),
+        ("draws", 81, 130),
+        ("draws", 130, 130),
+    ]
+
+
+def test_sampling_stops_when_there_is_enough(problem):
+    trace = fmu.sample(problem, "hmc", draws=50, warmup=200, seed=1, until_ess=700)
+    steps = trace["posterior"].sizes["draw"]
+    table = fmu.summary(trace)
+    assert steps in (200, 400, 800, 1600)
+    assert table[["ess_bulk", "ess_tail"]].min().min() >= 700
+    assert fmu.diagnose(trace).converged
+    shorter = fmu.summary(trace.isel(draw=slice(steps // 2)))
+    assert shorter[["ess_bulk", "ess_tail"]].min().min() < 700 or shorter["rhat"].max() >= 1.01
+
+
+def test_enough_draws_of_chains_that_disagree_are_not_enough(problem):
+    """One chain can reach any ESS, and is never called converged."""
+    trace = fmu.sample(problem, "hmc", draws=100, warmup=100, chains=1, seed=1, until_ess=20, max_draws=300)
+    assert trace["posterior"].sizes["draw"] == 300
+    assert fmu.summary(trace)["ess_bulk"].min() > 20
+
+
+def test_a_plain_density_can_be_sampled_on():
+    class Plain:
+        ndim, lower, upper = 2, np.full(2, -np.inf), np.full(2, np.inf)
+
+        def log_prob(self, theta):
+            return -0.5 * np.sum(theta**2, axis=-1)
+
+        def log_prob_and_grad(self, theta):
+            return self.log_prob(theta), -theta
+
+    start = np.random.default_rng(0).standard_normal((4, 2))
+    trace = fmu.sample(Plain(), "hmc", draws=50, warmup=200, init=start, until_ess=500)
+    assert fmu.diagnose(trace).converged
+    assert "maxima" not in trace.children
+
+
+def test_without_an_ess_the_draws_are_what_was_asked_for(problem):
+    trace = fmu.sample(problem, "mh", draws=7, warmup=3)
+    assert trace["posterior"].sizes["draw"] == 7
+    assert "maxima" not in trace.children
+
+
 def test_progress_is_reported(problem):
     seen = []
     fmu.sample(
@@ -142,6 +204,9 @@ def test_unknown_sampler(problem, sampler):
         ({"warmup": -1}, r"warmup: .* \(got -1\)"),
         ({"chains": 0}, r"chains: .* \(got 0\)"),
         ({"init": "middle"}, "init: .*'middle'"),
+        ({"until_ess": 0}, r"until_ess: must be a positive finite number \(got 0\)"),
+        ({"until_ess": 10, "max_draws": 999}, r"max_draws: must be a whole number of at least 1000 \(got 999\)"),
+        ({"max_draws": 9999}, r"max_draws: needs until_ess, .* \(got 9999\)"),
         ({"init": [[0.0, np.inf]] * 4}, "init: "),
     ],
 )

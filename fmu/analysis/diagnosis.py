@@ -132,7 +132,7 @@ def judge(
     if best is not None:
         reasons += missed_maxima(trace, best)
         warnings += search_warnings(trace, best[0].log_prob)
-    reasons += missed_places(trace, others or {})
+    reasons += missed_places(trace, others or {}, best)
     reasons += convergence_failures(trace, table)
     warnings += bound_warnings(trace) + fit_warnings(trace)
     return Diagnosis(not reasons, tuple(reasons), tuple(warnings))

@@ -79,6 +79,8 @@ class Maxima:
         Of the measured modes.
     lower, upper, start : ndarray, shape (ndim,)
         The bounds, and the model before updating.
+    measured, before : ndarray, shape (n_modes,)
+        Frequencies in Hz: measured, and of the model before updating.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -88,6 +90,8 @@ class Maxima:
     lower: FloatArray
     upper: FloatArray
     start: FloatArray
+    measured: FloatArray
+    before: FloatArray
 
     def __iter__(self) -> Iterator[PosteriorMaximum]:
         return iter(self.maxima)
@@ -144,11 +148,31 @@ class Maxima:
         models = (LocalQuadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
         return np.stack([model.drop(theta) for model in models])
 
+    def side_by_side(self, most: int = 6) -> pd.DataFrame:
+        """Return a column a maximum beside the model before updating and the measurement, as words, to be read.
+
+        Parameters
+        ----------
+        most : int
+            The highest so many are shown.
+        """
+        import pandas as pd
+
+        shown = self.maxima[:most]
+        columns = {"unit": ["", "", "", "", *self.units, *(["Hz"] * len(self.labels))]}
+        columns["before"] = [""] * 4 + [f"{x:.4g}" for x in self.start] + [f"{f:.2f}" for f in self.before]
+        for k, m in enumerate(shown, 1):
+            head = [f"{m.log_prob:.1f}", percent(m.share), str(m.starts), self.words_at_bounds(m) or "-"]
+            columns[f"maximum {k}"] = head + [f"{x:.4g}" for x in m.theta] + [f"{f:.2f}" for f in m.frequencies]
+        columns["measured"] = [""] * (4 + len(self.names)) + [f"{f:.2f}" for f in self.measured]
+        rows = ["log-probability", "share of mass", "starts", "at bounds", *self.names]
+        return pd.DataFrame(columns, index=rows + [f"mode {label}" for label in self.labels])
+
     def __str__(self) -> str:
-        return self.table().to_string(float_format="{:.4g}".format)
+        return str(self.side_by_side().to_string())
 
     def _repr_html_(self) -> str:
-        return str(self.table().to_html(float_format="{:.4g}".format))
+        return str(self.side_by_side().to_html())
 
     def to_dataset(self) -> xr.Dataset:
         """Return what `from_dataset` needs, as a trace keeps it."""
@@ -157,7 +181,8 @@ class Maxima:
         stacked = {name: np.array([getattr(m, name) for m in self.maxima]) for name in _DIMENSIONS}
         return xr.Dataset(
             {name: (("maximum", *dims), stacked[name]) for name, dims in _DIMENSIONS.items()}
-            | {name: ("parameter", getattr(self, name)) for name in ("lower", "upper", "start")},
+            | {name: ("parameter", getattr(self, name)) for name in ("lower", "upper", "start")}
+            | {name: ("mode", getattr(self, name)) for name in ("measured", "before")},
             coords={
                 "maximum": np.arange(1, len(self) + 1),
                 "parameter": list(self.names),
@@ -174,9 +199,8 @@ class Maxima:
         names, units, labels = (
             tuple(map(str, dataset[name].to_numpy())) for name in ("parameter", "unit", "mode")
         )
-        lower, upper, start = (dataset[name].to_numpy() for name in ("lower", "upper", "start"))
-        maxima = tuple(PosteriorMaximum(**row) for row in rows)
-        return cls(maxima, names, units, labels, lower, upper, start)
+        vectors = {name: dataset[name].to_numpy() for name in ("lower", "upper", "start", "measured", "before")}
+        return cls(tuple(PosteriorMaximum(**row) for row in rows), names, units, labels, **vectors)
 
 
 _DIMENSIONS: dict[str, tuple[str, ...]] = {
@@ -200,3 +224,8 @@ def in_words(names: Iterable[str], theta: FloatArray, units: Iterable[str]) -> s
     """Name a parameter vector: ``"Ix1 = 3.904e-09 m⁴, Ax1 = 0.0009 m²"``."""
     parts = zip(names, theta, units, strict=True)
     return ", ".join(f"{name} = {x:.4g} {unit}".rstrip() for name, x, unit in parts)
+
+
+def percent(share: float) -> str:
+    """Return a share in words: ``"100 %"``, ``"0.3 %"``, ``"1e-25 %"``."""
+    return f"{100 * share:.2g} %" if share < 0.995 else "100 %"

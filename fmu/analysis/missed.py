@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fmu.analysis.diagnostics import parameter_draws, walkers_of
+from fmu.analysis.maxima import Maxima, percent
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from fmu.analysis.maxima import Maxima
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -114,8 +113,3 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
 def _each_path(nearest: IntArray) -> IntArray:
     """Return one row a chain, or a walker of an ensemble."""
     return nearest.swapaxes(1, 2).reshape(-1, nearest.shape[1])
-
-
-def percent(share: float) -> str:
-    """Return a share in words: ``"100 %"``, ``"0.3 %"``, ``"1e-25 %"``."""
-    return f"{100 * share:.2g} %" if share < 0.995 else "100 %"

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from fmu.analysis.diagnostics import parameter_draws, parameter_names, walkers_of
 from fmu.analysis.effective import by_walker
-from fmu.analysis.maxima import in_words
-from fmu.analysis.missed import NEGLIGIBLE, percent
+from fmu.analysis.maxima import Maxima, in_words, percent
+from fmu.analysis.missed import NEGLIGIBLE, nearest_maxima
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,17 +24,22 @@ _FEWEST_DRAWS = 20
 _FAR = 3.0
 
 
-def missed_places(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[str]:
+def missed_places(
+    trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
+) -> list[str]:
     """Name the places of more than negligible mass that other runs on the same posterior came to, alone.
 
     A draw of another run is away where it is three times as far from every draw of this one as the draws of its
     chains are from each other, in the metric of the covariance within its chains. What lies away is weighed by
-    E[log P] + the entropy of a Gaussian, which is the logarithm of the mass of one, against the same of this run.
+    E[log P] + the entropy of a Gaussian, which is the logarithm of the mass of one, against the same of this run,
+    or against the maxima that are known if that is more. What is near one of these is left to `missed_maxima`.
 
     Parameters
     ----------
     trace : xarray.DataTree
     others : mapping of str to xarray.DataTree
+    maxima : Maxima, optional
+        Those that are known.
 
     Returns
     -------
@@ -52,8 +57,8 @@ def missed_places(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list
     for name, other in others.items():
         if parameter_names(other) != names:
             raise ValueError(f"others.{name}: must have the parameters {names} (got {parameter_names(other)})")
-        place = _missed_place(here, _Paths(other))
-        if place is not None:
+        place = _missed_place(here, _Paths(other), -np.inf if maxima is None else maxima.log_evidence)
+        if place is not None and not (maxima is not None and nearest_maxima(place[0][None], maxima)[0] >= 0):
             theta, log_prob, share = place
             where = in_words(names, theta, [trace["posterior"][n].attrs.get("units", "") for n in names])
             found.append(
@@ -87,7 +92,7 @@ class _Paths:
         return vectors / np.sqrt(np.maximum(values, 1e-8)) / size[:, None]
 
 
-def _missed_place(here: _Paths, there: _Paths) -> tuple[FloatArray, float, float] | None:
+def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
     """Return the other run's best draw that is away from this one: theta, log-probability, share of the mass."""
     W = here.metric()
     ndim = here.position.shape[2]
@@ -101,7 +106,7 @@ def _missed_place(here: _Paths, there: _Paths) -> tuple[FloatArray, float, float
     away = (distance > reach).reshape(there.log_prob.shape)
     log_masses = [_log_mass(x[a], lp[a]) for x, lp, a in zip(there.position, there.log_prob, away, strict=True)]
     known = [_log_mass(x, lp) for x, lp in zip(here.position, here.log_prob, strict=True)]
-    share = float(1.0 / (1.0 + np.exp(np.clip(max(known) - max(log_masses), -700.0, 700.0))))
+    share = float(1.0 / (1.0 + np.exp(np.clip(max(*known, log_evidence) - max(log_masses), -700.0, 700.0))))
     if not (np.isfinite(max(log_masses)) and share > NEGLIGIBLE):
         return None
     best = np.unravel_index(np.argmax(np.where(away, there.log_prob, -np.inf)), away.shape)

@@ -76,6 +76,8 @@ def find_map(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> M
         lower=problem.lower,
         upper=problem.upper,
         start=problem.start,
+        measured=np.asarray(problem.data.frequencies_hz, dtype=float),
+        before=problem.frequencies(problem.start),
     )
 
 

@@ -28,7 +28,9 @@ PRIOR_STREAM, NOISE_STREAM = 0, 1
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see _generator
 
 
-def to_trace(result: RunResult, density: LogDensity, start: NDArray[np.float64] | None = None) -> xr.DataTree:
+def to_trace(
+    result: RunResult, density: LogDensity, start: NDArray[np.float64] | None = None, *, predictions: bool = True
+) -> xr.DataTree:
     """Convert a run to an ArviZ trace.
 
     Parameters
@@ -40,6 +42,8 @@ def to_trace(result: RunResult, density: LogDensity, start: NDArray[np.float64] 
         those that need no frequencies, with coordinates named ``x0``, ``x1``, ...
     start : ndarray, optional
         Where the chains started, if the user gave the positions: they belong to the configuration and its hash.
+    predictions : bool
+        Whether to solve the draws again for the groups that need frequencies.
 
     Returns
     -------
@@ -65,7 +69,7 @@ def to_trace(result: RunResult, density: LogDensity, start: NDArray[np.float64] 
     if hasattr(density, "sample_prior"):
         prior = density.sample_prior(_generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
         groups["prior"] = _variables(prior[np.newaxis], names, units)
-    if hasattr(density, "frequencies"):
+    if predictions and hasattr(density, "frequencies"):
         groups |= _frequency_groups(result, density)
     trace = xr.DataTree.from_dict(groups)
     trace.attrs = attributes(result, density, start)

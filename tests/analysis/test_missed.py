@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.maxima import Maxima, PosteriorMaximum
-from fmu.analysis.missed import missed_maxima, nearest_maxima, percent
+from fmu.analysis.maxima import Maxima, PosteriorMaximum, percent
+from fmu.analysis.missed import missed_maxima, nearest_maxima
 
 
 def maximum(theta, log_prob, share, sd=(1.0, 1.0), gradient=(0.0, 0.0), effective=300.0):
@@ -28,7 +28,8 @@ def maximum(theta, log_prob, share, sd=(1.0, 1.0), gradient=(0.0, 0.0), effectiv
 
 def known(*maxima):
     infinite = np.full(2, np.inf)
-    return Maxima(maxima, ("x0", "x1"), ("m", ""), ("1",), -infinite, infinite, np.zeros(2), )  # fmt: skip
+    one = np.ones(1)
+    return Maxima(maxima, ("x0", "x1"), ("m", ""), ("1",), -infinite, infinite, np.zeros(2), one, one)
 
 
 @pytest.fixture

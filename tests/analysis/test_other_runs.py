@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fmu.analysis.maxima import Maxima, PosteriorMaximum
 from fmu.analysis.other_runs import missed_places
 
 COVARIANCE = np.array([[1.0, 0.9], [0.9, 1.0]])
@@ -107,3 +108,30 @@ def test_walkers_are_followed_one_by_one(make_trace, run):
     share = float(found.split("about ")[1].split(" %")[0])
     assert 30 < share < 70
     assert missed_places(ensembles, {"a": run(1, *HERE), "b": run(2, *THERE)}) == []
+
+
+def test_known_maxima_are_the_measure_and_are_left_to_their_own_test(run, plain):
+    here, there = run(1, *HERE), {"mh": run(2, *THERE)}
+    infinite, log_mass = np.full(2, np.inf), np.log(2 * np.pi * np.sqrt(np.linalg.det(COVARIANCE)))
+
+    def known(centre, mass):
+        maximum = PosteriorMaximum(
+            theta=np.array(centre),
+            log_prob=0.0,
+            frequencies=np.ones(1),
+            starts=1,
+            at_bound=np.zeros(2, dtype=int),
+            gradient=np.zeros(2),
+            hessian=np.linalg.inv(COVARIANCE),
+            curvature="differences",
+            mean=np.array(centre),
+            sd=np.ones(2),
+            log_mass=mass,
+            effective_draws=100.0,
+            share=1.0,
+        )
+        return Maxima((maximum,), ("x0", "x1"), ("", ""), ("1",), -infinite, infinite, *np.ones((3, 2)))
+
+    assert len(missed_places(here, there, known(HERE[0], log_mass))) == 1
+    assert missed_places(here, there, known(HERE[0], log_mass + 6.0)) == []
+    assert missed_places(here, there, known(THERE[0], log_mass)) == []

@@ -187,6 +187,18 @@ def test_table(section_maxima):
     assert table.loc[1, "Ix1_sd"] == section_maxima[0].sd[0]
     assert table.loc[1, "at_bounds"] == "Ix2 upper, Ax1 upper"
     assert table.attrs["units"] == {"Ix1": "m⁴", "Ix2": "m⁴", "Ax1": "m²", "Ax2": "m²"}
+
+
+def test_words(section, section_maxima):
+    """A column a maximum, beside the model before updating and the measurement."""
+    words = section_maxima.side_by_side(most=2)
+    assert list(words.columns) == ["unit", "before", "maximum 1", "maximum 2", "measured"]
+    assert words.loc["log-probability", "maximum 2"] == "-107.9"
+    assert words.loc["share of mass", "maximum 1"] == "100 %"
+    assert words.loc["at bounds", "maximum 1"] == "Ix2 upper, Ax1 upper"
+    assert list(words.loc["Ix1"]) == ["m⁴", "7e-09", "3.904e-09", "6.873e-09", ""]
+    assert list(words.loc["mode 1"]) == ["Hz", "32.00", "28.77", "30.15", "31.90"]
+    assert section_maxima.side_by_side().shape[1] == 3 + len(section_maxima)
     assert "3.904e-09" in str(section_maxima)
     html = section_maxima._repr_html_()
     assert html.startswith("<table")
@@ -206,7 +218,7 @@ def test_dataset_and_back(section_maxima, tmp_path):
         np.testing.assert_array_equal(one.hessian, other.hessian)
         np.testing.assert_array_equal(one.at_bound, other.at_bound)
         assert (one.curvature, one.log_mass, one.starts) == (other.curvature, other.log_mass, other.starts)
-    for name in ("lower", "upper", "start"):
+    for name in ("lower", "upper", "start", "measured", "before"):
         np.testing.assert_array_equal(getattr(back, name), getattr(section_maxima, name))
     assert (back.names, back.units, back.labels) == (
         section_maxima.names,
