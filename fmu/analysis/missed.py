@@ -32,10 +32,36 @@ def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
     holds `NEARBY` of a Gaussian; near several, it belongs to the one whose model is highest there.
     """
     drop = maxima.drop(theta)
-    height = np.array([m.log_prob for m in maxima])[:, None] - drop
-    reach = gammaincinv(0.5 * theta.shape[1], NEARBY)  # half of the χ² quantile
-    height[drop > reach] = -np.inf
+    height = np.where(drop <= _reach(theta), _peaks(maxima) - drop, -np.inf)
     return np.where(np.all(np.isneginf(height), axis=0), -1, np.argmax(height, axis=0))
+
+
+def draws_of_maxima(theta: FloatArray, log_prob: FloatArray, maxima: Maxima) -> IntArray:
+    """Return the maximum (from 0) that each draw belongs to, −1 where there is none.
+
+    Those near a maximum belong to it. A bent valley leaves the ellipsoid: a draw near none belongs to the maximum
+    whose quadratic model falls least, if its own log-probability is no lower than on the rim of that ellipsoid.
+    This tells how draws are divided, not whether a maximum was visited: a mode that was not found may be as high.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n, ndim)
+    log_prob : ndarray, shape (n,)
+    maxima : Maxima
+    """
+    near = nearest_maxima(theta, maxima)
+    least = np.argmin(maxima.drop(theta), axis=0)
+    is_high = log_prob >= _peaks(maxima)[least, 0] - _reach(theta)
+    return np.where((near < 0) & is_high, least, near)
+
+
+def _peaks(maxima: Maxima) -> FloatArray:
+    return np.array([[m.log_prob] for m in maxima])
+
+
+def _reach(theta: FloatArray) -> float:
+    """Return by how much log P of a Gaussian falls to the rim: half of the χ² quantile."""
+    return float(gammaincinv(0.5 * theta.shape[1], NEARBY))
 
 
 def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
@@ -53,22 +79,24 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
-    chains, _, ndim = draws.shape
-    nearest = nearest_maxima(draws.reshape(-1, ndim), maxima)
-    visits = np.bincount(nearest[nearest >= 0], minlength=len(maxima)) / len(nearest)
-    reached = float(trace["sample_stats"]["lp"].max())
+    theta = draws.reshape(-1, draws.shape[2])
+    lp = trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy()
+    reached = float(lp.max())
+    nearest = nearest_maxima(theta, maxima)
+    unseen = [k for k, m in enumerate(maxima) if m.share > NEGLIGIBLE and k not in nearest]
+    if unseen:
+        return [_never_visited(maxima, k, reached) for k in unseen] + [
+            _whereabouts(nearest.reshape(len(draws), -1, walkers), maxima)
+        ]
+    owner = draws_of_maxima(theta, lp.ravel(), maxima)
+    shares = np.bincount(owner[owner >= 0], minlength=len(maxima)) / len(owner)
     # where a draw is above all that was found, or importance sampling failed, the masses are not to be relied on
     reliable = reached < maxima[0].log_prob + _ABOVE and all(
         m.effective_draws >= _RELIABLE for m in maxima if m.share > NEGLIGIBLE
     )
-    unseen = [k for k, m in enumerate(maxima) if m.share > NEGLIGIBLE and visits[k] == 0]
-    if unseen:
-        return [_never_visited(maxima, k, reached) for k in unseen] + [
-            _whereabouts(nearest.reshape(chains, -1, walkers), maxima)
-        ]
     return [
         f"{_name(maxima, k)} has {percent(v)} of the draws, but about {percent(m.share)} of the probability"
-        for k, (m, v) in enumerate(zip(maxima, visits.tolist(), strict=True))
+        for k, (m, v) in enumerate(zip(maxima, shares.tolist(), strict=True))
         if reliable and _is_out_of_proportion(v, m.share)
     ]
 

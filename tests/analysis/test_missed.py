@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmu.analysis.maxima import Maxima, PosteriorMaximum, percent
-from fmu.analysis.missed import missed_maxima, nearest_maxima
+from fmu.analysis.missed import draws_of_maxima, missed_maxima, nearest_maxima
 
 
 def maximum(theta, log_prob, share, sd=(1.0, 1.0), gradient=(0.0, 0.0), effective=300.0):
@@ -56,6 +56,17 @@ def test_a_draw_belongs_to_the_maximum_whose_ellipsoid_it_is_in(two):
     np.testing.assert_array_equal(nearest_maxima(theta, two), [0, 0, -1, 1, -1, -1])
 
 
+def test_beyond_the_ellipsoids_a_draw_that_is_high_belongs_to_the_least_fall(two):
+    """The rim of an ellipsoid is 9.21 below its peak; the narrow peak's model falls fastest."""
+    theta = np.array([[0.44, 0], [0, 20], [-3, 0], [-3, 0]])
+    np.testing.assert_array_equal(nearest_maxima(theta, two), [-1, -1, -1, -1])
+    np.testing.assert_array_equal(draws_of_maxima(theta, np.full(4, -2.0), two), [0, 1, 1, 1])
+    low = np.array([-10.3, -13.3, -13.1, -13.3])
+    np.testing.assert_array_equal(draws_of_maxima(theta, low, two), [-1, -1, 1, -1])
+    near = np.array([[0.1, 0], [20, 0]])
+    np.testing.assert_array_equal(draws_of_maxima(near, np.full(2, -90.0), two), [0, 1])
+
+
 def test_a_draw_near_two_belongs_to_the_higher_model():
     both = known(maximum((0, 0), -1.0, 0.5), maximum((3, 0), -1.0, 0.5))
     np.testing.assert_array_equal(nearest_maxima(np.array([[1.4, 0], [1.6, 0]]), both), [0, 1])
@@ -66,7 +77,8 @@ def test_a_draw_near_two_belongs_to_the_higher_model():
 def test_at_a_wall_the_density_falls_off_exponentially():
     """Five decay lengths from the wall is near; without the gradient it would be anyway, ten are not."""
     wall = known(maximum((0, 0), -1.0, 1.0, sd=(100.0, 1.0), gradient=(-1.0, 0.0)))
-    np.testing.assert_array_equal(nearest_maxima(np.array([[5.0, 0], [10.0, 0]]), wall), [0, -1])
+    theta = np.array([[5.0, 0], [10.0, 0]])
+    np.testing.assert_array_equal(nearest_maxima(theta, wall), [0, -1])
 
 
 def test_a_maximum_never_visited(two, trace_of):
@@ -82,6 +94,27 @@ def test_a_maximum_never_visited(two, trace_of):
 
 def test_both_visited(two, trace_of):
     assert missed_maxima(trace_of((0, 0), (20, 0), (20, 1)), two) == []
+
+
+def test_a_mode_that_was_not_found_is_no_visit_to_one_that_was(trace_of):
+    """As high as maximum 1, which no draw was near to: whoever goes by height alone is fooled."""
+    alone = known(maximum((0, 0), -1.0, 1.0))
+    first, second = missed_maxima(trace_of((9, 0), (9, 0), best=-1.0), alone)
+    assert "with log-probability -1.0 where the best draw has -1.0, was never visited" in first
+    assert second == "instead 2 chains are near none of the maxima"
+
+
+def test_draws_along_a_bent_valley_are_in_proportion(make_trace):
+    """x1 = x0²/2 ± 0.1 with x0 of sd 10: most draws are outside the ellipsoid, and yet of the maximum."""
+    z = np.random.default_rng(53).standard_normal((4, 500, 2))
+    position = np.stack([10 * z[..., 0], 50.0 * z[..., 0] ** 2 + 0.1 * z[..., 1]], axis=-1)
+    lp = -1.0 - 0.5 * np.sum(z**2, axis=-1)
+    valley = known(maximum((0, 0), -1.0, 1.0, sd=(10.0, 0.1)))
+    assert np.mean(nearest_maxima(position.reshape(-1, 2), valley) == 0) < 0.1
+    trace = make_trace(position, lp=lp)
+    assert missed_maxima(trace, valley) == []
+    low = make_trace(position, lp=lp - 20.0)
+    assert missed_maxima(low, valley)[0].startswith("maximum 1 at x0 = 0 m, x1 = 0 has ")
 
 
 def test_a_maximum_without_mass_need_not_be_visited(trace_of):
