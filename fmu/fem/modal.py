@@ -28,7 +28,7 @@ class SingularMassError(ValueError):
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
     """Return √λ / 2π. A λ that rounding left just below zero (a rigid-body mode) counts as zero."""
-    return np.sqrt(np.where(eigenvalue < 0.0, 0.0, eigenvalue)) / (2.0 * np.pi)
+    return np.sqrt(np.maximum(eigenvalue, 0.0)) / (2.0 * np.pi)
 
 
 def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -> FloatArray:

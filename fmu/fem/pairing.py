@@ -11,14 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from fmu.fem.modal import RIGID
-from fmu.fem.model import BlockModel, Modes
+from fmu.fem.model import Block, BlockModel, Modes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -71,23 +71,40 @@ class RankPairing:
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
-        return partial(self._pair, model)
+        return _RankSolve(self, model)
 
-    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
-        shape = (len(theta), len(self.rank))
-        lam = np.empty(shape)
-        slopes = np.empty((*shape, model.n_parameters)) if gradient else None
-        for b in sorted(set(self.block)):
-            columns = [i for i, owner in enumerate(self.block) if owner == b]
-            ranks = [self.rank[i] for i in columns]
+
+class _RankSolve:
+    """Fixed ranks of fixed blocks of a model; everything that does not depend on theta is prepared once."""
+
+    def __init__(self, pairing: RankPairing, model: BlockModel) -> None:
+        self.n_parameters = model.n_parameters
+        self.block, self.rank = np.array(pairing.block), np.array(pairing.rank)
+        self.parts: list[tuple[Block, int, Any, Any]] = []
+        for b in np.unique(self.block):
+            columns = np.flatnonzero(self.block == b)
+            ranks = self.rank[columns]
+            self.parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(columns), _as_slice(ranks)))
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
+        n, m = len(theta), len(self.rank)
+        lam = np.empty((n, m))
+        slopes = np.empty((n, m, self.n_parameters)) if gradient else None
+        for block, count, columns, ranks in self.parts:
             if slopes is None:
-                lam[:, columns] = model.blocks[b].eigenvalues(theta, max(ranks) + 1)[:, ranks]
+                lam[:, columns] = block.eigenvalues(theta, count)[:, ranks]
                 continue
-            values, phi = model.blocks[b].modes(theta, max(ranks) + 1)
+            values, phi = block.modes(theta, count)
             lam[:, columns] = values[:, ranks]
-            slopes[:, columns] = model.blocks[b].eigenvalue_gradient(theta, values[:, ranks], phi[:, :, ranks])
-        block = np.broadcast_to(np.array(self.block), shape)
-        return Modes(lam, slopes, block, np.broadcast_to(np.array(self.rank), shape))
+            slopes[:, columns] = block.eigenvalue_gradient(theta, values[:, ranks], phi[:, :, ranks])
+        return Modes(lam, slopes, self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0))
+
+
+def _as_slice(indices: IntArray) -> Any:
+    """Return consecutive indices as the slice that NumPy takes without copying, others as they are."""
+    first = int(indices[0])
+    consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
+    return slice(first, first + len(indices)) if consecutive else indices
 
 
 @dataclass(frozen=True, eq=False)

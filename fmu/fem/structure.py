@@ -140,15 +140,18 @@ class PairedStructure:
         with single_thread():
             if self.reduced is None:
                 return self._solve_full(theta, gradient)
-            inside = np.all((theta >= self._lower) & (theta <= self._upper), axis=1)
-            everywhere = bool(inside.all())
-            # the reduced model may overflow far outside its box, where it has no say: the corner stands in
-            modes = self._solve_reduced(
-                theta if everywhere else np.where(inside[:, None], theta, self._lower), gradient
-            )
-            if everywhere and not np.isnan(modes.eigenvalues).any():
+            within = (theta >= self._lower) & (theta <= self._upper)
+            everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
+            if everywhere:
+                modes = self._solve_reduced(theta, gradient)
+            else:
+                # the reduced model may overflow far outside its box, where it has no say: the corner stands in
+                inside = within.all(axis=1, keepdims=True)
+                modes = self._solve_reduced(np.where(inside, theta, self._lower), gradient)
+            failed = np.isnan(modes.eigenvalues)
+            if everywhere and np.count_nonzero(failed) == 0:
                 return modes
-            return self._repaired(theta, modes, ~inside | np.any(np.isnan(modes.eigenvalues), axis=1))
+            return self._repaired(theta, modes, failed.any(axis=1) | ~within.all(axis=1))
 
     def full_modes(self, theta: FloatArray) -> Modes:
         """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""

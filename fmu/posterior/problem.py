@@ -126,14 +126,14 @@ class UpdatingProblem:
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
         """Return the log-probability and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
         points, single = self._points(theta)
-        value = np.full(len(points), -np.inf)
-        gradient = np.full(points.shape, np.nan)
-        inside = self._within(points).all(axis=1)
-        if inside.any():
-            x = points[inside]
-            terms, slopes = self.likelihood.terms_and_gradient(x)
-            value[inside] = self._recorded(terms, x).sum(axis=1) + self._prior.log_pdf(x)
-            gradient[inside] = np.sum(slopes, axis=1) + self._prior.log_pdf_gradient(x)
+        within = self._within(points)
+        if np.count_nonzero(within) == within.size > 0:
+            value, gradient = self._posterior_and_gradient(points)
+        else:
+            value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
+            inside = within.all(axis=1)
+            if inside.any():
+                value[inside], gradient[inside] = self._posterior_and_gradient(points[inside])
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def log_likelihood(self, theta: ArrayLike) -> Any:
@@ -231,6 +231,11 @@ class UpdatingProblem:
     def _posterior(self, points: FloatArray) -> FloatArray:
         """Return the log-probability, shape (n,), at points (n, ndim) inside the bounds."""
         return self._terms(points).sum(axis=1) + self._prior.log_pdf(points)
+
+    def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        terms, slopes = self.likelihood.terms_and_gradient(points)
+        value = self._recorded(terms, points).sum(axis=1) + self._prior.log_pdf(points)
+        return value, slopes.sum(axis=1) + self._prior.log_pdf_gradient(points)
 
     def _terms(self, points: FloatArray) -> FloatArray:
         return self._recorded(self.likelihood.terms(points), points)
