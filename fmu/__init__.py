@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fmu.analysis.comparison import compare as compare
     from fmu.analysis.diagnosis import diagnose as diagnose
     from fmu.analysis.diagnostics import summary as summary
+    from fmu.analysis.identifiability import identifiability as identifiability
     from fmu.analysis.prediction import expectation as expectation
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
@@ -50,6 +51,7 @@ _HOME = {
     "diagnose": "fmu.analysis.diagnosis",
     "expectation": "fmu.analysis.prediction",
     "find_map": "fmu.analysis.search",
+    "identifiability": "fmu.analysis.identifiability",
     "load_trace": "fmu.analysis.trace",
     "sample": "fmu.sampling",
     "summary": "fmu.analysis.diagnostics",
@@ -71,6 +73,7 @@ __all__ = [
     "diagnose",
     "expectation",
     "find_map",
+    "identifiability",
     "load_trace",
     "sample",
     "summary",

@@ -67,7 +67,8 @@ def sample(
     -------
     xarray.DataTree
         The trace, see `fmu.analysis.trace.to_trace`; its attributes include the certificate of the reduced model
-        where there is one, see `fmu.analysis.certificate.certify`.
+        where there is one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
+        (`fmu.analysis.modal_states`) and ``identifiability`` (`fmu.analysis.identifiability`) go with it.
 
     Raises
     ------
@@ -115,6 +116,20 @@ def sample(
     if maxima is not None:
         trace = with_maxima(trace, maxima)
     trace.attrs.update(certify(trace, problem, full_solves=full_solves))
+    return _with_structure(trace, problem, maxima)
+
+
+def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
+    """Keep in the trace of an updating problem what the model says beside the draws."""
+    from fmu.analysis.identifiability import with_identifiability
+    from fmu.analysis.modal_states import with_modes
+    from fmu.posterior.likelihood import FrequencyLikelihood
+
+    if not hasattr(problem, "likelihood"):
+        return trace
+    trace = with_modes(trace, problem, maxima)
+    if isinstance(problem.likelihood, FrequencyLikelihood):
+        trace = with_identifiability(trace, problem, maxima)
     return trace
 
 

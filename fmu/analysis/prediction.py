@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.diagnostics import interval_columns, parameter_draws, walkers_of
-from fmu.analysis.effective import mcse_mean
+from fmu.analysis.effective import ess_bulk, mcse_mean
 from fmu.analysis.trace import check_trace
 
 if TYPE_CHECKING:
@@ -109,6 +109,48 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
             f"{prefix}{upper}": high,
         }
     return pd.DataFrame(columns, index=pd.Index(predictive["mode"].to_numpy(), name="mode"))
+
+
+def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
+    """Estimate how well each measured mode is predicted by the others: PSIS-LOO (Vehtari, Gelman & Gabry 2017).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        A trace with a ``log_likelihood``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a mode: ``elpd``, the log-density of its measured frequency under the posterior of the other modes;
+        ``pareto_k``, the shape of the importance weights' tail; and ``reliable``, whether the weights carry the
+        estimate (k below 0.7, less for few draws). A mode that the others do not determine has few reliable
+        weights: with as many parameters as modes that is the rule, and the estimate an upper bound at best.
+
+    Raises
+    ------
+    ValueError
+        If the trace has no log-likelihood of modes.
+    """
+    import warnings
+
+    import arviz as az
+    import pandas as pd
+
+    check_trace(trace)
+    if "log_likelihood" not in trace.children:
+        raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
+    name = str(next(iter(trace["log_likelihood"].data_vars)))
+    terms = trace["log_likelihood"][name].transpose("chain", "draw", "mode").to_numpy()
+    walkers = walkers_of(trace)
+    n = terms.shape[0] * terms.shape[1]
+    ess = np.nanmin([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # it is in the table
+        found = az.loo(trace, pointwise=True, var_name=name, reff=min(1.0, float(ess) / n))
+    k = found.pareto_k.to_numpy()
+    columns = {"elpd": found.elpd_i.to_numpy(), "pareto_k": k, "reliable": k <= found.good_k}
+    return pd.DataFrame(columns, index=pd.Index(trace["log_likelihood"]["mode"].to_numpy(), name="mode"))
 
 
 def _named(trace: xr.DataTree, name: str) -> FloatArray:

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem import beam
-from fmu.fem.separable import SeparableModel, Term, merge_terms
+from fmu.fem.separable import Geometry, SeparableModel, Term, merge_terms
 
 FloatArray = NDArray[np.float64]
 
@@ -169,7 +169,9 @@ class Frame:
         if self.masses:
             lumped = self._lumped_mass(len(coordinates))
             M_terms.append(Term(sp.csr_array(sp.diags_array(lumped[free])), (0.0,) * n_parameters))
-        return SeparableModel(merge_terms(K_terms), merge_terms(M_terms), dofs)
+        elements = np.concatenate([np.asarray(group.elements, dtype=np.int64) for group in self.groups])
+        geometry = Geometry(coordinates, elements)
+        return SeparableModel(merge_terms(K_terms), merge_terms(M_terms), dofs, geometry)
 
     def _owners(self, updates: Mapping[str, Sequence[tuple[str, str]]]) -> dict[tuple[str, str], int]:
         groups = {group.name for group in self.groups}

@@ -42,6 +42,22 @@ class Term:
         return not any(self.powers)
 
 
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where a structure is, for drawings; the mechanics are in the matrices.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (n_nodes, 3), m
+        A degree of freedom named ``(node, direction)`` belongs to row `node`.
+    elements : ndarray of int, shape (n_elements, 2)
+        Both ends of each line to draw.
+    """
+
+    nodes: FloatArray
+    elements: IntArray
+
+
 class SeparableModel:
     """A structure whose matrices are sums of fixed matrices with monomial coefficients.
 
@@ -52,6 +68,8 @@ class SeparableModel:
     dofs : sequence of tuple (node, direction), optional
         Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. Without names every
         one counts as a translation of its own node.
+    geometry : Geometry, optional
+        For drawings of the structure and its mode shapes.
 
     Raises
     ------
@@ -64,6 +82,7 @@ class SeparableModel:
         K_terms: Sequence[Term],
         M_terms: Sequence[Term],
         dofs: Sequence[tuple[Any, str]] | None = None,
+        geometry: Geometry | None = None,
     ) -> None:
         if not K_terms or not M_terms:
             raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
@@ -72,6 +91,7 @@ class SeparableModel:
         self.n_dof = int(K_terms[0].matrix.shape[0])
         self.n_parameters = len(K_terms[0].powers)
         self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
+        self.geometry = geometry
         _check_terms(self)
 
     def __repr__(self) -> str:

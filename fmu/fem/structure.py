@@ -158,6 +158,22 @@ class PairedStructure:
         with single_thread():
             return self._solve_full(theta)
 
+    def full_shapes(self, theta: FloatArray) -> FloatArray:
+        """Return the paired modes' shapes by the full model, shape (n_dof, n_modes), at theta (n_parameters,).
+
+        Mass-normalised; zero in the blocks that a mode does not move, NaN where a solve failed.
+        """
+        point = np.asarray(theta, dtype=float)[None]
+        modes = self.full_modes(point)
+        shapes = np.zeros((self.structure.n_dof, self.n_modes))
+        with single_thread():
+            for b in np.unique(modes.block[0]):
+                columns = np.flatnonzero(modes.block[0] == b)
+                ranks = modes.rank[0, columns]
+                _, phi = self.full.blocks[b].modes(point, int(ranks.max()) + 1)
+                shapes[np.ix_(self.full.blocks[b].dofs, columns)] = phi[0][:, ranks]
+        return shapes
+
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
         return frequency_hz(self.modes(theta).eigenvalues)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fmu.analysis import effective
-from fmu.analysis.prediction import expectation, predict_frequencies
+from fmu.analysis.prediction import expectation, leave_one_out, predict_frequencies
 from fmu.analysis.trace import to_trace
 
 # The model of conftest.py: f = 100 + SLOPES @ theta.
@@ -110,3 +110,41 @@ def test_predictive_distribution_of_a_linear_model(trace):
 def test_trace_without_frequencies(make_trace):
     with pytest.raises(ValueError, match="model_frequency"):
         predict_frequencies(make_trace(np.zeros((2, 5, 2))))
+
+
+def exact_posterior(kept):
+    """Mean and covariance given the modes `kept` of the linear problem, its bounds too far away to matter."""
+    A, precision, error = SLOPES[kept], 2 * np.array([0.5, 1.0, 2.0])[kept], np.array([1.0, -0.5, 2.0])[kept]
+    covariance = np.linalg.inv(np.diag([1.0, 0.25]) + A.T @ (precision[:, None] * A))
+    return covariance @ A.T @ (precision * error), covariance
+
+
+def test_leaving_one_mode_out_of_a_linear_model(make_result, problem):
+    mean, covariance = exact_posterior([0, 1, 2])
+    draws = np.random.default_rng(44).multivariate_normal(mean, covariance, size=(4, 5000))
+    table = leave_one_out(to_trace(make_result(draws), problem))
+    assert list(table.index) == ["W1", "W2", "T1"]
+    for i, label in enumerate(table.index):
+        mean, covariance = exact_posterior([k for k in range(3) if k != i])
+        variance = SLOPES[i] @ covariance @ SLOPES[i] + 0.5 / np.array([0.5, 1.0, 2.0])[i]
+        error = np.array([1.0, -0.5, 2.0])[i] - SLOPES[i] @ mean
+        exact = -0.5 * (error**2 / variance + np.log(2 * np.pi * variance))
+        assert table.loc[label, "reliable"] == (table.loc[label, "pareto_k"] <= 0.7)
+        if table.loc[label, "pareto_k"] < 0.5:
+            assert table.loc[label, "elpd"] == pytest.approx(exact, abs=0.05)
+    assert (table["pareto_k"] < 0.5).sum() >= 2
+
+
+def test_a_mode_that_the_others_do_not_determine_is_not_reliable(make_result, problem):
+    """The third frequency alone is known so well that the posterior without it is many times as wide."""
+    sharp = type(problem)(problem.model, problem.data, problem.parameters, beta=[1e-3, 1e-3, 1e4])
+    A, precision = SLOPES, 2 * np.array([1e-3, 1e-3, 1e4])
+    covariance = np.linalg.inv(np.diag([1.0, 0.25]) + A.T @ (precision[:, None] * A))
+    mean = covariance @ A.T @ (precision * [1.0, -0.5, 2.0])
+    draws = np.random.default_rng(45).multivariate_normal(mean, covariance, size=(4, 500))
+    assert not leave_one_out(to_trace(make_result(draws), sharp)).loc["T1", "reliable"]
+
+
+def test_leaving_out_needs_a_likelihood(make_trace):
+    with pytest.raises(ValueError, match="log-likelihood of the modes"):
+        leave_one_out(make_trace(np.zeros((2, 5, 2))))

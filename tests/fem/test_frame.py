@@ -187,3 +187,10 @@ def test_rectangle():
     assert (upright.Iy, upright.Iz, upright.J) == (flat.Iz, flat.Iy, flat.J)
     assert pytest.approx(0.1406, rel=5e-3) == Section.rectangle(1.0, 1.0).J
     assert pytest.approx(1e-12 / 3, rel=1e-4) == Section.rectangle(1.0, 1e-4).J
+
+
+def test_the_model_knows_where_it_is():
+    frame = l_frame()
+    geometry = frame.separable().geometry
+    assert_allclose(geometry.nodes, frame.nodes)
+    assert_allclose(geometry.elements, np.stack([np.arange(12), np.arange(1, 13)], axis=1))

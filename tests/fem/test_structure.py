@@ -152,3 +152,22 @@ def test_unknown_pairing_and_sensor():
         PairedStructure(model, pairing="mac", sensors=(), **options)
     with pytest.raises(ValueError, match=r"^sensor: the model has no free degree of freedom \(got node 0, 'z'\)$"):
         PairedStructure(model, pairing="shape", sensors=((0, "z"),), **options)
+
+
+@pytest.mark.parametrize("pairing", ["shape", "index"])
+@pytest.mark.parametrize("build", [beam_in_halves, coupled_frame])
+def test_full_shapes_are_those_of_the_paired_modes(build, pairing):
+    structure = build(pairing)
+    theta = 0.95 * (START if build is beam_in_halves else np.array([2.1e11, 3e-3]))
+    shapes, K, M = structure.full_shapes(theta), structure.structure.K(theta), structure.structure.M(theta)
+    lam = structure.full_modes(theta[None]).eigenvalues[0]
+    assert_allclose(shapes.T @ (M @ shapes), np.eye(len(lam)), atol=1e-9)
+    assert_allclose(np.sum(shapes * (K @ shapes), axis=0), lam, rtol=1e-8)
+    residual = K @ shapes - (M @ shapes) * lam
+    assert np.all(np.linalg.norm(residual, axis=0) < 1e-5 * np.linalg.norm(K @ shapes, axis=0))
+
+
+def test_a_mode_of_one_plane_moves_nothing_out_of_it():
+    structure = beam_in_halves("shape")
+    moved = np.any(structure.full_shapes(START) != 0.0, axis=1)
+    assert {d for (_, d), m in zip(structure.structure.dofs, moved, strict=True) if m} == {"z", "ry"}
