@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from fmu.analysis.maxima import Maxima
+    from fmu.progress import Report
     from fmu.samplers.kernel import LogDensity, Sampler
-    from fmu.samplers.run import Progress
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee")
 """The names of the samplers, without importing them."""
@@ -30,7 +30,7 @@ def sample(
     until_ess: float | None = None,
     max_draws: int | None = None,
     maxima: Maxima | None = None,
-    progress: Progress | None = None,
+    progress: Report | bool | None = None,
 ) -> xr.DataTree:
     """Draw from the posterior of a problem, or from any log-density.
 
@@ -60,8 +60,9 @@ def sample(
     maxima : Maxima, optional
         What `fmu.find_map` found. It is kept in the trace, and every verdict on it takes it into account. With
         `until_ess` the maxima of an updating problem are searched for if they are not given.
-    progress : callable, optional
-        Called after every step as ``progress(phase, done, total, info)``.
+    progress : bool or callable, optional
+        Whether to draw progress bars on a terminal or in a notebook: in a notebook only, if not given. A callable
+        is called after every step as ``progress(phase, done, total, info)`` instead.
 
     Returns
     -------
@@ -81,6 +82,7 @@ def sample(
     from fmu.analysis.certificate import certify
     from fmu.analysis.diagnosis import with_maxima
     from fmu.analysis.trace import to_trace
+    from fmu.progress import reporting
     from fmu.samplers import Run, named
     from fmu.samplers.settings import whole_number
 
@@ -98,20 +100,21 @@ def sample(
         maxima = find_map(problem)  # type: ignore[arg-type]
     start = None if isinstance(init, str) else np.asarray(init, dtype=float)
     full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
-    begun = Run(
-        problem,
-        settings,
-        warmup=warmup,
-        chains=chains,
-        seed=seed,
-        init=init if start is None else start,
-        progress=progress,
-    )
-    result = begun.extend(draws)
-    while result.draws < limit and not _is_enough(
-        to_trace(result, problem, start, predictions=False), until_ess, maxima
-    ):
-        result = begun.extend(min(result.draws, limit - result.draws))
+    with reporting(progress, settings.name) as report:
+        begun = Run(
+            problem,
+            settings,
+            warmup=warmup,
+            chains=chains,
+            seed=seed,
+            init=init if start is None else start,
+            progress=report,
+        )
+        result = begun.extend(draws)
+        while result.draws < limit and not _is_enough(
+            to_trace(result, problem, start, predictions=False), until_ess, maxima
+        ):
+            result = begun.extend(min(result.draws, limit - result.draws))
     trace = to_trace(result, problem, start)
     if maxima is not None:
         trace = with_maxima(trace, maxima)
