@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.report.plots import BLACK, FONT, _constant, colour, new_figure, tint
-from fmu.report.units import shown
+from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, constant, literal, new_figure, tint, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
 _ROOM, _CLEAR = 0.06, 0.09
-_VERMILLION = "#D55E00"
 
 
 def plot_corner(
@@ -43,7 +41,7 @@ def plot_corner(
     from fmu.analysis.diagnostics import parameter_draws, parameter_names
 
     names = parameter_names(trace)
-    units = [shown(trace["posterior"][name].attrs.get("units", "")) for name in names]
+    units = [unit_of(trace, name) for name in names]
     factor = np.array([unit.factor for unit in units])
     draws = parameter_draws(trace).reshape(-1, len(names)) / factor
     draws = draws[:: max(1, len(draws) // _MAX_DRAWS)]
@@ -54,7 +52,7 @@ def plot_corner(
     corner.corner(
         draws,
         fig=figure,
-        labels=[unit.label(name) for name, unit in zip(names, units, strict=True)],
+        labels=[literal(unit.label(name)) for name, unit in zip(names, units, strict=True)],
         label_kwargs={"fontsize": FONT + 1},
         labelpad=-0.04,
         range=_frames(draws, *bounds),
@@ -91,7 +89,7 @@ def _frames(
 
 
 def _point(trace: xr.DataTree, names: tuple[str, ...], which: str) -> NDArray[np.float64]:
-    return np.array([_constant(trace, which, name) for name in names])
+    return np.array([constant(trace, which, name) for name in names])
 
 
 def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
@@ -100,7 +98,7 @@ def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
 
     styles: dict[str, dict[str, Any]] = {
         "start": {"color": BLACK, "marker": "x", "markeredgewidth": 1.8},
-        "maximum": {"color": _VERMILLION, "marker": "*", "markeredgecolor": BLACK, "markeredgewidth": 0.5},
+        "maximum": {"color": VERMILLION, "marker": "*", "markeredgecolor": BLACK, "markeredgewidth": 0.5},
     }
     n = len(axes)
     for i in range(n):

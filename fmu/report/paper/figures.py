@@ -19,7 +19,7 @@ from fmu.report.plots import (
     PALE,
     TITLES,
     Frequencies,
-    _finish,
+    finish,
     new_figure,
     plot_frequency_errors,
     plot_traces,
@@ -97,7 +97,7 @@ def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
     axes.set_title(f"Error against: {result.reference.origin}", fontsize=FONT - 1, color=GREY)
     axes.set_xlabel("model solves of one chain (one ensemble), warm-up counted", fontsize=FONT)
     axes.set_ylabel("error of the running mean / posterior sd", fontsize=FONT)
-    _finish(axes)
+    finish(axes)
     _legend(figure, result)
     return axes
 

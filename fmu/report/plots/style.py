@@ -1,0 +1,78 @@
+"""What all figures share: one colour a sampler (Okabe & Ito's colour-blind safe palette), sizes, units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from fmu.report.units import Unit, shown
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = {"mh": "#E69F00", "slice": "#009E73", "hmc": "#0072B2", "emcee": "#CC79A7"}
+TITLES = {
+    "mh": "Metropolis–Hastings",
+    "slice": "Slice sampling",
+    "hmc": "Hamiltonian Monte Carlo",
+    "emcee": "emcee ensemble",
+}
+BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
+VERMILLION = "#D55E00"
+FONT = 10
+DPI = 130
+NARROW = 5.2
+"""Width in inches of a figure whose labels are still readable on a phone."""
+
+
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """Return an empty figure of the given size in inches, unknown to pyplot."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout=layout)
+
+
+def colour(sampler: str) -> str:
+    """Return the colour of a sampler; grey for one that has none."""
+    return COLOURS.get(sampler, GREY)
+
+
+def tint(base: str, share: float) -> tuple[float, float, float]:
+    """Return a colour mixed with white; `share` of white between 0 and 1."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = (share + (1.0 - share) * channel for channel in to_rgb(base))
+    return red, green, blue
+
+
+def chain_colours(trace: xr.DataTree) -> list[tuple[float, float, float]]:
+    """Return a tint of the sampler's colour for each chain, the first the strongest."""
+    base = colour(str(trace.attrs["sampler"]))
+    return [tint(base, 0.18 * min(chain, 4)) for chain in range(trace["posterior"].sizes["chain"])]
+
+
+def unit_of(trace: xr.DataTree, name: str) -> Unit:
+    """Return the unit in which a parameter of a trace is shown."""
+    return shown(trace["posterior"][name].attrs.get("units", ""))
+
+
+def constant(trace: xr.DataTree, which: str, name: str) -> float:
+    """Return a bound or the start of one parameter, SI units; NaN if the trace does not know it."""
+    if "constant_data" not in trace.children or which not in trace["constant_data"]:
+        return np.nan
+    return float(trace["constant_data"][which].sel(parameter=name))
+
+
+def finish(axes: Axes) -> None:
+    """Set what all axes have in common."""
+    axes.tick_params(labelsize=FONT - 1)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def literal(text: str) -> str:
+    """Return a name as matplotlib shall show it: a pair of dollar signs would be mathematics."""
+    return text.replace("$", r"\$")
