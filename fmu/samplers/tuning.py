@@ -10,7 +10,7 @@ import numpy as np
 from .kernel import FloatArray, Info, LogDensity, State
 from .metric import Metric
 from .proposals import RandomWalk
-from .warmup import DualAveraging, PooledMoments, Schedule, keeping_up
+from .warmup import LAG, DualAveraging, PooledMoments, Schedule, keeping_up
 
 if TYPE_CHECKING:
     from .hamiltonian import HamiltonianKernel, HamiltonianMonteCarlo
@@ -24,30 +24,27 @@ START_WIDTH = 0.5
 
 _MOST_STEPS = 128
 _MEMORY = 0.9
+_MOST_LOG = 25.0
 
 
 class _Learner:
     """The part that all tuners share: where in the schedule, which chains keep up, the moments of the window."""
 
-    def __init__(self, steps: int) -> None:
-        self.schedule = Schedule.of(steps)
+    def __init__(self, schedule: Schedule, ndim: int) -> None:
+        self.schedule, self.ndim = schedule, ndim
         self.step = 0
         self.moments = PooledMoments()
         self.covariance: FloatArray | None = None
         self._log_prob: FloatArray | None = None
 
-    def learn(self, state: State) -> bool:
+    def learn(self, state: State, info: Info) -> bool:
         """Take one step into account; True where a window has just closed with a new covariance."""
         smoothed = state.log_prob if self._log_prob is None else self._log_prob
         self._log_prob = _MEMORY * smoothed + (1.0 - _MEMORY) * state.log_prob
-        if self.schedule.first <= self.step < self.schedule.steps - self.schedule.last:
-            self.moments.add(state)
-        closed = self.step in self.schedule.ends
+        self.moments.add(state.position, state.log_prob, info.extra.get("acceptance_rate", info.accepted))
         self.step += 1
-        if not closed:
-            return False
-        learnt = self.moments.covariance()
-        self.moments = PooledMoments()
+        closed = [first for first, end in self.schedule.windows if end == self.step]
+        learnt = self.moments.covariance(closed[0]) if closed else None
         if learnt is None:
             return False
         self.covariance = learnt
@@ -56,12 +53,12 @@ class _Learner:
     @property
     def searching(self) -> bool:
         """Whether the first part of the warm-up still runs."""
-        return self.step <= self.schedule.first
+        return self.step < self.schedule.first
 
     def pooled(self, value: FloatArray) -> FloatArray:
         """Return the mean over the chains that keep up."""
         assert self._log_prob is not None  # learn() comes first
-        return np.asarray(np.mean(value[keeping_up(self._log_prob)]))
+        return np.asarray(np.mean(value[keeping_up(self._log_prob, LAG + self.ndim)]))
 
 
 class HamiltonianTuner:
@@ -73,14 +70,14 @@ class HamiltonianTuner:
 
     def __init__(self, sampler: HamiltonianMonteCarlo, density: LogDensity, chains: int, steps: int) -> None:
         self.sampler = sampler
-        self.learner = _Learner(steps)
+        self.learner = _Learner(Schedule.doubling(steps), density.ndim)
         self.kernel: HamiltonianKernel = sampler.bind(density)
         self.kernel = replace(self.kernel, step_size=np.full(chains, float(self.kernel.step_size)))
         self.averaging = DualAveraging(np.log(self.kernel.step_size), sampler.target_accept)
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
-        window_closed = self.learner.learn(state)
+        window_closed = self.learner.learn(state, info)
         acceptance = info.extra["acceptance_rate"]
         pooling = self.averaging.log_value.ndim == 0
         self.averaging.update(self.learner.pooled(acceptance) if pooling else acceptance)
@@ -123,7 +120,7 @@ class MetropolisTuner:
 
     def __init__(self, sampler: MetropolisHastings, density: LogDensity, chains: int, steps: int) -> None:
         self.sampler, self.density = sampler, density
-        self.learner = _Learner(steps)
+        self.learner = _Learner(Schedule.sliding(steps), density.ndim)
         self.target = 0.234 + (0.44 - 0.234) / density.ndim
         self.shape = START_SCALE**2 * np.eye(density.ndim)
         self.log_scale, self.count, self.sum = 0.0, 0, 0.0
@@ -131,10 +128,11 @@ class MetropolisTuner:
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
-        window_closed = self.learner.learn(state)
+        window_closed = self.learner.learn(state, info)
         self.count += 1
         rate = float(self.learner.pooled(info.extra["acceptance_rate"]))
-        self.log_scale += (rate - self.target) * 3.0 / self.count**0.6
+        gain = 3.0 / (self.count + 10) ** 0.6
+        self.log_scale = float(np.clip(self.log_scale + gain * (rate - self.target), -_MOST_LOG, _MOST_LOG))
         if self.count > 20:
             self.sum += self.log_scale
         if window_closed:
@@ -159,13 +157,13 @@ class SliceTuner:
 
     def __init__(self, sampler: Slice, density: LogDensity, chains: int, steps: int) -> None:
         self.sampler, self.density = sampler, density
-        self.learner = _Learner(steps)
+        self.learner = _Learner(Schedule.sliding(steps), density.ndim)
         self.kernel = sampler.bind(density)
         self.settings = replace(sampler, width=START_WIDTH)
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
-        if self.learner.learn(state) and self.learner.covariance is not None:
+        if self.learner.learn(state, info) and self.learner.covariance is not None:
             variance, axes = np.linalg.eigh(self.learner.covariance)
             width = self.sampler.spread * np.sqrt(variance)
             self.settings = replace(self.sampler, width=width, axes=axes)

@@ -10,53 +10,78 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .kernel import BoolArray, FloatArray, State
+from .kernel import BoolArray, FloatArray
 
-# A chain whose log-density is on average this far below the best one's is on its way, or trapped: the others must
-# not learn from it. Within one mode the log-density scatters by √(ndim/2) only.
-OUTLIER = 30.0
+LAG = 10.0
+"""A log-density that falls short of most chains' by this much, and one a coordinate, is not in their place."""
+WINDOW_LAG = 3.0
+"""The same for the mean over a window, and half of one a coordinate: it scatters less than a single draw."""
+STUCK = 0.3
+"""A chain that accepts less than this fraction of what the median chain accepts does not fit their settings."""
+SHRINKAGE = 5.0
+"""Draws that the diagonal of a covariance counts for."""
 
 
 @dataclass(frozen=True)
 class Schedule:
     """Warm-up in three parts, as in Stan (Carpenter et al. 2017, reference manual, "HMC algorithm parameters").
 
-    The first finds the bulk of the distribution; the second learns the shape in windows that double, each from
-    its own draws alone; the last settles the scale under the final shape.
+    The first finds the bulk of the distribution; the second learns the shape, in windows; the last settles the
+    scale under the final shape.
 
     Attributes
     ----------
     steps, first, last : int
         Steps in all, in the first part, and in the last.
-    ends : tuple of int
-        Step (from 0) after which each window of the second part closes.
+    windows : tuple of (int, int)
+        First step (from 0) of each window and the step before which it closes: what is learnt there comes from
+        these steps alone.
     """
 
     steps: int
     first: int
     last: int
-    ends: tuple[int, ...]
+    windows: tuple[tuple[int, int], ...]
 
     @classmethod
-    def of(cls, steps: int) -> Schedule:
-        """Return the schedule of a warm-up of that many steps; a short one has no windows."""
-        first, last = int(0.15 * steps), int(0.15 * steps)
-        ends: list[int] = []
-        start, size = first, 25
-        stop = steps - last
+    def doubling(cls, steps: int) -> Schedule:
+        """Return windows one after the other, each twice as long as the one before; none in a short warm-up.
+
+        For a sampler that must settle anew in every window.
+        """
+        first = last = int(0.15 * steps)
+        windows: list[tuple[int, int]] = []
+        start, size, stop = first, 25, steps - last
         while stop - start >= size:
             # the last window takes what a further doubling would not leave enough of
             end = start + size if stop - (start + size) >= 2 * size else stop
-            ends.append(end - 1)
+            windows.append((start, end))
             start, size = end, 2 * size
-        return cls(steps, first, last, tuple(ends))
+        return cls(steps, first, last, tuple(windows))
+
+    @classmethod
+    def sliding(cls, steps: int) -> Schedule:
+        """Return windows of the later half of all steps so far, closing ever 10 % later; none in a short warm-up.
+
+        For a sampler that mixes slowly until it knows the shape: each window is drawn with a better one.
+        """
+        first, last = int(0.1 * steps), int(0.15 * steps)
+        windows: list[tuple[int, int]] = []
+        end, stop = max(first, 25), steps - last
+        while end < stop:
+            windows.append((end // 2, end))
+            end = max(end + 10, int(1.1 * end))
+        if windows:
+            windows.append((stop // 2, stop))
+        return cls(steps, first, last, tuple(windows))
 
 
 @dataclass
 class DualAveraging:
     """Nesterov's dual averaging of a logarithm towards an acceptance rate (Hoffman & Gelman 2014, section 3.2).
 
-    Works on an array: one entry for pooled chains, or one a chain.
+    Works on an array: one entry for pooled chains, or one a chain. The logarithm is kept within `lowest` and
+    `highest`, where nothing is ever accepted or always everything.
     """
 
     log_value: FloatArray
@@ -64,6 +89,8 @@ class DualAveraging:
     gamma: float = 0.05
     t0: float = 10.0
     kappa: float = 0.75
+    lowest: float = -25.0
+    highest: float = 25.0
     _count: int = 0
     _error: FloatArray = field(init=False)
     _centre: FloatArray = field(init=False)
@@ -80,7 +107,7 @@ class DualAveraging:
         t = self._count
         weight = 1.0 / (t + self.t0)
         self._error = (1.0 - weight) * self._error + weight * (self.target - acceptance)
-        self.log_value = self._centre - np.sqrt(t) / self.gamma * self._error
+        self.log_value = np.clip(self._centre - np.sqrt(t) / self.gamma * self._error, self.lowest, self.highest)
         decay = t**-self.kappa
         self._average = decay * self.log_value + (1.0 - decay) * self._average
 
@@ -91,38 +118,62 @@ class DualAveraging:
 
 
 class PooledMoments:
-    """Covariance of the draws of all chains of a window, those of chains that lag behind left out."""
+    """Covariance of the draws of all chains in a window, but for what is no draw from where most chains are.
+
+    Left out are chains that lag behind, are trapped or stand still on the average of the window, and single draws
+    on the way. What is left of a sampler's target is all but its far tails.
+    """
 
     def __init__(self) -> None:
         self._positions: list[FloatArray] = []
         self._log_probs: list[FloatArray] = []
+        self._acceptance: list[FloatArray] = []
 
-    def add(self, state: State) -> None:
-        """Take one step of all chains into account."""
-        self._positions.append(state.position)
-        self._log_probs.append(state.log_prob)
+    def add(self, position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> None:
+        """Take one step of all chains into account: (chains, ndim), (chains,), (chains,)."""
+        self._positions.append(position)
+        self._log_probs.append(log_prob)
+        self._acceptance.append(acceptance)
 
-    def covariance(self) -> FloatArray | None:
-        """Return the regularised covariance (ndim, ndim), None where the draws are too few or never moved.
+    def covariance(self, first: int = 0) -> FloatArray | None:
+        """Return the regularised covariance (ndim, ndim) of the steps from `first` on.
 
-        Shrunk towards its own diagonal with the weight of five draws, so that the parameters' units do not matter
-        (Stan shrinks towards a fixed size, which would blur a posterior that is narrow in the prior's units).
+        None where the draws are too few or never moved. Shrunk towards its own diagonal with the weight of five
+        draws, so that the parameters' units do not matter (Stan shrinks towards a fixed size, which would blur a
+        posterior that is narrow in the prior's units).
         """
-        if not self._positions:
+        if len(self._positions) <= first:
             return None
-        included = keeping_up(np.mean(self._log_probs, axis=0))
-        draws = np.concatenate([position[included] for position in self._positions])
-        if len(draws) <= 2 * draws.shape[1]:
+        log_prob, ndim = np.array(self._log_probs[first:]), self._positions[0].shape[1]
+        mean = log_prob.mean(axis=0)
+        included = keeping_up(mean, WINDOW_LAG + 0.5 * ndim, np.mean(self._acceptance[first:], axis=0))
+        near = log_prob >= _level(mean) - (LAG + ndim)
+        draws = np.array(self._positions[first:])[included & near]
+        if len(draws) <= 2 * ndim:
             return None
-        covariance = np.cov(draws, rowvar=False).reshape(draws.shape[1], draws.shape[1])
+        covariance = np.cov(draws, rowvar=False).reshape(ndim, ndim)
         spread = np.diag(covariance)
         if not np.all(spread > 0):
             return None
         n = len(draws)
-        covariance = (n * covariance + 5.0 * np.diag(spread)) / (n + 5.0)
+        covariance = (n * covariance + SHRINKAGE * np.diag(spread)) / (n + SHRINKAGE)
         return covariance if np.all(np.linalg.eigvalsh(covariance) > 0) else None
 
 
-def keeping_up(log_prob: FloatArray) -> BoolArray:
-    """Return which chains, by their (average) log-density, are with the best one; shape (chains,)."""
-    return log_prob >= np.max(log_prob) - OUTLIER
+def keeping_up(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
+    """Return which chains are where most of them are, shape (chains,).
+
+    By their (average) log-density, which within one mode scatters by √(ndim/2) only: a chain far below is on its
+    way or trapped; one far above has found a spike, or a mode that the others have yet to find. Either way the
+    others cannot use what it learns. And by how much they accept, if that is given.
+    """
+    near = np.abs(log_prob - _level(log_prob)) <= allowance
+    if acceptance is None:
+        return near
+    moving = near & (acceptance >= STUCK * np.median(acceptance))
+    return moving if moving.any() else near
+
+
+def _level(log_prob: FloatArray) -> float:
+    """Return the log-density that half of the chains reach: the best of one or two, the second of three or four."""
+    return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])
