@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fmu.progress import labelled, progress_bars
 from fmu.sampling import SAMPLERS
 
 if TYPE_CHECKING:
@@ -25,10 +25,7 @@ if TYPE_CHECKING:
 
     from fmu.analysis.diagnosis import Diagnosis
 
-Report = Callable[[str, int, int, Mapping[str, str]], None]
-
 _BAD_INPUT = 2
-_REDRAW_S = 0.05
 _FORMATS = {"rhat": ".4f", "rhat_max": ".4f", "ess_bulk": ".0f", "ess_tail": ".0f"}
 
 
@@ -86,14 +83,15 @@ def cases() -> None:
 @click.option("--init", type=click.Choice(("prior", "start")), default="prior", show_default=True,
               help="Where the chains start.")  # fmt: skip
 @click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
-              help="Go on until the verdict is good and every effective sample size is at least N.")  # fmt: skip
+              help="Go on until the verdict is good and every effective sample size is at least N; exit code 1 if "
+              "--max-draws are reached before.")  # fmt: skip
 @click.option("--max-draws", type=click.IntRange(min=1), help="The most steps kept with --until-ess."
               "  [default: 32 times --draws]")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: runs/CASE-PAIRING]")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the directory.")
 def run(
     case: str, samplers: tuple[str, ...], pairing: str, out: Path | None, overwrite: bool, **steps: Any
-) -> None:
+) -> int:
     """Sample the built-in problem CASE.
 
     Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
@@ -114,9 +112,9 @@ def run(
         problem = builtin.load(case, pairing=pairing)
         maxima = steps["maxima"] = find_map(problem)
         traces, summaries = {}, {}
-        with _progress() as report:
+        with progress_bars() as report:
             for name in dict.fromkeys(samplers):
-                traces[name] = sample(problem, name, progress=report and partial(_labelled, report, name), **steps)
+                traces[name] = sample(problem, name, progress=report and labelled(report, name), **steps)
                 save_trace(traces[name], directory / f"{name}.nc")
                 summaries[name] = summary(traces[name])
                 _write_csv(summaries[name], directory / f"summary-{name}.csv")
@@ -129,7 +127,11 @@ def run(
         click.echo(f"{name}\n{_text(table.assign(unit=table.attrs['units']))}\n")
         _echo_failed_points(name, traces[name])
     _echo_comparison(comparison, verdicts)
+    short = _short_of(steps["until_ess"], summaries, verdicts)
+    if short:
+        click.echo(f"\nStopped at the most draws, short of --until-ess {steps['until_ess']:g}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
+    return 1 if short else 0
 
 
 @main.command()
@@ -160,7 +162,7 @@ def paper(out: Path) -> None:
     """Repeat both experiments of the paper with every sampler."""
     from fmu.report.paper import run_paper
 
-    with _progress() as report:
+    with progress_bars() as report:
         run_paper(out, report)
     click.echo(f"Written to {out}")
 
@@ -181,42 +183,6 @@ def _claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
             with suppress(OSError):  # it holds results
                 path.rmdir()
         raise
-
-
-def _on_terminal() -> bool:
-    return sys.stdout.isatty()
-
-
-@contextmanager
-def _progress() -> Iterator[Report | None]:
-    """Give a callback that draws one progress bar a phase, or None where there is no terminal."""
-    if not _on_terminal():
-        yield None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-               TextColumn("{task.fields[words]}"))  # fmt: skip
-    with Progress(*columns) as bars:
-        tasks: dict[str, Any] = {}
-        drawn: dict[str, float] = {}
-
-        def report(phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
-            now = time.monotonic()
-            if phase not in tasks:
-                tasks[phase] = bars.add_task(phase, total=total, words="")
-            elif done < total and now < drawn[phase] + _REDRAW_S:
-                return
-            drawn[phase] = now
-            bars.update(
-                tasks[phase], completed=done, total=total, words=" ".join(f"{k} {v}" for k, v in info.items())
-            )
-
-        yield report
-
-
-def _labelled(report: Report, sampler: str, phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
-    report(f"{sampler} {phase}", done, total, info)
 
 
 def _write_csv(table: pd.DataFrame, path: Path) -> None:
@@ -246,13 +212,24 @@ def _echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> 
     width = max(map(len, table.index))
     for name, found in verdicts.items():
         click.echo(f"{name:{width}}  {found.verdict}")
-        for reason in found.reasons[1:]:
-            click.echo(f"{'':{width}}  - {reason}")
+        for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
+            click.echo(f"{'':{width}}  - {remark}")
     told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
     if verdicts[told].warnings:
-        click.echo(f"\nThe model, by the draws of {told}")
+        doubt = "" if verdicts[told].converged else ", which has not converged"
+        click.echo(f"\nThe model, by the draws of {told}{doubt}")
         for warning in verdicts[told].warnings:
             click.echo(f"  - {warning}")
+
+
+def _short_of(
+    until_ess: float | None, summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
+) -> list[str]:
+    """Return the samplers that did not come to the effective sample size with a good verdict; NaN did not."""
+    if until_ess is None:
+        return []
+    least = {name: table[["ess_bulk", "ess_tail"]].to_numpy().min() for name, table in summaries.items()}
+    return [name for name, found in verdicts.items() if not (found.converged and least[name] >= until_ess)]
 
 
 def _number(style: str, value: Any) -> str:

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 import fmu
 from fmu import cli
 from fmu.analysis.diagnosis import maxima_of
+from fmu.analysis.trace import save_trace
 
 
 @pytest.fixture(scope="module")
@@ -96,13 +97,13 @@ def test_run_prints_the_tables_and_nothing_else(invoke):
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("n_solves") for line in lines)
     assert any(line.startswith("mh  not converged: R-hat ") for line in lines)
-    assert "The model, by the draws of mh" in lines
+    assert "The model, by the draws of mh, which has not converged" in lines
     assert lines[-1] == "Written to here"
     assert "\x1b" not in result.stdout
 
 
 def test_run_on_a_terminal_shows_a_bar_for_every_phase(invoke, monkeypatch):
-    monkeypatch.setattr(cli, "_on_terminal", lambda: True)
+    monkeypatch.setattr(fmu.progress, "on_terminal", lambda: True)
     result = invoke("run", "cantilever-young", *SHORT)
     assert "mh warmup" in result.stdout
     assert "3/3" in result.stdout
@@ -129,7 +130,7 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp
     at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))
     assert "maximum 1 at Ix1 = 3.904e-09 m⁴" in lines[at]
     assert "holds about 100 % of the probability" in lines[at]
-    assert lines[at + 1].startswith("    - instead 4 chains are ")
+    assert lines[at + 1].startswith("    - instead ")
     verdict = pd.read_csv("here/comparison.csv", index_col="sampler").loc["mh", "verdict"]
     assert lines[at] == f"mh  {verdict}"
     again = CliRunner().invoke(cli.main, ["compare", "here"])
@@ -139,11 +140,51 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp
 
 
 def test_sampling_on_until_there_is_enough(invoke):
+    arguments = ("--draws", 50, "--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
+    result = invoke("run", "cantilever-young", *arguments)
+    assert result.exit_code == 0, result.output
+    assert "Stopped" not in result.stdout
+    assert "hmc  converged" in result.stdout.splitlines()
+    steps = fmu.load_trace("here/hmc.nc")["posterior"].sizes["draw"]
+    assert steps in (200, 400, 800, 1600)
+    assert pd.read_csv("here/summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
+
+
+def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
     arguments = ("--draws", 10, "--warmup", 20, "--chains", 2, "--sampler", "mh", "--out", "here")
-    invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-draws", 35)
+    result = invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-draws", 35)
+    assert result.exit_code == 1
+    assert result.stderr == ""
+    assert result.stdout.splitlines()[-3:] == [
+        "Stopped at the most draws, short of --until-ess 1e+06: mh",
+        "",
+        "Written to here",
+    ]
     trace = fmu.load_trace("here/mh.nc")
     assert trace["posterior"].sizes["draw"] == 35
     assert trace["warmup_posterior"].sizes["draw"] == 20
+
+
+def test_a_run_that_is_long_enough_but_missed_a_maximum_is_short(young, monkeypatch, tmp_path):
+    """Effective draws do not make a verdict good."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ("--pairing", "index", "--init", "start", "--draws", "20", "--warmup", "60", "--until-ess", "5")
+    limit = ("--max-draws", "40", "--sampler", "mh", "--out", "here")
+    result = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *limit])
+    assert result.exit_code == 1
+    assert "Stopped at the most draws, short of --until-ess 5: mh" in result.stdout
+    assert "maximum 1 at Ix1 = 3.904e-09 m⁴" in result.stdout
+    assert "The model, by the draws of mh, which has not converged" in result.stdout
+
+
+def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(young, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    trace = fmu.sample(young, "hmc", draws=600, warmup=200)
+    save_trace(trace, "hmc.nc")
+    result = CliRunner().invoke(cli.main, ["compare", "."])
+    lines = result.stdout.splitlines()
+    at = lines.index("hmc  converged")
+    assert lines[at + 1].startswith("     - as far as its own draws tell: no maxima are known")
 
 
 def test_compare_repeats_the_comparison(invoke):

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 CONVERGED = "converged"
+UNSEARCHED = (
+    "as far as its own draws tell: no maxima are known, and chains that agree do not show one that none of them "
+    "visited; fmu.diagnose(trace, problem) searches for them"
+)
 GROUP = "maxima"
 """Group of a trace that keeps the maxima known when it was made."""
 
@@ -38,19 +42,27 @@ class Diagnosis:
         Why not, one sentence each, the gravest first; empty if it has converged.
     warnings : tuple of str
         What speaks against the model, converged or not: parameters at their bounds, modes that are not fitted.
+    searched : bool
+        Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
     """
 
     converged: bool
     reasons: tuple[str, ...]
     warnings: tuple[str, ...]
+    searched: bool = False
 
     @property
     def verdict(self) -> str:
         """``"converged"``, or ``"not converged: "`` and the first reason."""
         return CONVERGED if self.converged else f"not converged: {self.reasons[0]}"
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is to be said beside the verdict: the reasons, or what a good one does not cover."""
+        return (UNSEARCHED,) if self.converged and not self.searched else self.reasons
+
     def __str__(self) -> str:
-        lines = [CONVERGED if self.converged else "not converged", *(f"  - {reason}" for reason in self.reasons)]
+        lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
         if self.warnings:
             lines += ["the model", *(f"  - {warning}" for warning in self.warnings)]
         return "\n".join(lines)
@@ -60,7 +72,7 @@ class Diagnosis:
             entries = "".join(f"<li>{html.escape(item)}</li>" for item in items)
             return f"<p><strong>{title}</strong></p>" + (f"<ul>{entries}</ul>" if entries else "")
 
-        text = block(CONVERGED if self.converged else "not converged", self.reasons)
+        text = block(CONVERGED if self.converged else "not converged", self.remarks)
         return text + (block("the model", self.warnings) if self.warnings else "")
 
 
@@ -135,7 +147,7 @@ def judge(
     reasons += missed_places(trace, others or {}, best)
     reasons += convergence_failures(trace, table)
     warnings += bound_warnings(trace) + fit_warnings(trace)
-    return Diagnosis(not reasons, tuple(reasons), tuple(warnings))
+    return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None)
 
 
 def diagnose_all(

@@ -75,7 +75,7 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     Returns
     -------
     list of str
-        One sentence a maximum.
+        One sentence a maximum, and one that says where the chains are.
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
@@ -85,20 +85,21 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     nearest = nearest_maxima(theta, maxima)
     unseen = [k for k, m in enumerate(maxima) if m.share > NEGLIGIBLE and k not in nearest]
     if unseen:
-        return [_never_visited(maxima, k, reached) for k in unseen] + [
-            _whereabouts(nearest.reshape(len(draws), -1, walkers), maxima)
-        ]
+        where = _whereabouts(nearest.reshape(len(draws), -1, walkers), maxima)
+        return [*(_never_visited(maxima, k, reached) for k in unseen), f"instead {where}"]
     owner = draws_of_maxima(theta, lp.ravel(), maxima)
-    shares = np.bincount(owner[owner >= 0], minlength=len(maxima)) / len(owner)
+    visits = np.bincount(owner[owner >= 0], minlength=len(maxima)) / len(owner)
     # where a draw is above all that was found, or importance sampling failed, the masses are not to be relied on
-    reliable = reached < maxima[0].log_prob + _ABOVE and all(
-        m.effective_draws >= _RELIABLE for m in maxima if m.share > NEGLIGIBLE
-    )
-    return [
+    if reached >= maxima[0].log_prob + _ABOVE or any(
+        m.effective_draws < _RELIABLE for m in maxima if m.share > NEGLIGIBLE
+    ):
+        return []
+    wrong = [
         f"{_name(maxima, k)} has {percent(v)} of the draws, but about {percent(m.share)} of the probability"
-        for k, (m, v) in enumerate(zip(maxima, shares.tolist(), strict=True))
-        if reliable and _is_out_of_proportion(v, m.share)
+        for k, (m, v) in enumerate(zip(maxima, visits.tolist(), strict=True))
+        if _is_out_of_proportion(v, m.share)
     ]
+    return wrong and [*wrong, _whereabouts(owner.reshape(len(draws), -1, walkers), maxima)]
 
 
 def _name(maxima: Maxima, k: int) -> str:
@@ -135,7 +136,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
                 f"around {_name(maxima, k)} (log-probability {maxima[k].log_prob:.1f}, {share} of the probability)"
             )
         parts.append(f"{count} {kind}{'s are' if count > 1 else ' is'} {where}")
-    return f"instead {'; '.join(parts)}"
+    return "; ".join(parts)
 
 
 def _each_path(nearest: IntArray) -> IntArray:

@@ -77,6 +77,9 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
     assert found.reasons[0].startswith("maximum 2 at Ix1 = 6.873e-09")
     assert "has 25 % of the draws, but about 2" in found.reasons[0]
     assert found.reasons[1].startswith("maximum 3 at")
+    assert found.reasons[2].startswith("1 chain is around maximum 1 at Ix1 = 3.904e-09")
+    assert "1 chain is around maximum 2 at" in found.reasons[2]
+    assert "2 chains are around maximum 3 at" in found.reasons[2]
     assert any(reason.startswith("R-hat") for reason in found.reasons)
 
 
@@ -160,8 +163,19 @@ def test_the_search_with_the_greater_mass_counts(in_b, section_maxima):
 
 
 def test_good_run_has_converged(good, problem):
-    assert diagnose(good, problem) == Diagnosis(True, (), ())
+    assert diagnose(good, problem) == Diagnosis(True, (), (), searched=True)
     assert diagnose(good, problem).verdict == "converged"
+
+
+def test_a_verdict_without_maxima_says_so(good, problem):
+    """Chains alone may pass for converged, but not without a word."""
+    found = diagnose(good)
+    assert found.converged
+    assert not found.searched
+    assert "as far as its own draws tell: no maxima are known" in str(found)
+    assert "as far as its own draws tell" in found._repr_html_()
+    assert "no maxima" not in str(diagnose(good, problem))
+    assert "no maxima" not in str(diagnose(good.isel(chain=[0])))  # there the reasons stand
 
 
 def test_one_chain_is_never_called_converged(good, problem):
@@ -192,8 +206,9 @@ def test_text_and_html():
     assert "<strong>not converged</strong>" in html
     assert "<li>R-hat 2 of &lt;a&gt;</li><li>second</li>" in html
     assert "<strong>the model</strong></p><ul><li>mode 1 &amp; more</li>" in html
-    assert str(Diagnosis(True, (), ())) == "converged"
-    assert Diagnosis(True, (), ())._repr_html_() == "<p><strong>converged</strong></p>"
+    good = Diagnosis(True, (), (), searched=True)
+    assert str(good) == "converged"
+    assert good._repr_html_() == "<p><strong>converged</strong></p>"
     with pytest.raises(dataclasses.FrozenInstanceError):
         found.converged = True
 

@@ -131,8 +131,12 @@ def test_mass_counts_and_not_height(trace_of):
 
 def test_draws_out_of_proportion_to_mass(trace_of):
     maxima = known(maximum((0, 0), -1.0, 0.97), maximum((20, 0), -4.0, 0.03))
-    (only,) = missed_maxima(trace_of((0, 0), (20, 0)), maxima)
-    assert only == "maximum 2 at x0 = 20 m, x1 = 0 has 50 % of the draws, but about 3 % of the probability"
+    wrong, where = missed_maxima(trace_of((0, 0), (20, 0), (20, 1), (0, 1)), maxima)
+    assert wrong == "maximum 2 at x0 = 20 m, x1 = 0 has 50 % of the draws, but about 3 % of the probability"
+    assert where == (
+        "2 chains are around maximum 1 at x0 = 0 m, x1 = 0 (log-probability -1.0, 97 % of the probability); "
+        "2 chains are around maximum 2 at x0 = 20 m, x1 = 0 (log-probability -4.0, 3 % of the probability)"
+    )
     maxima = known(maximum((0, 0), -1.0, 0.9), maximum((20, 0), -4.0, 0.1))
     assert (
         missed_maxima(trace_of((0, 0), (20, 0)), maxima) == []
