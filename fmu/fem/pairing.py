@@ -80,24 +80,29 @@ class _RankSolve:
     def __init__(self, pairing: RankPairing, model: BlockModel) -> None:
         self.n_parameters = model.n_parameters
         self.block, self.rank = np.array(pairing.block), np.array(pairing.rank)
-        self.parts: list[tuple[Block, int, Any, Any]] = []
+        self.parts: list[tuple[Block, int, Any]] = []
+        columns = []
         for b in np.unique(self.block):
-            columns = np.flatnonzero(self.block == b)
-            ranks = self.rank[columns]
-            self.parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(columns), _as_slice(ranks)))
+            columns.append(np.flatnonzero(self.block == b))
+            ranks = self.rank[columns[-1]]
+            self.parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
+        self.order = np.argsort(np.concatenate(columns))
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
-        n, m = len(theta), len(self.rank)
-        lam = np.empty((n, m))
-        slopes = np.empty((n, m, self.n_parameters)) if gradient else None
-        for block, count, columns, ranks in self.parts:
-            if slopes is None:
-                lam[:, columns] = block.eigenvalues(theta, count)[:, ranks]
-                continue
-            values, phi = block.modes(theta, count)
-            lam[:, columns] = values[:, ranks]
-            slopes[:, columns] = block.eigenvalue_gradient(theta, values[:, ranks], phi[:, :, ranks])
-        return Modes(lam, slopes, self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0))
+        values, slopes = [], []
+        for block, count, ranks in self.parts:
+            if gradient:
+                lam, phi = block.modes(theta, count)
+                slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
+            else:
+                lam = block.eigenvalues(theta, count)
+            values.append(lam[:, ranks])
+        n = len(theta)
+        labels = self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0)
+        return Modes(self._joined(values), self._joined(slopes) if gradient else None, *labels)
+
+    def _joined(self, parts: list[FloatArray]) -> FloatArray:
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self.order]
 
 
 def _as_slice(indices: IntArray) -> Any:

@@ -207,7 +207,8 @@ class PairedStructure:
 
     def _install(self, trained: Trained) -> None:
         self.reduced, self.pairing = trained.model, trained.pairing
-        self._lower, self._upper = trained.lower, trained.upper
+        # as rows, like one theta, which spares it NumPy's broadcasting
+        self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
         self.full_solves = 0
 

@@ -232,7 +232,8 @@ class JointPrior:
         is_normal = [isinstance(p.prior, Normal) for p in parameters]
         self._normal = np.flatnonzero(is_normal)
         normals = [p.prior for p in parameters if isinstance(p.prior, Normal)]
-        self._mean = np.array([prior.mean for prior in normals])
+        # a row, like one theta, which spares it NumPy's broadcasting
+        self._mean = np.array([prior.mean for prior in normals])[None]
         self._precision = np.array([prior.sd for prior in normals]) ** -2.0
         self._others = [(j, p.prior) for j, p in enumerate(parameters) if not is_normal[j]]
         log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters)

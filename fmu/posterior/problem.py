@@ -87,6 +87,8 @@ class UpdatingProblem:
         self.units = tuple(p.unit for p in self.parameters)
         self.lower = np.array([p.lower for p in self.parameters], dtype=float)
         self.upper = np.array([p.upper for p in self.parameters], dtype=float)
+        # as rows, like one theta, which spares it NumPy's broadcasting
+        self._lowest, self._highest = self.lower[None], self.upper[None]
         self.start = np.array([p.start for p in self.parameters], dtype=float)
         scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
         self.offset = np.array([offset for offset, _ in scales])
@@ -109,6 +111,11 @@ class UpdatingProblem:
 
     def __repr__(self) -> str:
         return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"
+
+    def _repr_html_(self) -> str:
+        from fmu.posterior.card import problem_card
+
+        return problem_card(self)
 
     def log_prob(self, theta: ArrayLike) -> Any:
         """Return log P(θ|D) up to the evidence: the sum of `log_likelihood` and `log_prior`."""
@@ -226,7 +233,7 @@ class UpdatingProblem:
         return (points[None], True) if points.ndim == 1 else (points, False)
 
     def _within(self, points: FloatArray) -> NDArray[np.bool_]:
-        return (points >= self.lower) & (points <= self.upper)
+        return (points >= self._lowest) & (points <= self._highest)
 
     def _posterior(self, points: FloatArray) -> FloatArray:
         """Return the log-probability, shape (n,), at points (n, ndim) inside the bounds."""
