@@ -1,0 +1,161 @@
+"""A structure as a line drawing in SVG, without any library."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.separable import SeparableModel
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
+"""Okabe & Ito's colour-blind safe palette."""
+UNCHANGED = "#6E6E6E"
+_WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
+_FLAT = 1e-6
+_AXES = ("x", "y", "z")
+
+
+def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
+    """Draw a structure: elements in the colour of the first parameter that changes them, supports and sensors.
+
+    Parameters
+    ----------
+    model : SeparableModel
+        With its geometry.
+    sensors : sequence of (node, direction)
+        Translations are marked by arrows.
+
+    Returns
+    -------
+    str
+        An SVG element.
+
+    Raises
+    ------
+    ValueError
+        If the model does not know its geometry.
+    """
+    if model.geometry is None:
+        raise ValueError("model: must have a geometry to be drawn (got none)")
+    geometry = model.geometry
+    view = _view(geometry.nodes)
+    place = _fitted(geometry.nodes @ view.T)
+    parts = [
+        _line(place[a], place[b], colour, 4)
+        for (a, b), colour in zip(geometry.elements, element_colours(model), strict=True)
+    ]
+    parts += [_support(place[node]) for node in _supported(model)]
+    parts += [_arrow(place[n], view[:, _AXES.index(d)]) for n, d in sensors if d in _AXES]
+    words = f"{len(place)} nodes, {len(geometry.elements)} elements, {len(sensors)} sensors"
+    height = place[:, 1].max() + _MARGIN
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" '
+        f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{_WIDTH:.0f}px">'
+        f"{''.join(parts)}</svg>"
+    )
+
+
+def element_colours(model: SeparableModel) -> list[str]:
+    """Return the colour of each element: that of the first parameter that changes it."""
+    changed = changed_elements(model)
+    first = np.where(changed.any(axis=1), np.argmax(changed, axis=1), -1)
+    return [UNCHANGED if k < 0 else COLOURS[k % len(COLOURS)] for k in first]
+
+
+def parameter_colours(model: SeparableModel) -> list[str | None]:
+    """Return the colour of the elements that each parameter changes, None where it changes none."""
+    changed, colours = changed_elements(model), element_colours(model)
+    return [colours[int(np.argmax(column))] if column.any() else None for column in changed.T]
+
+
+def changed_elements(model: SeparableModel) -> BoolArray:
+    """Return which parameter changes which element, shape (n_elements, n_parameters).
+
+    It does where a term with it couples the element's ends, or where one end is held, loads the other.
+
+    Raises
+    ------
+    ValueError
+        If the model does not know its geometry.
+    """
+    if model.geometry is None:
+        raise ValueError("model: must have a geometry to be drawn (got none)")
+    dofs: dict[Any, list[int]] = {}
+    for i, (node, _) in enumerate(model.dofs):
+        dofs.setdefault(node, []).append(i)
+    ends = [(dofs.get(int(a), []), dofs.get(int(b), [])) for a, b in model.geometry.elements]
+    changed = np.zeros((len(ends), model.n_parameters), dtype=bool)
+    for term in (*model.K_terms, *model.M_terms):
+        parameters = np.flatnonzero(term.powers)
+        if not len(parameters):
+            continue
+        matrix, diagonal = term.matrix.tocsr(), term.matrix.diagonal()
+        for e, (a, b) in enumerate(ends):
+            if matrix[a][:, b].nnz > 0 if a and b else np.any(diagonal[a or b]):
+                changed[e, parameters] = True
+    return changed
+
+
+def _view(nodes: FloatArray) -> FloatArray:
+    """Return the picture's axes, shape (2, 3): a plane structure face on, others from a corner, z upwards."""
+    extent = np.ptp(nodes, axis=0)
+    is_flat = extent <= _FLAT * extent.max()
+    if is_flat[1] or is_flat.sum() == 2:
+        return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    if is_flat[2]:
+        return np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    if is_flat[0]:
+        return np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
+
+
+def _fitted(points: FloatArray) -> FloatArray:
+    """Return points (n, 2) in the picture, downwards from its top edge."""
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    room = np.array([_WIDTH, _HEIGHT]) - 2.0 * _MARGIN
+    scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
+    placed = _MARGIN + scale * (points - low)
+    placed[:, 1] = placed[:, 1].max() + _MARGIN - placed[:, 1]
+    return np.asarray(placed)
+
+
+def _supported(model: SeparableModel) -> list[int]:
+    """Return the nodes of elements that cannot move in every direction that others can."""
+    free: dict[Any, set[str]] = {}
+    for node, direction in model.dofs:
+        free.setdefault(node, set()).add(direction)
+    most = max(len(directions) for directions in free.values())
+    nodes = np.unique(np.asarray(model.geometry.elements))  # type: ignore[union-attr]
+    return [int(node) for node in nodes if len(free.get(int(node), ())) < most]
+
+
+def _line(a: FloatArray, b: FloatArray, colour: str, width: float) -> str:
+    return (
+        f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}" stroke="{colour}" '
+        f'stroke-width="{width:g}" stroke-linecap="round"/>'
+    )
+
+
+def _support(at: FloatArray) -> str:
+    x, y = at - 7.0
+    return f'<rect x="{x:.1f}" y="{y:.1f}" width="14" height="14" fill="none" stroke="#000" stroke-width="1.5"/>'
+
+
+def _arrow(at: FloatArray, direction: FloatArray) -> str:
+    """Draw an arrow in the direction of a sensor, a dot where it points at the reader."""
+    along = direction * (1.0, -1.0)
+    length = float(np.linalg.norm(along))
+    if length < _FLAT:
+        return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="4" fill="#000"/>'
+    along = along / length
+    across = np.array([-along[1], along[0]])
+    tip = at + 18.0 * along
+    head = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, *(tip - 7.0 * along + s * 4.0 * across for s in (1, -1))))
+    return _line(at, tip, "#000", 1.5) + f'<polygon points="{head}" fill="#000"/>'

@@ -1,0 +1,88 @@
+"""How an updating problem shows itself in a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.fem.drawing import drawing, parameter_colours
+from fmu.fem.pairing import IndexPairing
+from fmu.fem.reduced_basis import ReducedBlock
+from fmu.fem.separable import SeparableModel
+from fmu.fem.structure import PairedStructure
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+_MOST_DRAWN = 5000
+
+
+def problem_card(problem: UpdatingProblem) -> str:
+    """Return the HTML of a problem: its structure drawn, its parameters, and measured beside initial modes."""
+    parts = [f"<h4>{html.escape(problem.name)}</h4>"]
+    colours: list[str | None] = [None] * problem.ndim
+    structure = getattr(problem.model, "structure", None)
+    if isinstance(structure, SeparableModel) and structure.geometry is not None:
+        if len(structure.geometry.elements) <= _MOST_DRAWN:
+            parts.append(f"<div>{drawing(structure, problem.data.sensors)}</div>")
+            colours = parameter_colours(structure)
+    parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
+    return f'<div class="fmu-problem">{"".join(parts)}</div>'
+
+
+def _in_words(problem: UpdatingProblem) -> str:
+    model = problem.model
+    if not isinstance(model, PairedStructure):
+        return f"Model: {type(model).__name__}, {model.n_modes} modes."
+    pairing = "number in the spectrum" if isinstance(model.rule, IndexPairing) else "shape (MAC)"
+    blocks = len(model.structure.blocks)
+    reduced = ""
+    if model.reduced is not None:
+        sizes = [str(block.size) for block in model.reduced.blocks if isinstance(block, ReducedBlock)]
+        reduced = f" A reduced model of {' + '.join(sizes)} unknowns answers within the bounds."
+    return (
+        f"Model: {model.structure.n_dof} degrees of freedom in {blocks} decoupled "
+        f"{'block' if blocks == 1 else 'blocks'}; modes are paired by {pairing}.{reduced}"
+    )
+
+
+def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
+    rows = []
+    for p, colour in zip(problem.parameters, colours, strict=True):
+        mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
+        prior = ", ".join(f"{key} {_short(value)}" for key, value in p.prior.as_dict().items())
+        prior = prior.removeprefix("distribution ")
+        cells = [mark + html.escape(p.name), html.escape(p.unit), *map(_short, (p.start, p.lower, p.upper))]
+        rows.append([*cells, html.escape(prior)])
+    return _table(("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"), rows)
+
+
+def _modes(problem: UpdatingProblem) -> str:
+    measured = np.asarray(problem.data.frequencies_hz)
+    initial = problem.frequencies(problem.start)
+    sd = getattr(getattr(problem.likelihood, "error", None), "sd", np.full(len(measured), np.nan))
+    rows = [
+        [
+            html.escape(str(label)),
+            f"{m:.2f}",
+            "–" if np.isnan(s) else f"{s:.3g}",
+            f"{f:.2f}",
+            f"{100 * (f / m - 1):+.2f}",
+        ]
+        for label, m, s, f in zip(problem.data.labels, measured, sd, initial, strict=True)
+    ]
+    return _table(("mode", "measured, Hz", "its sd, Hz", "at the start, Hz", "error, %"), rows)
+
+
+def _table(header: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of cells that are HTML already."""
+    head = "".join(f"<th>{cell}</th>" for cell in header)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))

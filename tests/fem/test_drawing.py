@@ -1,0 +1,92 @@
+"""The line drawing of a structure: what is changed by what, and where it is held."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from fmu.cases import cantilever
+from fmu.fem.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours
+from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.separable import SeparableModel
+
+SVG = "{http://www.w3.org/2000/svg}"
+SECTION, STEEL = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6), Material(E=2.1e11, nu=0.3, rho=7850.0)
+
+
+def halves():
+    return cantilever.beam(2).separable({"A1": [("A", "1")], "I2": [("Iy", "2")], "A2": [("A", "2")]})
+
+
+def frame(nodes, supports):
+    """Return a chain of elements through nodes; the last of its three groups is updated."""
+    elements = np.stack([np.arange(len(nodes) - 1), np.arange(1, len(nodes))], axis=1)
+    parts = np.array_split(elements, 3)
+    groups = [ElementGroup(str(g), part, SECTION, STEEL, (0.3, 1.0, 0.2)) for g, part in enumerate(parts)]
+    return Frame(nodes, groups, supports).separable({"E": [("E", "2")]})
+
+
+def lines(svg):
+    return [
+        (e.get("stroke"), [float(e.get(k)) for k in ("x1", "y1", "x2", "y2")])
+        for e in ET.fromstring(svg).iter(f"{SVG}line")
+    ]
+
+
+def test_which_parameter_changes_which_element():
+    changed = changed_elements(halves())
+    assert_array_equal(changed[:25], np.tile([True, False, False], (25, 1)))
+    assert_array_equal(changed[25:], np.tile([False, True, True], (25, 1)))
+
+
+def test_elements_have_the_colour_of_their_first_parameter():
+    model = halves()
+    assert parameter_colours(model) == [COLOURS[0], COLOURS[1], COLOURS[1]]
+    drawn = [colour for colour, _ in lines(drawing(model))]
+    assert drawn == [COLOURS[0]] * 25 + [COLOURS[1]] * 25
+
+
+def test_what_no_parameter_changes_is_grey():
+    model = frame(np.outer(np.arange(7.0), [1.0, 0.0, 0.0]), {0: DIRECTIONS})
+    assert [colour for colour, _ in lines(drawing(model))] == [UNCHANGED] * 4 + [COLOURS[0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("nodes", "rises"),
+    [
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], False),
+        ([[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 0, 3]], True),  # a tower
+        ([[0, 0, 0], [1, 1, 0], [2, 3, 0], [3, 3, 0]], True),  # seen from above
+        ([[0, 0, 0], [0, 1, 1], [0, 3, 2], [0, 3, 3]], True),
+        ([[0, 0, 0], [1, 0, 1], [2, 0, 3], [2, 0, 4]], True),
+        ([[0, 0, 0], [1, 1, 1], [2, 0, 2], [2, 1, 4]], True),
+    ],
+)
+def test_the_drawing_fits_its_frame_and_its_axes_point_the_usual_way(nodes, rises):
+    root = ET.fromstring(svg := drawing(frame(np.array(nodes, float), {0: DIRECTIONS})))
+    width, height = map(float, root.get("viewBox").split()[2:])
+    points = np.array([xy for _, xy in lines(svg)]).reshape(-1, 2)
+    assert np.all((points > 0) & (points < [width, height]))
+    assert np.ptp(points, axis=0).max() > 200
+    first, last = points[0], points[-1]
+    assert (last[1] < first[1] - 20) == rises  # down the page is up in y of SVG
+    assert last[0] >= first[0]
+
+
+def test_supports_and_sensors_are_marked():
+    model = halves()
+    root = ET.fromstring(drawing(model, [(49, "z"), (20, "y"), (30, "rz")]))
+    (held,) = root.iter(f"{SVG}rect")
+    assert float(held.get("x")) + 7 == pytest.approx(lines(drawing(model))[0][1][0], abs=0.1)
+    assert len(list(root.iter(f"{SVG}polygon"))) == 1  # an arrow upwards
+    assert len(list(root.iter(f"{SVG}circle"))) == 1  # one that points away from the reader
+    assert "51 nodes, 50 elements, 3 sensors" in root.get("aria-label")
+
+
+def test_no_drawing_without_a_geometry():
+    model = halves()
+    bare = SeparableModel(model.K_terms, model.M_terms, model.dofs)
+    for draw in (drawing, changed_elements):
+        with pytest.raises(ValueError, match="model: must have a geometry"):
+            draw(bare)
