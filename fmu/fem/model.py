@@ -134,13 +134,15 @@ class BlockModel:
             values.append(lam)
         merged = np.concatenate(values, axis=1)
         order = np.argsort(merged, axis=1, kind="stable")[:, :count]
-        lowest = np.take_along_axis(merged, order, axis=1)
+        row = np.arange(len(theta))[:, None]
+        lowest = merged[row, order]
+        known = ~np.isnan(merged).any(axis=1)  # sorted last, NaN would let the others move up
         for block, lam in zip(self.blocks, values, strict=True):
             if lam.shape[1] < min(count, block.size):
-                lowest[~(lowest[:, -1] < lam[:, -1])] = np.nan
-        lowest[np.any(np.isnan(merged), axis=1)] = np.nan  # sorted last, it would let the others move up
-        label = np.array([(b, r) for b, lam in enumerate(values) for r in range(lam.shape[1])])
-        chosen = None
-        if gradient:
-            chosen = np.take_along_axis(np.concatenate(slopes, axis=1), order[..., None], axis=1)
-        return Modes(lowest, chosen, label[order, 0], label[order, 1])
+                known &= lowest[:, -1] < lam[:, -1]
+        if np.count_nonzero(known) < len(known):
+            lowest[~known] = np.nan
+        widths = [lam.shape[1] for lam in values]
+        owner, rank = np.repeat(np.arange(len(widths)), widths), np.concatenate([np.arange(w) for w in widths])
+        chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
+        return Modes(lowest, chosen, owner[order], rank[order])

@@ -1,11 +1,14 @@
-"""What the benchmarks share: the problems, and a place for each ratio with its budget."""
+"""What the benchmarks share: the problems, and how a measurement gets into the report."""
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 import pytest
 
 import fmu
-from tests.benchmarks.ratio import paired_ratio
+from tests.benchmarks.ratio import paired_ratios, spread
 
 
 @pytest.fixture(scope="session")
@@ -21,17 +24,38 @@ def load():
 
 
 @pytest.fixture
-def against(benchmark):
+def note(benchmark):
+    """Add a row to a section of the report (`table.SECTIONS`); `met` is None where there is no budget."""
+
+    def add(section, what, measured, budget="—", met=None):
+        row = {"section": section, "what": what, "measured": measured, "budget": budget, "met": met}
+        benchmark.extra_info.setdefault("rows", []).append(row)
+
+    return add
+
+
+@pytest.fixture
+def against(benchmark, note):
     """Time `ours` with pytest-benchmark, and note its ratio to `theirs`, taken pair by pair, with the budget."""
 
-    def measure(what, ours, theirs, budget, at_most=True):
+    def measure(what, ours, theirs, budget=None, at_most=True, section="speed", clock=time.process_time):
         benchmark.pedantic(ours, rounds=9, warmup_rounds=1)
-        ratio = paired_ratio(ours, theirs) if at_most else paired_ratio(theirs, ours)
-        met = ratio <= budget if at_most else ratio >= budget
-        sign = "≤" if at_most else "≥"
-        benchmark.extra_info.update(
-            {"what": what, "measured": f"{ratio:.3g} ×", "budget": f"{sign} {budget:g} ×", "met": met}
-        )
-        return ratio
+        ratios = paired_ratios(*((ours, theirs) if at_most else (theirs, ours)), clock=clock)
+        if budget is None:
+            note(section, what, spread(ratios))
+            return
+        median = float(np.median(ratios))
+        limit = f"{'≤' if at_most else '≥'} {budget:g} ×"
+        note(section, what, spread(ratios), limit, median <= budget if at_most else median >= budget)
 
     return measure
+
+
+@pytest.fixture
+def within(note):
+    """Note a largest error with its tolerance."""
+
+    def check(section, what, error, tolerance):
+        note(section, what, f"{error:.1e}", f"≤ {tolerance:.0e}", bool(error <= tolerance))
+
+    return check

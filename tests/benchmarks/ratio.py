@@ -6,35 +6,51 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 
-def paired_ratio(ours: Callable[[], object], theirs: Callable[[], object], seconds: float = 2.0) -> float:
-    """Return the median of (time of ours / time of theirs) over interleaved pairs, at least nine of them.
+def paired_ratios(
+    ours: Callable[[], object],
+    theirs: Callable[[], object],
+    seconds: float = 2.0,
+    clock: Callable[[], float] = time.process_time,
+) -> NDArray[np.float64]:
+    """Return time of ours / time of theirs for interleaved pairs, at least nine of them.
 
-    Each side is repeated until one measurement takes about a hundredth of `seconds`.
+    Processor time, which stands still while another process has the core, unless another clock is given: with
+    several threads it counts them all. Each side is repeated until one measurement takes a hundredth of `seconds`.
     """
-    repeats = [_repeats(side, seconds / 100) for side in (ours, theirs)]
+    repeats = [_repeats(side, seconds / 100, clock) for side in (ours, theirs)]
     ratios: list[float] = []
     end = time.perf_counter() + seconds
     while len(ratios) < 9 or time.perf_counter() < end:
-        a, b = (_timed(side, n) for side, n in zip((ours, theirs), repeats, strict=True))
+        a, b = (_timed(side, n, clock) for side, n in zip((ours, theirs), repeats, strict=True))
         ratios.append(a / b)
-    return float(np.median(ratios))
+    return np.array(ratios)
 
 
-def _timed(side: Callable[[], object], repeats: int) -> float:
-    began = time.perf_counter()
+def spread(ratios: NDArray[np.float64]) -> str:
+    """Return the median and, in brackets, the quartiles: what a busy machine did to the measurement."""
+    low, median, high = np.quantile(ratios, [0.25, 0.5, 0.75])
+    return f"{median:.3g} × ({low:.3g}–{high:.3g})"
+
+
+def _timed(side: Callable[[], object], repeats: int, clock: Callable[[], float]) -> float:
+    began = clock()
     for _ in range(repeats):
         side()
-    return (time.perf_counter() - began) / repeats
+    return (clock() - began) / repeats
 
 
-def _repeats(side: Callable[[], object], seconds: float) -> int:
-    side()
-    return max(1, int(seconds / _timed(side, 1)))
+def _repeats(side: Callable[[], object], seconds: float, clock: Callable[[], float]) -> int:
+    """Return how often `side` fits into `seconds`; by doubling: the first call is slow, one call is chance."""
+    repeats = 1
+    while (took := repeats * _timed(side, repeats, clock)) < seconds / 2:
+        repeats *= 2
+    return max(1, round(repeats * seconds / took))
 
 
-def spd(n, size, seed=0):
+def spd(n: int, size: int, seed: int = 0) -> NDArray[np.float64]:
     """Return n symmetric positive definite matrices of that size."""
     a = np.random.default_rng(seed).standard_normal((n, size, size))
     return a @ np.swapaxes(a, 1, 2) + size * np.eye(size)
