@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test lint bench clean-environment
+.PHONY: help paper test lint bench validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -32,6 +32,9 @@ bench: $(READY)  ## Measure the speed budget, into results/benchmarks.md
 	mkdir -p .benchmarks
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest tests/benchmarks --benchmark-only --benchmark-json=.benchmarks/run.json
 	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md
+
+validate: $(READY)  ## Calibrate every sampler by simulation, into results/validation.md
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.validation results
 
 clean-environment:  ## Remove .venv, to be made anew by the next command
 	rm -rf .venv

@@ -1,0 +1,101 @@
+"""Simulation-based calibration: does a sampler, and the posterior it is given, get what Bayes' theorem promises?
+
+Truth from the truncated prior, data from the likelihood given the truth: then the truth and the posterior draws
+are exchangeable, and the rank of the truth among L independent draws is uniform on 0, …, L. That holds for
+every parameter and for the log-likelihood, which sees errors that the margins of the parameters do not.
+
+Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788; Modrák et al. (2023), Bayesian Analysis.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.effective import ess_mean
+from fmu.fem.model import ModalModel
+from fmu.posterior.problem import UpdatingProblem
+from fmu.samplers import Run
+from tests.validation.contenders import Contender
+from tests.validation.storeys import PARAMETERS, problem, reduced_model
+
+DRAWS = 63
+"""L, the draws that the truth is ranked among: 64 possible ranks."""
+QUANTITIES = (*(parameter.name for parameter in PARAMETERS), "log-likelihood")
+MOST_EXTENSIONS = 5
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Ranks of the truth.
+
+    Attributes
+    ----------
+    ranks : ndarray of int, shape (replicates, quantities)
+    ess : ndarray, shape (replicates,)
+        Effective sample size of the quantity that has the smallest.
+    draws : ndarray of int, shape (replicates,)
+        Draws of all chains together that the ranks were thinned from.
+    wall_s : float
+    """
+
+    ranks: NDArray[np.int64]
+    ess: NDArray[np.float64]
+    draws: NDArray[np.int64]
+    wall_s: float
+
+
+def calibrate(contender: Contender, replicates: int, seed: int) -> Calibration:
+    """Return the ranks of `replicates` truths, each with its own data and its own run, warm-up included.
+
+    Raises
+    ------
+    RuntimeError
+        If a run does not reach `DRAWS` effective draws.
+    """
+    began = time.perf_counter()
+    model = reduced_model()
+    seeds = np.random.SeedSequence(seed).spawn(replicates)
+    outcomes = [_replicate(contender, model, one) for one in seeds]
+    ranks, ess, draws = zip(*outcomes, strict=True)
+    return Calibration(np.array(ranks), np.array(ess), np.array(draws), time.perf_counter() - began)
+
+
+def _replicate(
+    contender: Contender, model: ModalModel, seed: np.random.SeedSequence
+) -> tuple[NDArray[np.int64], float, int]:
+    """Return the ranks of one truth (quantities,), the smallest ESS and the number of draws."""
+    rng = np.random.default_rng(seed)
+    prior = problem(model, np.array([1.0, 2.0]))
+    truth = prior.sample_prior(rng, 1)
+    posterior = problem(model, prior.simulate_data(rng, prior.frequencies(truth))[0])
+    run = Run(
+        posterior,
+        contender.sampler,
+        warmup=contender.calibration.warmup,
+        chains=contender.calibration.chains,
+        seed=int(rng.integers(2**31)),
+        init="prior",
+    )
+    for _ in range(MOST_EXTENSIONS):
+        result = run.extend(contender.calibration.draws)
+        values = _quantities(posterior, result.posterior.position)
+        ess = min(ess_mean(values[:, :, k], contender.sampler.walkers) for k in range(len(QUANTITIES)))
+        if ess >= DRAWS:
+            break
+    else:
+        raise RuntimeError(f"{contender.title}: {ess:.0f} effective draws after {result.draws} steps")
+    flat = values.reshape(-1, len(QUANTITIES))
+    thinned = flat[np.linspace(0, len(flat) - 1, DRAWS).round().astype(int)]
+    ranks = np.sum(thinned < _quantities(posterior, truth[None])[0], axis=0)
+    return ranks, ess, len(flat)
+
+
+def _quantities(posterior: UpdatingProblem, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return parameters and log-likelihood, shape (chains, draws, quantities)."""
+    theta = position.reshape(-1, posterior.ndim)
+    values = np.column_stack([theta, posterior.log_likelihood(theta)])
+    return values.reshape(*position.shape[:2], len(QUANTITIES))

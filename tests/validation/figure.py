@@ -1,0 +1,45 @@
+"""The figure of simulation-based calibration: distribution functions of the ranks, less the uniform one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.report.plots.style import FONT, GREY, PALE, colour, new_figure, tint
+from tests.validation.bands import UniformRanks
+from tests.validation.calibration import DRAWS, QUANTITIES, Calibration
+from tests.validation.contenders import CONTENDERS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+USUAL = 0.05
+"""Level of the band that is easy to judge by eye."""
+
+
+def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> Figure:
+    """Draw one panel a sampler and quantity, with the band of `level` and the usual one of 95 %."""
+    names = {contender.title: contender.sampler.name for contender in CONTENDERS}
+    figure = new_figure(2.6 * len(QUANTITIES) + 0.6, 1.45 * len(calibrations) + 0.8)
+    axes = figure.subplots(len(calibrations), len(QUANTITIES), sharex=True, sharey=True, squeeze=False)
+    for row, (title, found) in zip(axes, calibrations.items(), strict=True):
+        uniform = UniformRanks(len(found.ranks), DRAWS)
+        z, n = np.concatenate([[0.0], uniform.points, [1.0]]), uniform.replicates
+        for panel, ranks in zip(row, found.ranks.T, strict=True):
+            for at, shade in ((level, PALE), (USUAL, tint(GREY, 0.6))):
+                band = uniform.simultaneous_band(at)
+                lowest, highest = (np.concatenate([[0], edge, [n]]) / n - z for edge in band)
+                panel.fill_between(z, lowest, highest, color=shade, linewidth=0)
+            ecdf = np.concatenate([[0], uniform.counts(ranks), [n]]) / n
+            panel.plot(z, ecdf - z, color=colour(names[title]), linewidth=1.5)
+            panel.axhline(0.0, color=GREY, linewidth=0.6)
+            panel.tick_params(labelsize=FONT - 1)
+        row[0].set_ylabel(title.replace(", ", ",\n"), fontsize=FONT)
+    for panel, quantity in zip(axes[0], QUANTITIES, strict=True):
+        panel.set_title(quantity, fontsize=FONT + 1)
+    axes[0, 0].set_xlim(0.0, 1.0)
+    figure.supxlabel(f"rank of the truth among {DRAWS} draws, as a fraction", fontsize=FONT)
+    figure.supylabel("ECDF of the ranks − uniform", fontsize=FONT)
+    return figure
