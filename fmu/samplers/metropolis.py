@@ -10,7 +10,8 @@ import numpy as np
 from .evaluation import evaluate
 from .kernel import FloatArray, Info, LogDensity, State
 from .proposals import Proposal, RandomWalk
-from .tuning import START_SCALE, MetropolisTuner
+from .slice import Slice
+from .tuning import START_SCALE, MetropolisTuner, SliceTuner
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class MetropolisHastings:
     ----------
     proposal : Proposal, optional
         The density q, its settings in scaled units. Without it, a Gaussian random walk whose covariance warm-up
-        learns.
+        learns; its first quarter is slice sampling.
 
     References
     ----------
@@ -43,7 +44,9 @@ class MetropolisHastings:
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
         """Return what learns the random walk in `steps` steps of warm-up, None if nothing is to be learnt."""
-        return MetropolisTuner(self, density, chains, steps) if self.proposal is None else None
+        if self.proposal is not None:
+            return None
+        return MetropolisTuner(self, density, SliceTuner(Slice(), density, steps))
 
 
 @dataclass(frozen=True)

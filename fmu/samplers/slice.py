@@ -78,7 +78,7 @@ class Slice:
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> SliceTuner | None:
         """Return what learns these settings in `steps` steps of warm-up, None if nothing is to be learnt."""
-        return SliceTuner(self, density, chains, steps) if self.width is None else None
+        return SliceTuner(self, density, steps) if self.width is None else None
 
 
 @dataclass

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .kernel import FloatArray, Info, LogDensity, State
+from .kernel import FloatArray, Info, Kernel, LogDensity, State
 from .metric import Metric
 from .proposals import RandomWalk
 from .warmup import LAG, DualAveraging, PooledMoments, Schedule, keeping_up
@@ -15,7 +15,7 @@ from .warmup import LAG, DualAveraging, PooledMoments, Schedule, keeping_up
 if TYPE_CHECKING:
     from .hamiltonian import HamiltonianKernel, HamiltonianMonteCarlo
     from .metropolis import MetropolisHastings
-    from .slice import Slice
+    from .slice import Slice, SliceKernel
 
 START_SCALE = 0.01
 """Standard deviation of a random walk before anything is learnt, in scaled units."""
@@ -23,8 +23,8 @@ START_WIDTH = 0.5
 """Interval of a slice before anything is learnt, in scaled units."""
 
 _MOST_STEPS = 128
-_MEMORY = 0.9
-_MOST_LOG = 25.0
+_MEMORY = 0.9  # weight of the past in the smoothed log-density of a chain
+_SETTLING = 20  # steps that the scale of a random walk takes to settle
 
 
 class _Learner:
@@ -110,61 +110,24 @@ class HamiltonianTuner:
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))
 
 
-class MetropolisTuner:
-    """Covariance of a Gaussian random walk (Haario, Saksman & Tamminen 2001), its scale by the acceptance rate.
-
-    The scale s of s²·S follows the acceptance rate of all chains that keep up towards its optimum, 0.44 in one
-    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996), by a Robbins–Monro recursion (Andrieu & Thoms 2008,
-    algorithm 4); S is the covariance of each window in turn.
-    """
-
-    def __init__(self, sampler: MetropolisHastings, density: LogDensity, chains: int, steps: int) -> None:
-        self.sampler, self.density = sampler, density
-        self.learner = _Learner(Schedule.sliding(steps), density.ndim)
-        self.target = 0.234 + (0.44 - 0.234) / density.ndim
-        self.shape = START_SCALE**2 * np.eye(density.ndim)
-        self.log_scale, self.count, self.sum = 0.0, 0, 0.0
-        self.kernel = self._settings(0.0).bind(density)
-
-    def update(self, state: State, info: Info) -> None:
-        """Learn from one step."""
-        window_closed = self.learner.learn(state, info)
-        self.count += 1
-        rate = float(self.learner.pooled(info.extra["acceptance_rate"]))
-        gain = 3.0 / (self.count + 10) ** 0.6
-        self.log_scale = float(np.clip(self.log_scale + gain * (rate - self.target), -_MOST_LOG, _MOST_LOG))
-        if self.count > 20:
-            self.sum += self.log_scale
-        if window_closed:
-            self.shape = np.asarray(self.learner.covariance)
-            self.log_scale, self.count, self.sum = float(np.log(2.38 / np.sqrt(self.density.ndim))), 0, 0.0
-        self.kernel = self._settings(self.log_scale).bind(self.density)
-
-    def finished(self) -> MetropolisHastings:
-        """Return the settings learnt, the scale averaged over the last steps."""
-        averaged = self.sum / (self.count - 20) if self.count > 40 else self.log_scale
-        return self._settings(averaged)
-
-    def _settings(self, log_scale: float) -> MetropolisHastings:
-        return replace(self.sampler, proposal=RandomWalk(np.exp(2.0 * log_scale) * self.shape))
-
-
 class SliceTuner:
     """Axes along the principal directions of the covariance, intervals of a few standard deviations there.
 
     Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
     """
 
-    def __init__(self, sampler: Slice, density: LogDensity, chains: int, steps: int) -> None:
+    def __init__(self, sampler: Slice, density: LogDensity, steps: int) -> None:
         self.sampler, self.density = sampler, density
         self.learner = _Learner(Schedule.sliding(steps), density.ndim)
-        self.kernel = sampler.bind(density)
+        self.kernel: SliceKernel = sampler.bind(density)
         self.settings = replace(sampler, width=START_WIDTH)
+        self.window_closed = False
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
-        if self.learner.learn(state, info) and self.learner.covariance is not None:
-            variance, axes = np.linalg.eigh(self.learner.covariance)
+        self.window_closed = self.learner.learn(state, info)
+        if self.window_closed:
+            variance, axes = np.linalg.eigh(np.asarray(self.learner.covariance))
             width = self.sampler.spread * np.sqrt(variance)
             self.settings = replace(self.sampler, width=width, axes=axes)
             self.kernel = self.settings.bind(self.density)
@@ -172,3 +135,69 @@ class SliceTuner:
     def finished(self) -> Slice:
         """Return the settings learnt."""
         return self.settings
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Steps of a slice sampler that are recorded as those of a Metropolis sampler are."""
+
+    kernel: SliceKernel
+
+    def init(self, positions: FloatArray) -> tuple[State, Info]:
+        """Evaluate the start."""
+        return self.kernel.init(positions)
+
+    def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
+        """Draw from the slice: never rejected."""
+        state, info = self.kernel.step(rng, state)
+        extra = {"acceptance_rate": info.accepted.astype(float), "n_nonfinite": info.extra["n_nonfinite"]}
+        return state, replace(info, extra=extra)
+
+
+class MetropolisTuner:
+    """Covariance of a Gaussian random walk (Haario, Saksman & Tamminen 2001), its scale by the acceptance rate.
+
+    A random walk of unknown shape and size takes long to reach the bulk, and may learn on the way what fits the
+    way alone. The first part of the warm-up is therefore done by slice sampling, which finds its own scale in
+    every step; the covariance it has learnt by then is where the random walk begins, and each window improves it.
+
+    The scale s of s²·S follows the acceptance rate of all chains that keep up towards its optimum, 0.44 in one
+    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996), by a Robbins–Monro recursion (Andrieu & Thoms 2008,
+    algorithm 4); S is the covariance of each window in turn.
+    """
+
+    def __init__(self, sampler: MetropolisHastings, density: LogDensity, search: SliceTuner) -> None:
+        self.sampler, self.density, self.search = sampler, density, search
+        self.target = 0.234 + (0.44 - 0.234) / density.ndim
+        self.shape = START_SCALE**2 * np.eye(density.ndim)
+        self._restart(0.0)
+        self.kernel: Kernel = _Search(search.kernel)
+
+    def update(self, state: State, info: Info) -> None:
+        """Learn from one step."""
+        searching = self.search.learner.searching
+        self.search.update(state, info)
+        if not searching:
+            self.count += 1
+            rate = float(self.search.learner.pooled(info.extra["acceptance_rate"]))
+            self.log_scale += 3.0 / (self.count + 10) ** 0.6 * (rate - self.target)
+            if self.count > _SETTLING:
+                self.sum += self.log_scale
+        if self.search.window_closed:
+            self.shape = np.asarray(self.search.learner.covariance)
+            self._restart(float(np.log(2.38 / np.sqrt(self.density.ndim))))
+        if self.search.learner.searching:
+            self.kernel = _Search(self.search.kernel)
+        else:
+            self.kernel = self._settings(self.log_scale).bind(self.density)
+
+    def finished(self) -> MetropolisHastings:
+        """Return the settings learnt, the scale averaged over the last steps."""
+        averaged = self.sum / (self.count - _SETTLING) if self.count > 2 * _SETTLING else self.log_scale
+        return self._settings(averaged)
+
+    def _restart(self, log_scale: float) -> None:
+        self.log_scale, self.count, self.sum = log_scale, 0, 0.0
+
+    def _settings(self, log_scale: float) -> MetropolisHastings:
+        return replace(self.sampler, proposal=RandomWalk(np.exp(2.0 * log_scale) * self.shape))

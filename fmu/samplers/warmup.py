@@ -65,9 +65,9 @@ class Schedule:
 
         For a sampler that mixes slowly until it knows the shape: each window is drawn with a better one.
         """
-        first, last = int(0.1 * steps), int(0.15 * steps)
+        first, last = int(0.25 * steps), int(0.15 * steps)
         windows: list[tuple[int, int]] = []
-        end, stop = max(first, 25), steps - last
+        end, stop = 25, steps - last
         while end < stop:
             windows.append((end // 2, end))
             end = max(end + 10, int(1.1 * end))
@@ -175,5 +175,5 @@ def keeping_up(log_prob: FloatArray, allowance: float, acceptance: FloatArray | 
 
 
 def _level(log_prob: FloatArray) -> float:
-    """Return the log-density that half of the chains reach: the best of one or two, the second of three or four."""
+    """Return the log-density that half of the chains reach: of one or two the best."""
     return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])
