@@ -54,9 +54,13 @@ class UniformRanks:
         return np.searchsorted(np.sort(ranks), np.arange(1, self.largest + 1), side="left")
 
     def band(self, tail: float) -> tuple[IntArray, IntArray]:
-        """Return the smallest and the largest counts whose two-sided tail probability exceeds `tail`."""
+        """Return the smallest and the largest counts whose two-sided tail probability exceeds `tail`.
+
+        Where there is none, the smallest is larger than the largest.
+        """
         inside = self._tails > tail * (1.0 + 1e-9)  # mirrored counts have the same tail but for rounding
-        return np.argmax(inside, axis=0), self.replicates - np.argmax(inside[::-1], axis=0)
+        lowest = np.where(inside.any(axis=0), np.argmax(inside, axis=0), self.replicates + 1)
+        return lowest, self.replicates - np.argmax(inside[::-1], axis=0)
 
     def escape(self, tail: float) -> float:
         """Return the probability that uniform ranks leave ``band(tail)`` somewhere."""
