@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from fmu.posterior.problem import UpdatingProblem
 
 _CASES = {
@@ -31,7 +33,7 @@ def describe(name: str) -> str:
     return _CASES[name]
 
 
-def load(name: str, pairing: str = "shape") -> UpdatingProblem:
+def load(name: str, pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingProblem:
     """Return a built-in problem.
 
     Parameters
@@ -40,13 +42,15 @@ def load(name: str, pairing: str = "shape") -> UpdatingProblem:
         One of `names`.
     pairing : {"shape", "index"}
         By MAC, or by number in the sorted spectrum as in the paper.
+    beta : float or array_like, shape (n_modes,)
+        Weight of a squared frequency error, 1/Hz²; 1 for every mode in the paper.
 
     Raises
     ------
     ValueError
-        If there is no such case or pairing.
+        If there is no such case or pairing, or `beta` is not positive.
     """
     describe(name)
     from fmu.cases import cantilever
 
-    return {"cantilever-young": cantilever.young, "cantilever-section": cantilever.section}[name](pairing)
+    return {"cantilever-young": cantilever.young, "cantilever-section": cantilever.section}[name](pairing, beta)

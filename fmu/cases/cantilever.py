@@ -8,6 +8,7 @@ accelerometers measure. x runs along the beam, z across the thickness.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
 from fmu.posterior.measurement import ModalData
@@ -45,7 +46,7 @@ def measurement() -> ModalData:
     return ModalData(MEASURED_HZ, numbers=NUMBERS, sensors=((SENSOR_NODE, "z"),))
 
 
-def young(pairing: str = "shape") -> UpdatingProblem:
+def young(pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingProblem:
     """Return the problem of section 5.1: Young's moduli of five groups of ten elements."""
     names = [f"E{g}" for g in range(1, 6)]
     model = beam(5).separable({name: [("E", name[1:])] for name in names})
@@ -54,11 +55,11 @@ def young(pairing: str = "shape") -> UpdatingProblem:
         for name in names
     ]
     return UpdatingProblem(
-        model, measurement(), parameters, pairing=pairing, beta=1.0, name=f"cantilever-young, by {pairing}"
+        model, measurement(), parameters, pairing=pairing, beta=beta, name=f"cantilever-young, by {pairing}"
     )
 
 
-def section(pairing: str = "shape") -> UpdatingProblem:
+def section(pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingProblem:
     """Return the problem of section 5.2: second moments of area and areas of the beam's two halves.
 
     The start I = 7e-9 m⁴ is the one that reproduces the initial column of Table 4; the paper prints 5e-9.
@@ -74,5 +75,5 @@ def section(pairing: str = "shape") -> UpdatingProblem:
         for name in ("Ax1", "Ax2")
     ]
     return UpdatingProblem(
-        model, measurement(), parameters, pairing=pairing, beta=1.0, name=f"cantilever-section, by {pairing}"
+        model, measurement(), parameters, pairing=pairing, beta=beta, name=f"cantilever-section, by {pairing}"
     )

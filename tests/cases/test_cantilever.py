@@ -138,6 +138,17 @@ def test_unknown_case(call):
         call("bridge")
 
 
+def test_weights_of_the_modes():
+    """A weight β_i multiplies ε_i² and belongs into the normaliser (β_i/π)^½, eq. (4) and (5)."""
+    theta, beta = np.full(5, 2.4e11), np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    one, weighted = cases.load("cantilever-young"), cases.load("cantilever-young", beta=beta)
+    error = one.frequencies(theta) - np.array(cantilever.MEASURED_HZ)
+    expected = -np.sum((beta - 1.0) * error**2) + 0.5 * np.sum(np.log(beta))
+    assert weighted.log_likelihood(theta) - one.log_likelihood(theta) == pytest.approx(expected, rel=1e-4)
+    with pytest.raises(ValueError, match="beta"):
+        cases.load("cantilever-section", beta=-1.0)
+
+
 def test_unknown_pairing():
     with pytest.raises(ValueError, match=r"^pairing: must be one of \('shape', 'index'\) \(got 'name'\)$"):
         cases.load("cantilever-young", "name")

@@ -11,10 +11,13 @@ from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import Plan
 from fmu.report.paper.recomputed import recompute, recomputed_page
 from fmu.report.paper.summary_page import summary_page
+from fmu.report.paper.vector_beta import VectorBeta
+from fmu.report.paper.vector_beta_page import plot_vector_beta, vector_beta_page
+from fmu.report.plots import DPI
 
 
 def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path) -> None:
-    """Write README.md, errata.md and the recomputed frequencies."""
+    """Write README.md, errata.md, the recomputed frequencies and the study with a vector β."""
     from fmu import cases
     from fmu.analysis.provenance import versions
 
@@ -33,6 +36,19 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
     }
     for name, text in pages.items():
         (stage / name).write_text(text, encoding="utf-8")
+    _write_vector_beta([f.weighted for f in everything if f.weighted is not None], stage)
+
+
+def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
+    """Write page, table and figure of the study with a β for every mode, if there was one."""
+    if not studies:
+        return
+    import pandas as pd
+
+    (stage / "vector-beta.md").write_text(vector_beta_page(studies), encoding="utf-8")
+    table = pd.concat({study.name: study.modes for study in studies}, names=["experiment"])
+    table.to_csv(stage / "vector-beta.csv")
+    plot_vector_beta(studies).savefig(stage / "vector-beta.png", dpi=DPI)
 
 
 def separated_modes(findings: Findings) -> Iterator[Erratum]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.cases.published import EXPERIMENTS
 from fmu.report.paper.experiment import Result, directory_of
 from fmu.report.paper.tables import agreement, comparison_table, frequency_table, parameter_table
+from fmu.report.paper.vector_beta import VectorBeta
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,6 +51,8 @@ class Findings:
     certificates : mapping of str to mapping of str to float
         How far the reduced model was from the full one at some draws of every run (`fmu.analysis.certificate`),
         by the same keys.
+    weighted : VectorBeta, optional
+        What a β for every mode gave, where that was tried.
     """
 
     case: str
@@ -67,9 +70,10 @@ class Findings:
     learnt: Mapping[str, str]
     lengths: Mapping[str, tuple[int, int, int]]
     certificates: Mapping[str, Mapping[str, float]]
+    weighted: VectorBeta | None = None
 
     @classmethod
-    def of(cls, result: Result) -> Findings:
+    def of(cls, result: Result, weighted: VectorBeta | None = None) -> Findings:
         """Return the findings of the runs of an experiment."""
         traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
         traces |= {f"{name}, long": trace for name, trace in result.long.items()}
@@ -101,6 +105,7 @@ class Findings:
                 }
                 for key, trace in traces.items()
             },
+            weighted=weighted,
         )
 
     @property

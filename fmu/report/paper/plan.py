@@ -39,6 +39,8 @@ class Plan:
         The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
     long : mapping of str to Length
         The long runs, one a sampler, from draws of the prior.
+    weighted : tuple of (case, pairing)
+        Of the experiments, those repeated by HMC with a β for every mode.
     starts : int
         From how many points maxima are searched.
     box_points : int
@@ -57,6 +59,11 @@ class Plan:
             "hmc": Length(2_000, 1_000, 4),
             "emcee": Length(4_000, 500, 4),
         }
+    )
+    weighted: tuple[tuple[str, str], ...] = (
+        ("cantilever-young", "index"),
+        ("cantilever-young", "shape"),
+        ("cantilever-section", "shape"),
     )
     starts: int = 256
     box_points: int = 2**14

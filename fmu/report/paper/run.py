@@ -11,6 +11,7 @@ from fmu.report.files import OutputDirectory
 from fmu.report.paper.experiment import Progress, Result, compute, directory_of
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
+from fmu.report.paper.vector_beta import SAMPLER, VectorBeta, sample_weighted, side_by_side
 from fmu.report.paper.workers import default_workers, in_processes
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def run_paper(
     out : path-like
         Directory of the results. Only files that an earlier run wrote there are replaced or taken away.
     progress : callable, optional
-        Called as ``progress(phase, done, total, info)``, one phase an experiment.
+        Called as ``progress(phase, done, total, info)``, one phase an experiment, and one a run with a vector β.
     plan : Plan, optional
         Lengths of the runs.
     workers : int, optional
@@ -64,9 +65,20 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: P
 
     with single_thread():
         result = compute(case, pairing, plan, progress)
-        findings = Findings.of(result)
+        weighted = _weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
+        findings = Findings.of(result, weighted)
         write_experiment(result, findings, stage)
     return findings
+
+
+def _weighted(result: Result, plan: Plan, stage: Path, progress: Progress | None) -> VectorBeta:
+    """Make the run with a β for every mode, and write its trace."""
+    from fmu.analysis.trace import save_trace
+
+    trace = sample_weighted(result, plan, progress)
+    (stage / "traces").mkdir(parents=True, exist_ok=True)
+    save_trace(trace, stage / "traces" / f"{result.name}-{SAMPLER}-vector-beta.nc")
+    return side_by_side(result, trace)
 
 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
@@ -95,7 +107,9 @@ def file_names(plan: Plan) -> list[str]:
         names += [f"{name}/{figure}-{sampler}.png" for figure in FIGURES for sampler in SAMPLERS]
         names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
         names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
-    return names
+    weighted = [directory_of(*experiment) for experiment in plan.experiments if experiment in plan.weighted]
+    names += [f"traces/{name}-{SAMPLER}-vector-beta.nc" for name in weighted]
+    return names + ([f"vector-beta.{kind}" for kind in ("md", "csv", "png")] if weighted else [])
 
 
 def _by_shape(experiment: tuple[str, str]) -> bool:

@@ -9,11 +9,14 @@ from fmu.report.paper.claims import judge, statement
 from fmu.report.paper.experiment import PAIRED_BY
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.page import ENDS
+from fmu.report.paper.vector_beta import RELATIVE, VectorBeta
+from fmu.report.paper.vector_beta_page import outcome
 from fmu.report.plots import TITLES
 
 FILES = {
     "errata.md": "what in the paper is not so, from its tables and the model",
     "recomputed.md, recomputed.csv": "the forty published frequencies, recomputed",
+    "vector-beta.md, .csv, .png": "β as a vector, which the paper proposes and does not try",
     "*/tables.md": "one experiment with one pairing: the paper's tables beside ours, convergence, cost, maxima",
     "*/parameters.csv, */frequencies.csv, */comparison.csv, */maxima.csv": "the same numbers, SI units, in full",
     "*/trace-*.png, */corner-*.png, */frequencies-*.png": "paths, posterior and frequency errors of each sampler",
@@ -55,6 +58,9 @@ def summary_page(
     ]
     parts += [statement(findings).strip() + "\n" for findings in everything]
     parts += ["### Against the paper's conclusions\n", _claims(everything)]
+    studies = [findings.weighted for findings in everything if findings.weighted is not None]
+    if studies:
+        parts += ["## A β for every mode\n", _remark(studies)]
     parts += ["## Files\n", table(("file", "what it is"), FILES.items(), words=(0, 1))]
     parts += ["## How it was made\n", _how(seed, versions)]
     return "\n".join(parts)
@@ -133,6 +139,14 @@ def _claims(everything: Sequence[Findings]) -> str:
         + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
         "posterior have one mean: where their tables differ by more than Monte-Carlo error, a run was too "
         "short, or sat in another mode.\n"
+    )
+
+
+def _remark(studies: Sequence[VectorBeta]) -> str:
+    return (
+        "The paper blames the one β for the error of mode 1, and expects a vector to lower it (section 5.1). With "
+        f"σ = {RELATIVE:.0%} of each measured frequency, sampled by HMC ([vector-beta.md](vector-beta.md)):\n\n"
+        + "".join(f"- {outcome(study)}\n" for study in studies)
     )
 
 
