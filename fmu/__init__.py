@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fmu.posterior.measurement import ModalData as ModalData
     from fmu.posterior.parameters import Parameter as Parameter
     from fmu.posterior.problem import UpdatingProblem as UpdatingProblem
+    from fmu.report.html import write_report as write_report
     from fmu.samplers.ensemble import Ensemble as Ensemble
     from fmu.samplers.hamiltonian import HamiltonianMonteCarlo as HamiltonianMonteCarlo
     from fmu.samplers.metropolis import MetropolisHastings as MetropolisHastings
@@ -55,6 +56,7 @@ _HOME = {
     "load_trace": "fmu.analysis.trace",
     "sample": "fmu.sampling",
     "summary": "fmu.analysis.diagnostics",
+    "write_report": "fmu.report.html",
 }
 
 __all__ = [
@@ -77,6 +79,7 @@ __all__ = [
     "load_trace",
     "sample",
     "summary",
+    "write_report",
 ]
 
 

@@ -89,13 +89,21 @@ def cases() -> None:
               "  [default: 32 times --draws]")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: runs/CASE-PAIRING]")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the directory.")
+@click.option("--report/--no-report", "reports", default=True, help="Write HTML pages too, as fmu report does.")
 def run(
-    case: str, samplers: tuple[str, ...], pairing: str, out: Path | None, overwrite: bool, **steps: Any
+    case: str,
+    samplers: tuple[str, ...],
+    pairing: str,
+    out: Path | None,
+    overwrite: bool,
+    reports: bool,
+    **steps: Any,
 ) -> int:
     """Sample the built-in problem CASE.
 
     Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
-    Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, and comparison.csv.
+    Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, and pages to
+    read (report/index.html).
     """
     from fmu import cases as builtin
 
@@ -131,6 +139,10 @@ def run(
     if short:
         click.echo(f"\nStopped at the most draws, short of --until-ess {steps['until_ess']:g}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
+    if reports:
+        from fmu.report.html import publish
+
+        click.echo(f"Report: {publish(traces, directory)}")
     return 1 if short else 0
 
 
@@ -154,6 +166,15 @@ def compare(directory: Path) -> None:
     summaries = {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, summaries=summaries)
     _echo_comparison(side_by_side(traces, summaries, verdicts), verdicts)
+
+
+@main.command()
+@click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
+def report(directory: Path) -> None:
+    """Write HTML pages on the run in DIRECTORY: report/index.html and a page a sampler."""
+    from fmu.report.html import write_report
+
+    click.echo(f"Written to {write_report(directory)}")
 
 
 @main.command()

@@ -37,7 +37,7 @@ def invoke(young, monkeypatch, tmp_path):
     return lambda *args: CliRunner().invoke(cli.main, list(map(str, args)), prog_name="fmu")
 
 
-SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh")
+SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh", "--no-report")
 
 
 def assert_one_line(result, *parts):

@@ -11,6 +11,8 @@ everyone who asks for a verdict.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -101,13 +103,30 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
     NaN for an ensemble that stands still; at least 1/log10 of the number of draws, as in Vehtari et al. 2021.
     """
     times = np.full(len(x), np.nan)
-    for i, ensemble in enumerate(by_walker(x, walkers).astype(float)):
-        if np.ptp(ensemble) > 0:
-            tau = 2.0 * np.cumsum(_autocorrelation(ensemble)) - 1.0
+    for i, correlation in enumerate(autocorrelation(x, walkers)):
+        if np.isfinite(correlation[0]):
+            tau = 2.0 * np.cumsum(correlation) - 1.0
             is_wide_enough = np.arange(len(tau)) >= WINDOW * tau
             window = np.argmax(is_wide_enough) if is_wide_enough.any() else -1
-            times[i] = max(tau[window], 1.0 / np.log10(ensemble.size))
+            times[i] = max(tau[window], 1.0 / np.log10(x.shape[1]))
     return times
+
+
+def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
+    """Return the autocorrelation of each chain at lags 0, 1, ..., shape (chains, steps).
+
+    About the mean of all walkers of an ensemble, and averaged over them; NaN for a chain that stands still.
+    """
+    paths = by_walker(x, walkers).astype(float)
+    return np.array([_autocorrelation(p) if np.ptp(p) > 0 else np.full(p.shape[1], np.nan) for p in paths])
+
+
+def apart(draws: int, most: int, walkers: int = 1) -> int:
+    """Return the distance between draws that leaves about `most` of them and sees all walkers alike."""
+    distance = max(1, -(-draws // most))
+    while math.gcd(distance, walkers) > 1:
+        distance += 1
+    return distance
 
 
 def _autocorrelation(paths: FloatArray) -> FloatArray:

@@ -82,7 +82,8 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     pandas.DataFrame
         One row a mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
         (``eti90_lb``, ``eti90_ub``) of the model's frequency, without measurement noise; ``noisy_sd`` and the
-        interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with it.
+        interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with it; these are left out under
+        the modal residual, which has no measurement noise to predict with.
 
     Raises
     ------
@@ -101,6 +102,8 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         "mcse_mean": model.mcse,
     }
     for prefix, name in (("", "model_frequency"), ("noisy_", "frequency")):
+        if name not in predictive:
+            continue
         values = predictive[name].transpose("chain", "draw", "mode").to_numpy()
         low, high = np.quantile(values, ends, axis=(0, 1))
         columns |= {

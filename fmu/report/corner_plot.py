@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,10 @@ _ROOM, _CLEAR = 0.06, 0.09
 
 
 def plot_corner(
-    trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
+    trace: xr.DataTree,
+    maximum: ArrayLike | None = None,
+    figure: Figure | None = None,
+    names: Sequence[str] | None = None,
 ) -> NDArray[Any]:
     """Draw all marginals and all pairs of a posterior, with start, bounds and maximum marked.
 
@@ -31,19 +35,23 @@ def plot_corner(
     maximum : array_like, shape (ndim,), optional
         Where the log-probability is highest, SI units.
     figure : Figure, optional
+    names : sequence of str, optional
+        The parameters shown, n of them: all if not given.
 
     Returns
     -------
-    ndarray of Axes, shape (ndim, ndim)
+    ndarray of Axes, shape (n, n)
     """
     import corner
 
     from fmu.analysis.diagnostics import parameter_draws, parameter_names
 
-    names = parameter_names(trace)
+    known = parameter_names(trace)
+    names = known if names is None else tuple(names)
+    columns = [known.index(name) for name in names]
     units = [unit_of(trace, name) for name in names]
     factor = np.array([unit.factor for unit in units])
-    draws = parameter_draws(trace).reshape(-1, len(names)) / factor
+    draws = parameter_draws(trace).reshape(-1, len(known))[:, columns] / factor
     draws = draws[:: max(1, len(draws) // _MAX_DRAWS)]
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
     base = colour(str(trace.attrs["sampler"]))
@@ -68,10 +76,12 @@ def plot_corner(
         quiet=True,
     )
     axes = np.array(figure.axes).reshape(len(names), len(names))
+    for region in (region for panel in figure.axes for region in panel.collections):
+        region.set_rasterized(True)
     marks = {"start": _point(trace, names, "start") / factor}
     if maximum is not None:
-        marks["maximum"] = np.asarray(maximum, dtype=float) / factor
-    _mark(axes, marks, bounds)
+        marks["maximum"] = np.asarray(maximum, dtype=float)[columns] / factor
+    _mark(axes, {name: point for name, point in marks.items() if np.all(np.isfinite(point))}, bounds)
     return axes
 
 
@@ -83,12 +93,12 @@ def _frames(
     Smoothing the histograms would spread draws that press against a bound over a frame that went on behind it.
     """
     low, high = np.quantile(draws, (0.0005, 0.9995), axis=0)
-    room = np.where(high > low, _ROOM * (high - low), 1e-3 * np.abs(high))
+    room = np.where(high > low, _ROOM * (high - low), np.fmax(1e-3 * np.abs(high), np.finfo(float).tiny))
     ends = np.fmax(low - room, lower), np.fmin(high + room, upper)
     return list(zip(*(end.tolist() for end in ends), strict=True))
 
 
-def _point(trace: xr.DataTree, names: tuple[str, ...], which: str) -> NDArray[np.float64]:
+def _point(trace: xr.DataTree, names: Sequence[str], which: str) -> NDArray[np.float64]:
     return np.array([constant(trace, which, name) for name in names])
 
 

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from fmu.report.plots.style import BLACK, FONT, PALE, finish, new_figure
+from fmu.report.plots.style import BLACK, FONT, GREY, NARROW, PALE, colour, finish, literal, new_figure
 
 if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -74,4 +78,89 @@ def plot_frequency_errors(
     axes.set_ylabel("(computed − measured)/measured, %", fontsize=FONT)
     finish(axes)
     figure.legend(loc="outside lower center", ncols=2, fontsize=FONT - 1, frameon=False)
+    return axes
+
+
+def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
+    """Draw how far the model's frequencies lie from the measured ones before updating and after it.
+
+    Before updating where the trace knows it. After it: the posterior mean of the model's frequencies, with the
+    90 % interval of a new measurement, noise included, where there is one.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With ``posterior_predictive`` and ``observed_data``.
+    figure : Figure, optional
+    """
+    from fmu.analysis.prediction import predict_frequencies
+
+    table = predict_frequencies(trace)
+    series = []
+    before = frequencies_before(trace)
+    if before is not None:
+        series.append(Frequencies("before updating", before, GREY, filled=False))
+    prefix, kind = ("noisy_", "with") if "noisy_sd" in table else ("", "without")
+    ends = table[[f"{prefix}eti90_lb", f"{prefix}eti90_ub"]].to_numpy().T
+    label = f"after: mean, 90 % interval {kind} measurement noise"
+    series.append(Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends))
+    labels = [literal(str(mode)) for mode in table.index]
+    figure = figure or new_figure(NARROW, 4.2)
+    return plot_frequency_errors(table["measured"], series, labels, figure)
+
+
+def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
+    """Return the model's frequencies before updating in Hz, None where the trace does not keep them."""
+    from fmu.analysis.modal_states import GROUP, START
+
+    if GROUP in trace.children:
+        return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
+    if "maxima" in trace.children:
+        return np.asarray(trace["maxima"]["before"], dtype=float)
+    return None
+
+
+def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
+    """Draw each measured frequency in the distribution that the posterior predicts for it, eq. (10).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With ``posterior_predictive`` frequencies, measurement noise included.
+    figure : Figure, optional
+
+    Raises
+    ------
+    ValueError
+        If the trace has no predictive distribution of measurements.
+    """
+    from fmu.analysis.prediction import predict_frequencies
+
+    narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
+    if "noisy_sd" not in narrow:
+        raise ValueError("trace: must have a predictive distribution of measurements (it has none)")
+    base = colour(str(trace.attrs["sampler"]))
+    figure = figure or new_figure(NARROW, 4.2)
+    axes = figure.subplots()
+    x = np.arange(len(narrow), dtype=float)
+
+    def scaled(column: pd.Series) -> FloatArray:
+        return np.asarray((column - narrow["mean"]) / narrow["noisy_sd"])
+
+    for table, ends, width, alpha, words in (
+        (wide, ("noisy_eti99_lb", "noisy_eti99_ub"), 5.0, 0.25, "99 % of new measurements, noise included"),
+        (narrow, ("noisy_eti90_lb", "noisy_eti90_ub"), 5.0, 0.45, "90 % of them"),
+        (narrow, ("eti90_lb", "eti90_ub"), 14.0, 0.8, "90 % of the model's frequencies, without noise"),
+    ):
+        low, high = (scaled(table[end]) for end in ends)
+        axes.vlines(x, low, high, color=base, linewidth=width, alpha=alpha, label=words)
+    measured = scaled(narrow["measured"])
+    axes.plot(x, measured, linestyle="none", marker="D", color=BLACK, markersize=6, label="measured")
+    axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
+    axes.set_xticks(x, [literal(str(mode)) for mode in narrow.index])
+    axes.set_xlim(-0.5, len(x) - 0.5)
+    axes.set_xlabel("mode", fontsize=FONT)
+    axes.set_ylabel("(frequency − predicted mean)\n/ predictive sd", fontsize=FONT)
+    finish(axes)
+    figure.legend(loc="outside lower center", ncols=1, fontsize=FONT - 1, frameon=False)
     return axes

@@ -1,0 +1,94 @@
+"""Which sections make up a page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+from fmu.report.document import Link, Page, Section, Verdict
+from fmu.report.run import Run
+from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
+from fmu.report.sections.verdicts import verdicts
+
+INDEX = "index"
+
+
+def file_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the file of each run's page: its name, of letters that any file system and address takes."""
+    taken, files = {INDEX}, {}
+    for name in names:
+        stem = plain = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-") or "run"
+        k = 1
+        while stem.lower() in taken:
+            k += 1
+            stem = f"{plain}-{k}"
+        taken.add(stem.lower())
+        files[name] = f"{stem}.html"
+    return files
+
+
+def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) -> Page:
+    """Return the page of one run."""
+    sections: list[Section | None] = [
+        updating.parameters(run),
+        updating.frequencies(run),
+        updating.maxima(run),
+        structure.identifiability(run),
+        structure.mac(run),
+        structure.shapes(run),
+        prediction.predictive(run),
+        prediction.left_out(run),
+        chains.reliability(run),
+        chains.paths(run),
+        chains.settling(run),
+        chains.pairs(run),
+        chains.energies(run),
+        origin.cost(run),
+        origin.certificate(run),
+        origin.settings(run),
+    ]
+    others = [Link("All samplers", f"{INDEX}.html")]
+    others += [Link(other.title, files[name]) for name, other in runs.items() if name != run.name]
+    lead = f"{run.trace.attrs['problem']}: {run.chains_in_words}."
+    if run.title != run.sampler:
+        lead = f"{run.sampler}, {lead}"
+    shown = tuple(section for section in sections if section is not None)
+    return Page(run.title, lead, verdicts(run), shown, tuple(others), _footer(run))
+
+
+def index_page(runs: Mapping[str, Run], files: Mapping[str, str]) -> Page:
+    """Return the page that compares the runs."""
+    sections = (
+        comparison.overview(runs, files),
+        comparison.efficiency(runs),
+        comparison.agreement(runs),
+        updating.maxima(_told(runs)),
+    )
+    first = next(iter(runs.values()))
+    links = tuple(Link(run.title, files[name]) for name, run in runs.items())
+    lead = f"Bayesian model updating by {len(runs)} sampler{'s' if len(runs) > 1 else ''}."
+    return Page(str(first.trace.attrs["problem"]), lead, _common_verdicts(runs), sections, links, _footer(first))
+
+
+def _told(runs: Mapping[str, Run]) -> Run:
+    """Return the run whose draws speak for the model: a converged one, if there is any."""
+    return next((run for run in runs.values() if run.diagnosis.converged), next(iter(runs.values())))
+
+
+def _common_verdicts(runs: Mapping[str, Run]) -> tuple[Verdict, Verdict]:
+    """Return the verdicts on all runs together: how many converged, and the fit by one that did."""
+    failed = [run for run in runs.values() if not run.diagnosis.converged]
+    good = len(runs) - len(failed)
+    answer = "All converged" if not failed else f"{good} of {len(runs)} converged" if good else "None converged"
+    reasons = tuple(f"{run.title}: {run.diagnosis.verdict}" for run in runs.values())
+    told = _told(runs)
+    fit = verdicts(told)[1]
+    by = f"By the draws of: {told.title}."
+    return (
+        Verdict("Have the samplers converged?", answer, not failed, reasons),
+        Verdict(fit.question, fit.answer, fit.is_good, (by, *fit.reasons)),
+    )
+
+
+def _footer(run: Run) -> str:
+    return f"Written by fmu from the traces alone. Configuration {run.trace.attrs['configuration_hash']}."

@@ -1,0 +1,168 @@
+"""Mode shapes before updating and after it, and how alike they are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.report.plots.style import BLACK, FONT, GREY, NARROW, colour, finish, literal, new_figure
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+_FLAT = 1e-6
+_SWING = 0.12
+"""Largest displacement drawn, as a part of a frame's extent."""
+_READABLE = 12
+"""The most modes whose MAC is written into its cell."""
+
+
+def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None = None) -> Axes:
+    """Draw the modal assurance criterion between reference shapes and the model's, 1 where they are the same.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With ``mac`` in its group ``modes`` (`fmu.analysis.modal_states`).
+    state : str, optional
+        Where: the posterior mean if not given.
+    figure : Figure, optional
+
+    Raises
+    ------
+    ValueError
+        If the trace keeps no MAC, or none of that state.
+    """
+    from fmu.analysis.modal_states import MEAN
+
+    state = MEAN if state is None else state
+    modes = _modes(trace, "mac")
+    if state not in modes["state"]:
+        raise ValueError(f"state: must be one of {', '.join(map(str, modes['state'].to_numpy()))} (got {state!r})")
+    values = modes["mac"].sel(state=state).transpose("reference_mode", "mode").to_numpy()
+    n, m = values.shape
+    figure = figure or new_figure(NARROW, 1.4 + 0.72 * NARROW * n / m)
+    axes = figure.subplots()
+    # Drawn cell by cell, so that an SVG stays sharp.
+    mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0)
+    if max(n, m) <= _READABLE:
+        for i in range(n):
+            for j in range(m):
+                axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.2f}", ha="center", va="center", fontsize=FONT - 1,
+                          color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
+    axes.set_xticks(np.arange(m) + 0.5, [literal(str(label)) for label in modes["mode"].to_numpy()])
+    axes.set_yticks(np.arange(n) + 0.5, [literal(str(label)) for label in modes["reference_mode"].to_numpy()])
+    axes.invert_yaxis()
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"mode of the model, {state}", fontsize=FONT)
+    axes.set_ylabel("mode of the reference", fontsize=FONT)
+    figure.colorbar(mesh, ax=axes, shrink=0.8, label="MAC")
+    finish(axes)
+    return axes
+
+
+def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+    """Draw the structure deformed in each mode, before updating (dashed) and at the posterior mean.
+
+    A structure along a line is drawn with its largest displacement upwards; any other one in isometric projection,
+    its displacements scaled.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With ``displacement`` in its group ``modes`` (`fmu.analysis.modal_states`).
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (modes,)
+
+    Raises
+    ------
+    ValueError
+        If the trace keeps no shapes.
+    """
+    from fmu.analysis.modal_states import MEAN, START
+
+    modes = _modes(trace, "displacement")
+    coordinates, ends = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
+    labels = [str(label) for label in modes["mode"].to_numpy()]
+    base = colour(str(trace.attrs["sampler"]))
+    is_line = np.linalg.matrix_rank(coordinates - coordinates[0], tol=_FLAT * np.ptp(coordinates)) <= 1
+    draw = _draw_along if is_line else _draw_isometric
+    figure = figure or new_figure(NARROW, (1.25 if is_line else 2.6) * len(labels) + 0.7)
+    axes = figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0]
+    states = ((START, GREY, "--"), (MEAN, base, "-"))
+    for label, axis in zip(labels, axes, strict=True):
+        one = modes.sel(mode=label)
+        shapes = [one["displacement"].sel(state=state).to_numpy() for state, *_ in states]
+        draw(axis, coordinates, ends, shapes, [(shade, dashes) for _, shade, dashes in states])
+        before, after = (float(one["frequency"].sel(state=state)) for state, *_ in states)
+        axis.set_title(f"mode {literal(label)}: {before:.1f} Hz before, {after:.1f} Hz at the posterior mean",
+                       fontsize=FONT, loc="left")  # fmt: skip
+        finish(axis)
+    axes[-1].set_xlabel("position along the structure / m" if is_line else "projected position / m", fontsize=FONT)
+    figure.align_ylabels(axes)
+    return axes
+
+
+def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
+    from fmu.analysis.modal_states import GROUP
+
+    if GROUP not in trace.children or needed not in trace[GROUP]:
+        raise ValueError(f"trace: must keep {needed} in its group {GROUP} (it has none)")
+    return trace[GROUP].to_dataset()
+
+
+def _draw_along(
+    axis: Axes, coordinates: FloatArray, ends: Any, shapes: list[FloatArray], styles: list[tuple[str, str]]
+) -> None:
+    """Draw a structure that lies along a line: position to the right, the largest displacement upwards."""
+    centred = coordinates - coordinates[0]
+    along = centred[np.argmax(np.linalg.norm(centred, axis=1))]
+    x = centred @ (along / np.linalg.norm(along))
+    direction = int(np.argmax(np.sum(shapes[0] ** 2, axis=0)))
+    axis.axhline(0.0, color=BLACK, linewidth=0.6, zorder=0)
+    upright = np.sign(shapes[0][np.argmax(np.abs(shapes[0][:, direction])), direction])
+    for shape, style in zip(shapes, styles, strict=True):
+        _lines(axis, np.stack([x, upright * shape[:, direction]], axis=1), ends, *style)
+    axis.set_ylim(-1.15, 1.15)
+    axis.set_yticks([-1, 0, 1])
+    axis.set_ylabel(f"{'xyz'[direction]} displ.\n/ largest", fontsize=FONT)
+
+
+def _draw_isometric(
+    axis: Axes, coordinates: FloatArray, ends: Any, shapes: list[FloatArray], styles: list[tuple[str, str]]
+) -> None:
+    """Draw a structure in space, undeformed in thin lines and deformed."""
+    project = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0, 1.0]])
+    swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
+    _lines(axis, coordinates @ project, ends, BLACK, "-", 0.6)
+    for shape, style in zip(shapes, styles, strict=True):
+        _lines(axis, (coordinates + swing * shape) @ project, ends, *style)
+    axis.set_aspect("equal")
+    axis.set_ylabel("projected\nheight / m", fontsize=FONT)
+
+
+def _lines(axis: Axes, nodes: FloatArray, ends: Any, shade: str, dashes: str, width: float = 1.8) -> None:
+    """Draw all elements as one line, lifted wherever an element does not begin where the last one ended."""
+    x, y = _strokes(nodes, ends).T
+    axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width)
+
+
+def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:
+    """Return the points of a line through all elements, NaN where it is lifted, shape (points, 2)."""
+    points: list[FloatArray] = []
+    last = None
+    for first, second in ends:
+        if first != last:
+            points += [np.full(2, np.nan), nodes[first]]
+        points.append(nodes[second])
+        last = second
+    return np.array(points)

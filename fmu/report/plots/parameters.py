@@ -1,0 +1,124 @@
+"""Parameters: where they started, where they came to, and what bounds them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.report.plots.style import (
+    BLACK,
+    FONT,
+    GREY,
+    NARROW,
+    PALE,
+    TITLES,
+    VERMILLION,
+    colour,
+    constant,
+    finish,
+    literal,
+    new_figure,
+    unit_of,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_ENDS = ("mean", "eti90_lb", "eti90_ub")
+
+
+def plot_parameter_updates(
+    traces: Mapping[str, xr.DataTree],
+    *,
+    published: Mapping[str, ArrayLike] | None = None,
+    maximum: ArrayLike | None = None,
+    summaries: Mapping[str, pd.DataFrame] | None = None,
+    figure: Figure | None = None,
+) -> NDArray[Any]:
+    """Draw posterior means and 90 % intervals between the bounds, beside start, maximum and published values.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        By their label in the legend; side by side within each parameter.
+    published : mapping of str to array_like, shape (ndim,), optional
+        Values to compare the trace of the same label with, SI units.
+    maximum : array_like, shape (ndim,), optional
+        Of the posterior, SI units.
+    summaries : mapping of str to pandas.DataFrame, optional
+        ``fmu.summary(trace)`` of each, where they are at hand.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (units,)
+        One for the parameters of each unit.
+    """
+    from fmu.analysis.diagnostics import parameter_names, summary
+
+    first = next(iter(traces.values()))
+    names = parameter_names(first)
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(unit_of(first, name).name, []).append(name)
+    tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
+    figure = figure or new_figure(NARROW, 2.5 * len(groups) + 0.6)
+    axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
+    points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
+    values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
+    for axis, (unit, members) in zip(axes, groups.items(), strict=True):
+        _frame(axis, first, members)
+        for k, (label, trace) in enumerate(traces.items()):
+            x = np.arange(len(members)) + 0.6 * ((k + 0.5) / len(traces) - 0.5)
+            _intervals(axis, x, trace, tables[label], members, label)
+            if label in values:
+                y = [values[label][name] / unit_of(trace, name).factor for name in members]
+                axis.plot(x, y, linestyle="none", marker="D", markersize=6, markerfacecolor="white",
+                          color=colour(str(trace.attrs["sampler"])), label=f"{label}, published")  # fmt: skip
+        for label, point in points.items():
+            y = [point[name] / unit_of(first, name).factor for name in members]
+            axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=VERMILLION,
+                      markeredgecolor=BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
+        axis.set_ylabel(f"value / {unit}" if unit else "value", fontsize=FONT)
+    axes[0].set_title("mean and 90 % interval", fontsize=FONT - 1, color=GREY, loc="right")
+    axes[-1].set_xlabel("parameter", fontsize=FONT)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=FONT - 1, frameon=False)
+    return axes
+
+
+def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
+    """Draw the parameters' axis, the range between the bounds where there are any, and the start."""
+    x = np.arange(len(members))
+    lower, upper, start = (
+        np.array([constant(trace, which, name) / unit_of(trace, name).factor for name in members])
+        for which in ("lower", "upper", "start")
+    )
+    if np.all(np.isfinite([lower, upper])):
+        axis.bar(x, upper - lower, 0.8, lower, color=PALE, label="between the bounds", zorder=0)
+    if np.all(np.isfinite(start)):
+        axis.plot(x, start, linestyle="none", marker="_", markersize=24, markeredgewidth=1.8, color=BLACK,
+                  label="start", zorder=1)  # fmt: skip
+    axis.set_xticks(x, [literal(name) for name in members])
+    axis.set_xlim(-0.6, len(members) - 0.4)
+    axis.use_sticky_edges = False
+    axis.margins(y=0.06)
+    finish(axis)
+
+
+def _intervals(
+    axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
+) -> None:
+    """Draw means with their intervals at the abscissae x."""
+    factor = np.array([unit_of(trace, name).factor for name in members])
+    mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
+    shade = colour(str(trace.attrs["sampler"]))
+    axis.vlines(x, low, high, color=shade, linewidth=4.5, alpha=0.5, zorder=2)
+    words = TITLES.get(label, literal(label))
+    axis.plot(x, mean, linestyle="none", marker="o", markersize=5, color=shade, label=words, zorder=3)

@@ -1,0 +1,112 @@
+"""A run with what its pages say of it, computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fmu.analysis.comparison import side_by_side
+from fmu.analysis.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.diagnostics import parameter_names, summary, walkers_of
+from fmu.analysis.prediction import predict_frequencies
+from fmu.analysis.trace import check_trace
+from fmu.report.plots.style import TITLES, unit_of
+from fmu.report.units import Unit
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.analysis.maxima import Maxima
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A trace and what was made of it.
+
+    Attributes
+    ----------
+    name : str
+        Its key among the traces.
+    trace : xarray.DataTree
+    summary : pandas.DataFrame
+        ``fmu.summary(trace)``.
+    diagnosis : Diagnosis
+    costs : pandas.Series
+        Its row of ``fmu.compare``.
+    maxima : Maxima or None
+        Those that the trace keeps.
+    prediction : pandas.DataFrame or None
+        ``predict_frequencies(trace)``, where there are frequencies.
+    """
+
+    name: str
+    trace: xr.DataTree
+    summary: pd.DataFrame
+    diagnosis: Diagnosis
+    costs: pd.Series
+    maxima: Maxima | None
+    prediction: pd.DataFrame | None
+
+    @property
+    def title(self) -> str:
+        """What the run is called: the sampler's full name, unless it has a name of its own."""
+        return TITLES.get(self.name, self.name)
+
+    @property
+    def sampler(self) -> str:
+        """The sampler's full name."""
+        return TITLES.get(str(self.trace.attrs["sampler"]), str(self.trace.attrs["sampler"]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names."""
+        return parameter_names(self.trace)
+
+    def unit(self, name: str) -> Unit:
+        """Return the unit in which a parameter is shown."""
+        return unit_of(self.trace, name)
+
+    def value(self, name: str, column: str) -> float:
+        """Return a number of the summary in the unit in which the parameter is shown."""
+        return float(self.summary[column][name]) / self.unit(name).factor
+
+    @property
+    def chains_in_words(self) -> str:
+        """How many chains of how many draws."""
+        posterior, walkers = self.trace["posterior"], walkers_of(self.trace)
+        chains, steps = posterior.sizes["chain"], posterior.sizes["draw"] // walkers
+        many = "" if chains == 1 else "s"
+        kind = f"chain{many}" if walkers == 1 else f"ensemble{many} of {walkers} walkers"
+        return f"{chains} {kind}, {steps} steps each, after {self.trace.attrs['warmup']} of warm-up"
+
+
+def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, Run]:
+    """Diagnose the traces of several samplers on one problem, each with what the others know.
+
+    Raises
+    ------
+    ValueError
+        If `traces` is empty, holds something else than traces, or traces of different problems.
+    """
+    if not traces:
+        raise ValueError("traces: at least one is needed (got none)")
+    for name, trace in traces.items():
+        check_trace(trace, f"traces.{name}")
+    problems = {str(trace.attrs["problem"]) for trace in traces.values()}
+    if len(problems) > 1:
+        raise ValueError(f"traces: must be of one problem (got {', '.join(sorted(problems))})")
+    summaries = {name: summary(trace) for name, trace in traces.items()}
+    verdicts = diagnose_all(traces, summaries=summaries)
+    costs = side_by_side(traces, summaries, verdicts)
+    return {
+        name: Run(name, trace, summaries[name], verdicts[name], costs.T[name], maxima_of(trace), _predicted(trace))
+        for name, trace in traces.items()
+    }
+
+
+def _predicted(trace: xr.DataTree) -> pd.DataFrame | None:
+    if "posterior_predictive" not in trace.children or "observed_data" not in trace.children:
+        return None
+    return predict_frequencies(trace)

@@ -1,0 +1,155 @@
+"""The chains themselves: paths, ranks, autocorrelation, estimates while the run grew, pairs, energies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_draws
+from fmu.analysis.movement import energy_fraction
+from fmu.report.corner_plot import plot_corner
+from fmu.report.document import Part, Picture, Pictures, Section, Table, Text
+from fmu.report.numbers import decimals, fixed, significant, span
+from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
+from fmu.report.plots.paths import plot_traces
+from fmu.report.plots.running import plot_running_means, plot_running_rhat
+from fmu.report.run import Run
+from fmu.report.svg import picture
+
+_MOST_PAIRS = 8
+
+
+def reliability(run: Run) -> Section:
+    """Return R-hat, effective sample sizes and standard errors of each parameter."""
+    rows = []
+    for name in run.names:
+        rhat, bulk, tail, error, sd = (
+            float(run.summary[column][name]) for column in ("rhat", "ess_bulk", "ess_tail", "mcse_mean", "sd")
+        )
+        shown = run.value(name, "mcse_mean")
+        rows.append(
+            (
+                name, run.unit(name).name, fixed(rhat, 4), fixed(bulk, 0), fixed(tail, 0),
+                fixed(shown, decimals(shown)), significant(error / sd if sd else np.nan, 2),
+            )
+        )  # fmt: skip
+    header = ("parameter", "unit", "R-hat", "bulk ESS", "tail ESS", "MCSE of the mean", "MCSE/sd")
+    caption = f"How well the draws determine the posterior: {run.chains_in_words}."
+    return Section("reliability", "Reliability of the draws", (Table(caption, header, tuple(rows), words=(1,)),))
+
+
+def paths(run: Run) -> Section:
+    """Return paths and ranks."""
+    ranges = []
+    for name in run.names:
+        unit, n = run.unit(name), decimals(run.value(name, "sd"))
+        draws = run.trace["posterior"][name].to_numpy() / unit.factor
+        ranges.append(f"{name} {span(draws.min(), draws.max(), n)} {unit.name}".rstrip())
+    worst = run.summary["rhat"].max()
+    alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {worst:.4f}."
+    caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."
+    drawings = [picture(plot_traces({run.title: run.trace}), "paths", alt, caption)]
+    if _has_several_chains(run):
+        axes = plot_ranks(run.trace)
+        far = [f"{name} {_furthest(axis):.2f}" for name, axis in zip(run.names, axes, strict=True)]
+        alt = f"Rank plots. Largest distance from uniform ranks: {', '.join(far)}."
+        caption = (
+            "Ranks of each chain's draws among all: distance of their distribution from the uniform one, with the "
+            "p-value of a multi-chain test."
+        )
+        drawings.append(picture(axes, "ranks", alt, caption))
+    return Section("paths", "Paths and ranks", (Pictures(tuple(drawings)),))
+
+
+def _has_several_chains(run: Run) -> bool:
+    return bool(run.trace["posterior"].sizes["chain"] > 1)
+
+
+def _furthest(axis: Any) -> float:
+    """Return the largest ordinate drawn, either sign."""
+    return max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines)
+
+
+def settling(run: Run) -> Section:
+    """Return autocorrelation, and the estimates while the run grew."""
+    drawings = [_autocorrelation(run), _running_means(run)]
+    if _has_several_chains(run):
+        drawings.append(_running_rhat(run))
+    return Section("settling", "Autocorrelation, and estimates while the run grew", (Pictures(tuple(drawings)),))
+
+
+def _autocorrelation(run: Run) -> Picture:
+    axes = plot_autocorrelation(run.trace)
+    k = int(np.argmin(run.summary["ess_bulk"].to_numpy()))
+    *chains, _ = axes[k].lines  # the last line is zero
+    mean = np.mean([line.get_ydata() for line in chains], axis=0)
+    values = ", ".join(f"{mean[lag]:.2f} at lag {lag}" for lag in (1, 10, 50) if lag < len(mean))
+    alt = f"Autocorrelation of each parameter; of {run.names[k]}, the slowest, {values}."
+    return picture(axes, "acf", alt, "Autocorrelation of each chain.")
+
+
+def _running_means(run: Run) -> Picture:
+    draws = parameter_draws(run.trace)
+    sd = draws.std(axis=(0, 1))
+    apart = np.ptp(draws.mean(axis=1), axis=0) / np.where(sd > 0, sd, np.inf)
+    far = ", ".join(f"{name} {x:.2f}" for name, x in zip(run.names, apart, strict=True))
+    alt = f"Running means of the chains. At the end they differ by, in posterior standard deviations: {far}."
+    caption = "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors."
+    return picture(plot_running_means(run.trace, run.summary), "means", alt, caption)
+
+
+def _running_rhat(run: Run) -> Picture:
+    axes = plot_running_rhat(run.trace)
+    seen = []
+    for name, line in zip(run.names, axes.lines, strict=False):  # a line more is the limit
+        above = np.asarray(line.get_ydata(), dtype=float)
+        seen.append(f"{name} {1 + above[len(above) // 2]:.3f}, then {1 + above[-1]:.3f}")
+    at = np.asarray(axes.lines[0].get_xdata())
+    alt = f"R-hat after {at[len(at) // 2]} steps and after {at[-1]}: {'; '.join(seen)}. Limit: {RHAT_LIMIT:g}."
+    return picture(axes, "rhat", alt, "R-hat of each parameter while the run grew.")
+
+
+def pairs(run: Run) -> Section:
+    """Return the posterior in pairs of parameters."""
+    names = run.names[:_MOST_PAIRS]
+    parts: list[Part] = []
+    if len(run.names) > _MOST_PAIRS:
+        parts.append(Text(f"The first {_MOST_PAIRS} of {len(run.names)} parameters."))
+    words = _strongest_correlation(run)
+    axes = plot_corner(run.trace, run.maxima[0].theta if run.maxima else None, names=names)
+    drawing = picture(
+        axes,
+        "corner",
+        f"Marginals and pairs of {', '.join(names)}. {words}",
+        f"Regions with 50 % and 90 % of the draws. {words}".strip(),
+    )
+    return Section("pairs", "Pairs of parameters", (*parts, drawing))
+
+
+def _strongest_correlation(run: Run) -> str:
+    draws = parameter_draws(run.trace).reshape(-1, len(run.names))
+    moving = [k for k in range(len(run.names)) if np.ptp(draws[:, k]) > 0]
+    if len(moving) < 2:
+        return ""
+    correlation = np.triu(np.corrcoef(draws[:, moving].T), 1)
+    i, j = divmod(int(np.argmax(np.abs(correlation))), len(moving))
+    one, other = (run.names[moving[k]] for k in (i, j))
+    return f"Strongest correlation: {fixed(float(correlation[i, j]), 2)}, of {one} and {other}."
+
+
+def energies(run: Run) -> Section | None:
+    """Return the energies of Hamiltonian trajectories; None for a sampler without them."""
+    stats = run.trace["sample_stats"]
+    if "energy" not in stats:
+        return None
+    fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
+    values = ", ".join(f"{x:.2f}" for x in fraction)
+    diverged = int(stats["diverging"].sum()) if "diverging" in stats else 0
+    said = (
+        f"E-BFMI of the chains: {values}; below 0.3 the momenta would not carry them through the posterior. "
+        f"{diverged} of {stats['energy'].size} trajectories diverged."
+    )
+    drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",
+                      "Energies of the trajectories, and their change from draw to draw.")  # fmt: skip
+    return Section("energies", "Energies of the trajectories", (Text(said), Pictures((drawing,))))

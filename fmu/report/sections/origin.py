@@ -1,0 +1,106 @@
+"""What a run cost and where it comes from: cost, certificate, settings, versions."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fmu.analysis.certificate import FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE
+from fmu.report.document import Code, Details, Part, Section, Table, Text
+from fmu.report.markdown import MISSING, whole
+from fmu.report.numbers import fixed, significant
+from fmu.report.run import Run
+
+_LONG = 60
+
+
+def cost(run: Run) -> Section:
+    """Return what the run cost, and what it gave for that."""
+    attrs, costs = run.trace.attrs, run.costs
+    counts = []
+    for words, name in (("model solves", "n_solves"), ("gradients among them", "n_gradients")):
+        before, kept = int(attrs[f"warmup_{name}"]), int(attrs[name])
+        counts.append((words, whole(before), whole(kept), whole(before + kept)))
+    warmup_s, wall_s = float(attrs["warmup_wall_s"]), float(attrs["wall_s"])
+    counts.append(("time, s", fixed(warmup_s, 1), fixed(wall_s - warmup_s, 1), fixed(wall_s, 1)))
+    spent = Table("What was spent", ("", "warm-up", "draws kept", "both"), tuple(counts))
+    rows = (
+        ("smallest bulk ESS", fixed(float(costs["ess_bulk_min"]), 0)),
+        ("effective draws per 1000 solves", significant(1000 * float(costs["ess_per_solve"]))),
+        ("effective draws per second", significant(float(costs["ess_per_s"]))),
+        ("share of draws that moved", significant(float(costs["accept_rate"]))),
+        ("divergences", whole(costs["divergences"])),
+    )
+    gained = Table("What it gave: ESS of the worst parameter, warm-up counted", ("", "value"), rows)
+    return Section("cost", "Cost", (spent, gained))
+
+
+def certificate(run: Run) -> Section:
+    """Return how far the reduced model is from the full one at the draws."""
+    title, attrs = "Certificate of the reduced model", run.trace.attrs
+    if "certificate_draws" not in attrs:
+        return Section("certificate", title, (Text("No reduced model took part: nothing to certify."),))
+    frequency, log_prob = (float(attrs[f"certificate_{name}_error"]) for name in ("frequency", "log_prob"))
+    changes = int(attrs["certificate_pairing_changes"])
+    is_kept = frequency <= FREQUENCY_TOLERANCE and log_prob <= LOG_PROB_TOLERANCE and not changes
+    said = (
+        f"{attrs['certificate_draws']} of the draws kept were solved again with the full model. The reduced model "
+        + ("keeps its promise." if is_kept else "does not keep its promise.")
+    )
+    rows = (
+        ("largest relative error of a frequency", significant(frequency, 2), significant(FREQUENCY_TOLERANCE, 2)),
+        ("largest error of the log-probability", significant(log_prob, 2), significant(LOG_PROB_TOLERANCE, 2)),
+        ("draws at which the pairing changed", str(changes), "0"),
+        (
+            "full solves during the run, outside the reduced model's box",
+            whole(attrs["certificate_full_solves"]),
+            MISSING,
+        ),
+    )
+    return Section(
+        "certificate", title, (Text(said), Table("Reduced against full model", ("", "found", "allowed"), rows))
+    )
+
+
+def settings(run: Run) -> Section:
+    """Return settings, seed, versions and the hash of the configuration."""
+    attrs = run.trace.attrs
+    given, learnt = (json.loads(str(attrs[name])) for name in ("settings", "learnt"))
+    names = dict.fromkeys((*given, *learnt))
+    rows = tuple((name, _short(given.get(name)), _short(learnt.get(name))) for name in names)
+    header = ("setting", "given", "after warm-up")
+    parts: list[Part] = [
+        Table("Settings of the sampler; what was learnt in warm-up is frozen", header, rows, (1, 2))
+    ]
+    long = {name: value for name, value in learnt.items() if len(_text(value)) > _LONG}
+    if long:
+        parts.append(Details("What was learnt, in full", (Code(_pretty(long)),)))
+    about = [(name, str(attrs[name])) for name in ("seed", "chains", "walkers", "draws", "warmup", "init")]
+    about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
+    about.append(("configuration hash (SHA-256)", str(attrs["configuration_hash"])))
+    parts.append(Table("The run", ("", "value"), tuple(about), (1,)))
+    configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
+    parts.append(Details("Everything that determines the draws, as JSON", (configuration,)))
+    return Section("settings", "Settings, seed and versions", tuple(parts))
+
+
+def _short(value: Any) -> str:
+    """Return a setting in a table's cell."""
+    if value is None:
+        return MISSING
+    text = _text(value)
+    if len(text) > _LONG:
+        return f"{len(value)} × {len(value)} matrix" if _is_square(value) else f"{text[: _LONG - 1]}…"
+    return f"{value:.6g}" if isinstance(value, float) else text
+
+
+def _is_square(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(row, list) and len(row) == len(value) for row in value)
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def _pretty(value: Any) -> str:
+    return json.dumps(value, indent=1, ensure_ascii=False)

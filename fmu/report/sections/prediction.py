@@ -1,0 +1,73 @@
+"""Whether the posterior predicts what was measured."""
+
+from __future__ import annotations
+
+from fmu.analysis.prediction import leave_one_out
+from fmu.report.document import Items, Part, Pictures, Section, Table, Text
+from fmu.report.numbers import fixed
+from fmu.report.plots.frequencies import plot_predictive_check
+from fmu.report.run import Run
+from fmu.report.sections.updating import NO_FREQUENCIES
+from fmu.report.svg import picture
+
+NO_NOISE = "The modal residual is a pseudo-likelihood: it has no measurement noise to predict with."
+
+
+def predictive(run: Run) -> Section:
+    """Return how the measured frequencies lie in their predictive distributions."""
+    title, table = "Posterior predictive check", run.prediction
+    if table is None:
+        return Section("predictive", title, (Text(NO_FREQUENCIES),))
+    if "noisy_sd" not in table:
+        return Section("predictive", title, (Text(NO_NOISE),))
+    replicate = run.trace["posterior_predictive"]["frequency"].transpose("chain", "draw", "mode").to_numpy()
+    below = (replicate < table["measured"].to_numpy()).mean(axis=(0, 1))
+    distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
+    inside = (table["measured"] >= table["noisy_eti90_lb"]) & (table["measured"] <= table["noisy_eti90_ub"])
+    rows = tuple(
+        (str(mode), f"{table.loc[mode, 'measured']:g}", fixed(float(distance[mode]), 2), fixed(float(p), 3),
+         "yes" if inside[mode] else "no")
+        for mode, p in zip(table.index, below, strict=True)
+    )  # fmt: skip
+    header = ("mode", "measured, Hz", "distance, sd", "share predicted below", "in the 90 % interval")
+    caption = "Measured frequencies among those predicted for a new measurement, noise included."
+    seen = "; ".join(f"mode {mode} {fixed(float(d), 2)}" for mode, d in distance.items())
+    alt = (
+        f"Distance of the measured frequencies from the predicted mean in predictive standard deviations: {seen}."
+    )
+    drawing = picture(plot_predictive_check(run.trace), "check", alt,
+                      "Measured frequencies in their predictive distributions.")  # fmt: skip
+    said = (
+        f"{int(inside.sum())} of {len(table)} measured frequencies lie in the 90 % interval of their prediction. "
+        "The same data were used for updating: a mode outside contradicts the model, one inside confirms little."
+    )
+    parts = (Text(said), Table(caption, header, rows, words=(4,)), Pictures((drawing,)))
+    return Section("predictive", title, parts)
+
+
+def left_out(run: Run) -> Section:
+    """Return how each mode is predicted by the others."""
+    title = "Leaving one mode out"
+    if "log_likelihood" not in run.trace.children:
+        return Section("loo", title, (Text("The run has no likelihood of single modes."),))
+    table = leave_one_out(run.trace)
+    rows = tuple(
+        (str(mode), fixed(float(row["elpd"]), 2), fixed(float(row["pareto_k"]), 2),
+         "yes" if row["reliable"] else "no")
+        for mode, row in table.iterrows()
+    )  # fmt: skip
+    caption = "Log-density of each measured mode under the posterior of the others (PSIS-LOO)."
+    parts: list[Part] = [Table(caption, ("mode", "elpd, nats", "Pareto k", "reliable"), rows, words=(3,))]
+    doubtful = [str(mode) for mode in table.index[~table["reliable"].astype(bool)]]
+    if doubtful:
+        few = f"modes {', '.join(doubtful)}" if len(doubtful) > 1 else f"mode {doubtful[0]}"
+        warnings = [
+            f"Not reliable for {few}: without it the posterior would be another one, and the draws do not reach "
+            "there. The estimate is an upper bound at best; to know, update again without the mode."
+        ]
+        if len(run.names) >= len(table):
+            warnings.append(
+                "With as many parameters as modes that is the rule: the others do not determine the one left out."
+            )
+        parts.insert(0, Items(tuple(warnings)))
+    return Section("loo", title, tuple(parts))

@@ -1,0 +1,106 @@
+"""What the data can tell, and what the model looks like before updating and after it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
+from fmu.analysis.modal_states import GROUP, MEAN, START
+from fmu.report.document import Details, Items, Part, Pictures, Section, Table, Text
+from fmu.report.numbers import decimals, fixed, significant
+from fmu.report.plots.modes import plot_mac, plot_mode_shapes
+from fmu.report.run import Run
+from fmu.report.svg import picture
+
+NO_SHAPES = "The trace keeps no mode shapes to compare: the model gives none, or the trace is older than that."
+_WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
+
+
+def identifiability(run: Run) -> Section:
+    """Return which directions of the parameter space the data constrain."""
+    parts: list[Part] = []
+    kept = kept_identifiability(run.trace)
+    for state, found in kept.items():
+        first, *others = found.sentences()
+        parts += [Text(f"{_WHERE.get(state, state)}: {first[0].lower()}{first[1:]}"), Items(tuple(others))]
+    if kept:
+        tables = tuple(_directions(state, found) for state, found in kept.items())
+        parts.append(Details("The directions and their singular values", tables))
+    else:
+        parts.append(Text("The trace keeps no linearised identifiability: it is that of no updating problem with "
+                          "errors in frequencies, or older than that analysis."))  # fmt: skip
+    if "prior" in run.trace.children:
+        parts.append(_contraction(run))
+    return Section("identifiability", "What the data can tell", tuple(parts))
+
+
+def _directions(state: str, found: Identifiability) -> Table:
+    rows = tuple(
+        (
+            str(k),
+            significant(s),
+            significant(1.0 / float(np.hypot(1.0, s))),
+            *(fixed(float(x), 2) for x in direction),
+        )
+        for k, (s, direction) in enumerate(zip(found.singular_values, found.directions, strict=True), 1)
+    )
+    caption = (
+        f"{_WHERE.get(state, state)}. Orthonormal directions in units of the prior's standard deviations; along "
+        "each, the data leave the given part of the prior's standard deviation."
+    )
+    return Table(caption, ("direction", "singular value", "sd left", *found.names), rows)
+
+
+def _contraction(run: Run) -> Table:
+    table, rows = contraction(run.trace), []
+    for name in run.names:
+        unit = run.unit(name)
+        before, after = (float(table[column][name]) / unit.factor for column in ("prior_sd", "posterior_sd"))
+        n = decimals(after)
+        rows.append(
+            (name, unit.name, fixed(before, n), fixed(after, n), fixed(float(table["contraction"][name]), 3))
+        )
+    caption = (
+        "From prior to posterior: contraction is 1 − the ratio of the variances, near 1 where the data determine "
+        "a parameter, near 0 where they say nothing about it."
+    )
+    header = ("parameter", "unit", "prior sd", "posterior sd", "contraction")
+    return Table(caption, header, tuple(rows), words=(1,))
+
+
+def mac(run: Run) -> Section:
+    """Return how alike the shapes are to those of the reference."""
+    title = "Modal assurance criterion"
+    if GROUP not in run.trace.children or "mac" not in run.trace[GROUP]:
+        return Section("mac", title, (Text(NO_SHAPES),))
+    criterion = run.trace[GROUP]["mac"]
+    values = criterion.sel(state=MEAN).transpose("reference_mode", "mode").to_numpy()
+    diagonal = ", ".join(f"{x:.2f}" for x in np.diag(values))
+    others = values[~np.eye(len(values), dtype=bool)]
+    most = f" and at most {others.max():.2f} off it" if len(others) else ""
+    drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.",
+                      f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
+    said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
+    return Section("mac", title, (said, Pictures((drawing,))))
+
+
+def shapes(run: Run) -> Section:
+    """Return the structure deformed in its modes."""
+    title = "Mode shapes before and after"
+    if GROUP not in run.trace.children or "displacement" not in run.trace[GROUP]:
+        return Section("shapes", title, (Text("The trace keeps no geometry to draw mode shapes on."),))
+    modes = run.trace[GROUP].to_dataset()
+    moved = modes["displacement"]
+    change = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).max(axis=(1, 2))
+    before, after = (modes["frequency"].sel(state=state).to_numpy() for state in (START, MEAN))
+    seen = [
+        f"mode {label} from {f:.1f} to {g:.1f} Hz, its shape changed by at most {100 * float(d):.2g} % of its "
+        "largest displacement"
+        for label, f, g, d in zip(modes["mode"].to_numpy(), before, after, change, strict=True)
+    ]
+    alt = f"Deformed structure in each mode: {'; '.join(seen)}."
+    drawing = picture(
+        plot_mode_shapes(run.trace), "shapes", alt, "Dashed grey: before updating. Solid: at the posterior mean."
+    )
+    said = Items(tuple(f"{sentence[0].upper()}{sentence[1:]}." for sentence in seen))
+    return Section("shapes", title, (said, Pictures((drawing,))))
