@@ -25,12 +25,15 @@ def problem_card(problem: UpdatingProblem) -> str:
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
     structure = getattr(problem.model, "structure", None)
-    geometry = structure.geometry if isinstance(structure, SeparableModel) else None
-    if geometry is not None and len(geometry.elements) <= _MOST_DRAWN:
+    if isinstance(structure, SeparableModel) and _is_drawable(structure):
         parts.append(f"<div>{drawing(structure, problem.data.sensors)}</div>")
         colours = parameter_colours(structure)
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
+
+
+def _is_drawable(structure: SeparableModel) -> bool:
+    return structure.geometry is not None and len(structure.geometry.elements) <= _MOST_DRAWN
 
 
 def _in_words(problem: UpdatingProblem) -> str:
