@@ -4,6 +4,7 @@
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
+READY_BENCH := .venv/.ready-bench
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1|/' | column -t -s '|'
@@ -28,10 +29,18 @@ lint: $(READY)  ## Check style and types
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 
-bench: $(READY)  ## Measure the speed budget, into results/benchmarks.md
+$(READY_BENCH): $(READY)
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,bench]'
+	touch $(READY_BENCH)
+
+bench: export OPENBLAS_NUM_THREADS = 1
+bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into results/benchmarks.md
 	mkdir -p .benchmarks
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest tests/benchmarks --benchmark-only --benchmark-json=.benchmarks/run.json
-	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md
+	.venv/bin/python -m pytest tests/benchmarks --benchmark-only --benchmark-json=.benchmarks/run.json
+	.venv/bin/python -m tests.benchmarks.profile .benchmarks/profile.md
+	.venv/bin/python -m tests.benchmarks.peers .benchmarks/peers.json
+	.venv/bin/python -m tests.benchmarks.peers.report .benchmarks/peers.json .benchmarks/peers.md results/benchmarks/peers.png
+	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md .benchmarks/profile.md .benchmarks/peers.md
 
 validate: $(READY)  ## Calibrate every sampler by simulation, into results/validation.md
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.validation results

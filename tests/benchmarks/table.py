@@ -16,6 +16,8 @@ import numpy as np
 import scipy
 from threadpoolctl import threadpool_info
 
+from fmu.report import markdown
+
 HEAD = """# Benchmarks: the speed budget
 
 Written by `make bench`. A ratio is the median over interleaved pairs of processor times, measured in one process
@@ -65,7 +67,7 @@ def main(source: str, target: str, *fragments: str) -> None:
         of_section = [row for row in rows if row["section"] == name]
         if of_section:
             parts.append(budget_table(of_section))
-        parts += [markdown(t["head"], t["rows"]) for t in tables if t["section"] == name]
+        parts += [markdown.table(t["head"], t["rows"]) for t in tables if t["section"] == name]
     parts += [Path(fragment).read_text() for fragment in fragments]
     Path(target).parent.mkdir(parents=True, exist_ok=True)
     Path(target).write_text("\n".join(parts))
@@ -75,13 +77,7 @@ def budget_table(rows: list[dict[str, Any]]) -> str:
     """Return what was measured beside what was promised."""
     verdict = {True: "yes", False: "**no**", None: "—"}
     cells = [[row["what"], row["budget"], row["measured"], verdict[row["met"]]] for row in rows]
-    return markdown(["what", "budget", "measured", "met"], cells)
-
-
-def markdown(head: list[str], rows: list[list[Any]]) -> str:
-    """Return a table."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+    return markdown.table(["what", "budget", "measured", "met"], cells, words=range(4))
 
 
 def machine() -> str:

@@ -66,6 +66,7 @@ class JaxPosterior:
         self.measured = jnp.asarray(problem.data.frequencies_hz)
         self.noise = jnp.asarray(problem.likelihood.error.sd)
         self.eigenvalues = _paired(target, reduced)
+        self._compiled = jax.jit(self.log_prob)
 
     def frequencies(self, u: Any) -> Any:
         """Return the paired frequencies in Hz."""
@@ -76,20 +77,9 @@ class JaxPosterior:
         error = (self.frequencies(u) - self.measured) / self.noise
         return -0.5 * jnp.sum(error**2) - 0.5 * jnp.sum(((u - self.loc) / self.sd) ** 2)
 
-    def logit_log_prob(self, z: Any) -> Any:
-        """Return the log-density in z = logit(u)."""
-        return self.log_prob(jax.nn.sigmoid(z)) + jnp.sum(jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z))
-
-    def theta(self, u: Any) -> FloatArray:
-        """Return θ in SI units."""
-        problem = self.target.problem
-        return problem.lower + problem.scale * np.asarray(u)
-
-    def disagreement(self, theta: FloatArray) -> float:
-        """Return how much it differs from the problem's log-probability at most, a constant apart."""
-        problem = self.target.problem
-        u = jnp.asarray((theta - problem.lower) / problem.scale)
-        return float(np.ptp(np.asarray(jax.jit(jax.vmap(self.log_prob))(u)) - problem.log_prob(theta)))
+    def at(self, theta: FloatArray) -> float:
+        """Return the log-density at θ in SI units."""
+        return float(self._compiled(jnp.asarray(self.target.to_unit(theta))))
 
 
 def _paired(target: Target, reduced: bool) -> Callable[[Any], Any]:

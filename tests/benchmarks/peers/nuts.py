@@ -1,11 +1,9 @@
-"""The no-U-turn sampler of NumPyro, BlackJAX and nutpie: in logit coordinates, as their libraries treat bounds."""
+"""The no-U-turn sampler of NumPyro and of nutpie: in logit coordinates, as their libraries treat bounds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-import blackjax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +14,7 @@ from numpyro.infer import MCMC, NUTS
 from nutpie.compiled_pyfunc import from_pyfunc
 
 from tests.benchmarks.peers.jax_model import JaxPosterior
-from tests.benchmarks.peers.outcome import Cost, Counted, Length, Outcome, Stopwatch
+from tests.benchmarks.peers.outcome import Counted, Length, Outcome, Stopwatch, per_call
 from tests.benchmarks.peers.target import Target
 
 CHAINS = 4
@@ -57,44 +55,25 @@ def numpyro_nuts(
         u = np.asarray(mcmc.get_samples(group_by_chain=True)["u"])
         extra = mcmc.get_extra_fields()
         drawn = stopwatch.read(int(extra["num_steps"].sum()))
-        return Outcome(posterior.theta(u), warmed, drawn, divergences=int(extra["diverging"].sum()))
+        return Outcome(posterior.target.from_unit(u), warmed, drawn, divergences=int(extra["diverging"].sum()))
 
     once(0)
     return once
 
 
-def blackjax_nuts(posterior: JaxPosterior, length: Length) -> Callable[[int], Outcome]:
-    """Return what runs BlackJAX's NUTS after its window adaptation for a seed, compiled beforehand."""
-    log_prob = posterior.logit_log_prob
-    adaptation = blackjax.window_adaptation(blackjax.nuts, log_prob)
-    step = blackjax.nuts.build_kernel()
+def numpyro_full(
+    target: Target, posterior: JaxPosterior, run: Callable[[int], Outcome], points: int = 20
+) -> Callable[[int], Outcome]:
+    """Return NumPyro's NUTS on the full model.
 
-    def adapt(key: Any, start: Any) -> Any:
-        (state, parameters), info = adaptation.run(key, start, length.warmup)
-        return state, parameters, info.info.num_integration_steps.sum()
-
-    def draw(key: Any, state: Any, parameters: Any) -> Any:
-        def one(state: Any, key: Any) -> Any:
-            state, info = step(key, state, log_prob, **parameters)
-            return state, (state.position, info.num_integration_steps, info.is_divergent)
-
-        return jax.lax.scan(one, state, jax.random.split(key, length.draws))[1]
-
-    adapt_all, draw_all = jax.jit(jax.vmap(adapt)), jax.jit(jax.vmap(draw))
-
-    def once(seed: int) -> Outcome:
-        start = jnp.asarray(posterior.target.to_logit(posterior.target.starts(seed, CHAINS)))
-        keys = jax.random.split(jax.random.PRNGKey(seed), (2, CHAINS))
-        stopwatch = Stopwatch()
-        state, parameters, steps = adapt_all(keys[0], start)
-        warmed = stopwatch.read(int(steps.sum()))
-        z, steps, divergent = draw_all(keys[1], state, parameters)
-        u = np.asarray(jax.nn.sigmoid(z))
-        drawn = stopwatch.read(int(steps.sum()))
-        return Outcome(posterior.theta(u), warmed, drawn, divergences=int(divergent.sum()))
-
-    once(0)
-    return once
+    Its steps are those on the reduced model, the same posterior, and their time is that of the full model's
+    gradient by itself, timed at draws from the prior: what the sampler takes besides is left out.
+    """
+    gradient = jax.value_and_grad(posterior.log_prob)
+    at_all = jax.jit(lambda u: jax.lax.map(gradient, u))
+    u = jnp.asarray(target.to_unit(target.starts(0, points)))
+    seconds = per_call(lambda: jax.block_until_ready(at_all(u))) / points
+    return lambda seed: run(seed).at(seconds)
 
 
 def nutpie_nuts(target: Target, length: Length) -> Callable[[int], Outcome]:
@@ -133,8 +112,8 @@ def nutpie_nuts(target: Target, length: Length) -> Callable[[int], Outcome]:
         share = kept / density.calls
         return Outcome(
             trace["posterior"]["theta"].to_numpy(),
-            warmup=Cost(total.cpu_s * (1 - share), total.wall_s * (1 - share), density.calls - kept),
-            draws=Cost(total.cpu_s * share, total.wall_s * share, kept),
+            warmup=total.share(1.0 - share),
+            draws=total.share(share),
             divergences=int(stats["diverging"].sum()),
         )
 

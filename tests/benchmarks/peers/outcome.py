@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,14 @@ class Outcome:
     draws: Cost
     walkers: int = 1
     divergences: int | None = None
+
+    def at(self, seconds: float) -> Outcome:
+        """Return the same draws had an evaluation taken so many seconds, and nothing else any time."""
+        warmup, draws = (
+            Cost(cost.evaluations * seconds, cost.evaluations * seconds, cost.evaluations)
+            for cost in (self.warmup, self.draws)
+        )
+        return replace(self, warmup=warmup, draws=draws)
 
     def figures(self) -> Figures:
         """Return the figures of this run."""
@@ -119,13 +128,24 @@ class Stopwatch:
 
 
 class Counted:
-    """A log-probability that counts its calls and, at a given one, reads a stopwatch."""
+    """A function that counts its calls."""
 
-    def __init__(self, log_prob: Callable[..., object]) -> None:
-        self.log_prob = log_prob
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
         self.calls = 0
 
-    def __call__(self, *arguments: object) -> object:
+    def __call__(self, *arguments: Any) -> Any:
         """Count, and pass on."""
         self.calls += 1
-        return self.log_prob(*arguments)
+        return self.function(*arguments)
+
+
+def per_call(run: Callable[[], object], repeats: int = 5) -> float:
+    """Return processor seconds a call of `run`, the median of a few."""
+    run()
+    times = []
+    for _ in range(repeats):
+        stopwatch = Stopwatch()
+        run()
+        times.append(stopwatch.read().cpu_s)
+    return float(np.median(times))

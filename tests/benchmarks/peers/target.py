@@ -66,6 +66,14 @@ class Target:
         problem = self.problem
         return np.clip(problem.lower + (problem.upper - problem.lower) * expit(z), problem.lower, problem.upper)
 
+    def to_unit(self, theta: FloatArray) -> FloatArray:
+        """Return u = (θ − lower)/(upper − lower)."""
+        return (theta - self.problem.lower) / (self.problem.upper - self.problem.lower)
+
+    def from_unit(self, u: FloatArray) -> FloatArray:
+        """Return θ."""
+        return self.problem.lower + (self.problem.upper - self.problem.lower) * u
+
     def logit_log_prob_and_grad(self, z: FloatArray) -> tuple[float, FloatArray]:
         """Return the log-density in logit coordinates and its gradient, at z (ndim,), by fmu's exact gradient."""
         u = expit(z)
@@ -157,7 +165,7 @@ def weak_block(target: Target) -> int:
 
 
 def disagreement(target: Target, log_prob: Any, theta: FloatArray) -> float:
-    """Return how much two log-probabilities differ at most at theta (n, ndim), a constant apart."""
+    """Return how much a log-probability differs from the target's at most at theta (n, ndim), a constant apart."""
     difference = np.array([float(log_prob(x)) for x in theta]) - target.problem.log_prob(theta)
     return float(np.ptp(difference))
 
