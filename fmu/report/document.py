@@ -116,6 +116,21 @@ class Section:
 
 
 @dataclass(frozen=True)
+class Omitted:
+    """A section that a run has nothing for.
+
+    Attributes
+    ----------
+    title : str
+    reason : str
+        Why not: half a sentence, without its full stop.
+    """
+
+    title: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Verdict:
     """An answer to one question about a run.
 
@@ -124,6 +139,8 @@ class Verdict:
     question, answer : str
     is_good : bool or None
         None where the question does not apply.
+    because : str
+        Heading of the reasons.
     reasons : tuple of str
         What the answer rests on.
     """
@@ -131,7 +148,8 @@ class Verdict:
     question: str
     answer: str
     is_good: bool | None
-    reasons: tuple[str, ...] = ()
+    because: str
+    reasons: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,9 @@ def percent(value: float, places: int = 1) -> str:
 
 
 def span(lower: float, upper: float, places: int) -> str:
-    """Format an interval: ``"170.1 to 177.3"``."""
-    return f"{fixed(lower, places)} to {fixed(upper, places)}"
+    """Format an interval: ``"170.1 to 177.3"``, ``"−∞ to 3.0"``."""
+    ends = (("−∞" if end < 0 else "∞") if math.isinf(end) else fixed(end, places) for end in (lower, upper))
+    return " to ".join(ends)
 
 
 def _signed(text: str) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
-from fmu.report.document import Link, Page, Section, Verdict
+from fmu.report.document import Items, Link, Omitted, Page, Section, Verdict
 from fmu.report.run import Run
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
 from fmu.report.sections.verdicts import verdicts
@@ -29,7 +30,7 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
 
 def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) -> Page:
     """Return the page of one run."""
-    sections: list[Section | None] = [
+    found: list[Section | Omitted] = [
         updating.parameters(run),
         updating.frequencies(run),
         updating.maxima(run),
@@ -52,13 +53,23 @@ def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) ->
     lead = f"{run.trace.attrs['problem']}: {run.chains_in_words}."
     if run.title != run.sampler:
         lead = f"{run.sampler}, {lead}"
-    shown = tuple(section for section in sections if section is not None)
-    return Page(run.title, lead, verdicts(run), shown, tuple(others), _footer(run))
+    return Page(run.title, lead, verdicts(run), _without_omissions(found), tuple(others), _footer(run))
+
+
+def _without_omissions(found: Iterable[Section | Omitted]) -> tuple[Section, ...]:
+    """Return the sections, and at the end one that says which are missing, and why."""
+    found = tuple(found)
+    sections = [part for part in found if isinstance(part, Section)]
+    omitted = [part for part in found if isinstance(part, Omitted)]
+    if omitted:
+        said = Items(tuple(f"{part.title}: {part.reason}." for part in omitted))
+        sections.append(Section("omitted", "Not on this page", (said,)))
+    return tuple(sections)
 
 
 def index_page(runs: Mapping[str, Run], files: Mapping[str, str]) -> Page:
     """Return the page that compares the runs."""
-    sections = (
+    found = (
         comparison.overview(runs, files),
         comparison.efficiency(runs),
         comparison.agreement(runs),
@@ -67,7 +78,14 @@ def index_page(runs: Mapping[str, Run], files: Mapping[str, str]) -> Page:
     first = next(iter(runs.values()))
     links = tuple(Link(run.title, files[name]) for name, run in runs.items())
     lead = f"Bayesian model updating by {len(runs)} sampler{'s' if len(runs) > 1 else ''}."
-    return Page(str(first.trace.attrs["problem"]), lead, _common_verdicts(runs), sections, links, _footer(first))
+    return Page(
+        str(first.trace.attrs["problem"]),
+        lead,
+        _common_verdicts(runs),
+        _without_omissions(found),
+        links,
+        _footer(first),
+    )
 
 
 def _told(runs: Mapping[str, Run]) -> Run:
@@ -85,8 +103,8 @@ def _common_verdicts(runs: Mapping[str, Run]) -> tuple[Verdict, Verdict]:
     fit = verdicts(told)[1]
     by = f"By the draws of: {told.title}."
     return (
-        Verdict("Have the samplers converged?", answer, not failed, reasons),
-        Verdict(fit.question, fit.answer, fit.is_good, (by, *fit.reasons)),
+        Verdict("Have the samplers converged?", answer, not failed, "Verdict on each sampler", reasons),
+        replace(fit, reasons=(by, *fit.reasons)),
     )
 
 

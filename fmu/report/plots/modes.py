@@ -47,7 +47,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
         raise ValueError(f"state: must be one of {', '.join(map(str, modes['state'].to_numpy()))} (got {state!r})")
     values = modes["mac"].sel(state=state).transpose("reference_mode", "mode").to_numpy()
     n, m = values.shape
-    figure = figure or new_figure(NARROW, 1.4 + 0.72 * NARROW * n / m)
+    figure = figure or new_figure(NARROW, 0.6 + 0.75 * NARROW * n / m)
     axes = figure.subplots()
     # Drawn cell by cell, so that an SVG stays sharp.
     mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0)

@@ -98,8 +98,8 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
         above = np.maximum(rhat[:, i] - 1.0, _FLOOR)
         axes.plot(at, above, label=literal(name), color=shade, linestyle=dashes, linewidth=1.6)
     axes.axhline(RHAT_LIMIT - 1.0, color=BLACK, linewidth=1.0)
-    axes.annotate(f"limit {RHAT_LIMIT:g}", (at[0], RHAT_LIMIT - 1.0), (2, 3), textcoords="offset points",
-                  fontsize=FONT - 2)  # fmt: skip
+    axes.annotate(f"limit {RHAT_LIMIT:g}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
+                  ha="right", fontsize=FONT - 2)  # fmt: skip
     axes.set(xscale="log", yscale="log")
     axes.minorticks_off()
     axes.set_xlabel("steps kept", fontsize=FONT)

@@ -9,7 +9,7 @@ import numpy as np
 from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_draws
 from fmu.analysis.movement import energy_fraction
 from fmu.report.corner_plot import plot_corner
-from fmu.report.document import Part, Picture, Pictures, Section, Table, Text
+from fmu.report.document import Omitted, Part, Picture, Pictures, Section, Table, Text
 from fmu.report.numbers import decimals, fixed, significant, span
 from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
 from fmu.report.plots.paths import plot_traces
@@ -49,7 +49,7 @@ def paths(run: Run) -> Section:
     worst = run.summary["rhat"].max()
     alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {worst:.4f}."
     caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."
-    drawings = [picture(plot_traces({run.title: run.trace}), "paths", alt, caption)]
+    drawings = [picture(plot_traces({"": run.trace}), "paths", alt, caption)]
     if _has_several_chains(run):
         axes = plot_ranks(run.trace)
         far = [f"{name} {_furthest(axis):.2f}" for name, axis in zip(run.names, axes, strict=True)]
@@ -138,11 +138,11 @@ def _strongest_correlation(run: Run) -> str:
     return f"Strongest correlation: {fixed(float(correlation[i, j]), 2)}, of {one} and {other}."
 
 
-def energies(run: Run) -> Section | None:
-    """Return the energies of Hamiltonian trajectories; None for a sampler without them."""
-    stats = run.trace["sample_stats"]
+def energies(run: Run) -> Section | Omitted:
+    """Return the energies of Hamiltonian trajectories."""
+    title, stats = "Energies of the trajectories", run.trace["sample_stats"]
     if "energy" not in stats:
-        return None
+        return Omitted(title, "this sampler has none")
     fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
     values = ", ".join(f"{x:.2f}" for x in fraction)
     diverged = int(stats["diverging"].sum()) if "diverging" in stats else 0
@@ -152,4 +152,4 @@ def energies(run: Run) -> Section | None:
     )
     drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",
                       "Energies of the trajectories, and their change from draw to draw.")  # fmt: skip
-    return Section("energies", "Energies of the trajectories", (Text(said), Pictures((drawing,))))
+    return Section("energies", title, (Text(said), Pictures((drawing,))))

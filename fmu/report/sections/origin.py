@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from fmu.analysis.certificate import FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE
-from fmu.report.document import Code, Details, Part, Section, Table, Text
+from fmu.posterior.focus import FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE
+from fmu.report.document import Code, Details, Omitted, Part, Section, Table, Text
 from fmu.report.markdown import MISSING, whole
 from fmu.report.numbers import fixed, significant
 from fmu.report.run import Run
@@ -23,7 +23,7 @@ def cost(run: Run) -> Section:
         counts.append((words, whole(before), whole(kept), whole(before + kept)))
     warmup_s, wall_s = float(attrs["warmup_wall_s"]), float(attrs["wall_s"])
     counts.append(("time, s", fixed(warmup_s, 1), fixed(wall_s - warmup_s, 1), fixed(wall_s, 1)))
-    spent = Table("What was spent", ("", "warm-up", "draws kept", "both"), tuple(counts))
+    spent = Table("What was spent", ("quantity", "warm-up", "draws kept", "both"), tuple(counts))
     rows = (
         ("smallest bulk ESS", fixed(float(costs["ess_bulk_min"]), 0)),
         ("effective draws per 1000 solves", significant(1000 * float(costs["ess_per_solve"]))),
@@ -31,15 +31,15 @@ def cost(run: Run) -> Section:
         ("share of draws that moved", significant(float(costs["accept_rate"]))),
         ("divergences", whole(costs["divergences"])),
     )
-    gained = Table("What it gave: ESS of the worst parameter, warm-up counted", ("", "value"), rows)
+    gained = Table("What it gave: ESS of the worst parameter, warm-up counted", ("quantity", "value"), rows)
     return Section("cost", "Cost", (spent, gained))
 
 
-def certificate(run: Run) -> Section:
+def certificate(run: Run) -> Section | Omitted:
     """Return how far the reduced model is from the full one at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     if "certificate_draws" not in attrs:
-        return Section("certificate", title, (Text("No reduced model took part: nothing to certify."),))
+        return Omitted(title, "no reduced model took part that could be certified")
     frequency, log_prob = (float(attrs[f"certificate_{name}_error"]) for name in ("frequency", "log_prob"))
     changes = int(attrs["certificate_pairing_changes"])
     is_kept = frequency <= FREQUENCY_TOLERANCE and log_prob <= LOG_PROB_TOLERANCE and not changes
@@ -57,9 +57,8 @@ def certificate(run: Run) -> Section:
             MISSING,
         ),
     )
-    return Section(
-        "certificate", title, (Text(said), Table("Reduced against full model", ("", "found", "allowed"), rows))
-    )
+    table = Table("Reduced against full model", ("quantity", "found", "allowed"), rows)
+    return Section("certificate", title, (Text(said), table))
 
 
 def settings(run: Run) -> Section:
@@ -78,7 +77,7 @@ def settings(run: Run) -> Section:
     about = [(name, str(attrs[name])) for name in ("seed", "chains", "walkers", "draws", "warmup", "init")]
     about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
     about.append(("configuration hash (SHA-256)", str(attrs["configuration_hash"])))
-    parts.append(Table("The run", ("", "value"), tuple(about), (1,)))
+    parts.append(Table("The run", ("quantity", "value"), tuple(about), (1,)))
     configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
     parts.append(Details("Everything that determines the draws, as JSON", (configuration,)))
     return Section("settings", "Settings, seed and versions", tuple(parts))

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from fmu.analysis.prediction import leave_one_out
-from fmu.report.document import Items, Part, Pictures, Section, Table, Text
+from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.numbers import fixed
 from fmu.report.plots.frequencies import plot_predictive_check
 from fmu.report.run import Run
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.report.svg import picture
 
-NO_NOISE = "The modal residual is a pseudo-likelihood: it has no measurement noise to predict with."
+NO_NOISE = "the modal residual is a pseudo-likelihood, without measurement noise to predict with"
 
 
-def predictive(run: Run) -> Section:
+def predictive(run: Run) -> Section | Omitted:
     """Return how the measured frequencies lie in their predictive distributions."""
     title, table = "Posterior predictive check", run.prediction
     if table is None:
-        return Section("predictive", title, (Text(NO_FREQUENCIES),))
+        return Omitted(title, NO_FREQUENCIES)
     if "noisy_sd" not in table:
-        return Section("predictive", title, (Text(NO_NOISE),))
+        return Omitted(title, NO_NOISE)
     replicate = run.trace["posterior_predictive"]["frequency"].transpose("chain", "draw", "mode").to_numpy()
     below = (replicate < table["measured"].to_numpy()).mean(axis=(0, 1))
     distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
@@ -45,11 +45,11 @@ def predictive(run: Run) -> Section:
     return Section("predictive", title, parts)
 
 
-def left_out(run: Run) -> Section:
+def left_out(run: Run) -> Section | Omitted:
     """Return how each mode is predicted by the others."""
     title = "Leaving one mode out"
     if "log_likelihood" not in run.trace.children:
-        return Section("loo", title, (Text("The run has no likelihood of single modes."),))
+        return Omitted(title, "the trace has no likelihood of single modes")
     table = leave_one_out(run.trace)
     rows = tuple(
         (str(mode), fixed(float(row["elpd"]), 2), fixed(float(row["pareto_k"]), 2),

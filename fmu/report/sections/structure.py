@@ -6,18 +6,19 @@ import numpy as np
 
 from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
 from fmu.analysis.modal_states import GROUP, MEAN, START
-from fmu.report.document import Details, Items, Part, Pictures, Section, Table, Text
-from fmu.report.numbers import decimals, fixed, significant
+from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
+from fmu.report.numbers import decimals, fixed, percent, significant
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import Run
 from fmu.report.svg import picture
 
-NO_SHAPES = "The trace keeps no mode shapes to compare: the model gives none, or the trace is older than that."
+NO_SHAPES = "the trace keeps no mode shapes: the model gives none, or an older version sampled it"
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
 
 
-def identifiability(run: Run) -> Section:
+def identifiability(run: Run) -> Section | Omitted:
     """Return which directions of the parameter space the data constrain."""
+    title = "What the data can tell"
     parts: list[Part] = []
     kept = kept_identifiability(run.trace)
     for state, found in kept.items():
@@ -26,12 +27,11 @@ def identifiability(run: Run) -> Section:
     if kept:
         tables = tuple(_directions(state, found) for state, found in kept.items())
         parts.append(Details("The directions and their singular values", tables))
-    else:
-        parts.append(Text("The trace keeps no linearised identifiability: it is that of no updating problem with "
-                          "errors in frequencies, or older than that analysis."))  # fmt: skip
     if "prior" in run.trace.children:
         parts.append(_contraction(run))
-    return Section("identifiability", "What the data can tell", tuple(parts))
+    if not parts:
+        return Omitted(title, "the trace keeps neither a linearised model nor draws from the prior")
+    return Section("identifiability", title, tuple(parts))
 
 
 def _directions(state: str, found: Identifiability) -> Table:
@@ -68,11 +68,11 @@ def _contraction(run: Run) -> Table:
     return Table(caption, header, tuple(rows), words=(1,))
 
 
-def mac(run: Run) -> Section:
+def mac(run: Run) -> Section | Omitted:
     """Return how alike the shapes are to those of the reference."""
     title = "Modal assurance criterion"
     if GROUP not in run.trace.children or "mac" not in run.trace[GROUP]:
-        return Section("mac", title, (Text(NO_SHAPES),))
+        return Omitted(title, NO_SHAPES)
     criterion = run.trace[GROUP]["mac"]
     values = criterion.sel(state=MEAN).transpose("reference_mode", "mode").to_numpy()
     diagonal = ", ".join(f"{x:.2f}" for x in np.diag(values))
@@ -84,23 +84,24 @@ def mac(run: Run) -> Section:
     return Section("mac", title, (said, Pictures((drawing,))))
 
 
-def shapes(run: Run) -> Section:
+def shapes(run: Run) -> Section | Omitted:
     """Return the structure deformed in its modes."""
     title = "Mode shapes before and after"
     if GROUP not in run.trace.children or "displacement" not in run.trace[GROUP]:
-        return Section("shapes", title, (Text("The trace keeps no geometry to draw mode shapes on."),))
+        return Omitted(title, "the trace keeps no geometry to draw them on")
     modes = run.trace[GROUP].to_dataset()
     moved = modes["displacement"]
     change = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).max(axis=(1, 2))
-    before, after = (modes["frequency"].sel(state=state).to_numpy() for state in (START, MEAN))
-    seen = [
-        f"mode {label} from {f:.1f} to {g:.1f} Hz, its shape changed by at most {100 * float(d):.2g} % of its "
-        "largest displacement"
-        for label, f, g, d in zip(modes["mode"].to_numpy(), before, after, change, strict=True)
-    ]
-    alt = f"Deformed structure in each mode: {'; '.join(seen)}."
+    rows, seen = [], []
+    for k, label in enumerate(map(str, modes["mode"].to_numpy())):
+        before, after = (float(modes["frequency"].sel(state=state)[k]) for state in (START, MEAN))
+        rows.append((label, fixed(before, 1), fixed(after, 1), percent(100 * (after / before - 1)),
+                     f"{100 * change[k]:.2g} %"))  # fmt: skip
+        seen.append(f"mode {label} from {before:.1f} to {after:.1f} Hz, its shape by up to {rows[-1][-1]}")
+    caption = "At the start and at the posterior mean. Change of shape: the largest, of the largest displacement."
+    header = ("mode", "before, Hz", "after, Hz", "change", "change of shape")
+    alt = f"Deformed structure in each mode, before and after: {'; '.join(seen)} of the largest displacement."
     drawing = picture(
         plot_mode_shapes(run.trace), "shapes", alt, "Dashed grey: before updating. Solid: at the posterior mean."
     )
-    said = Items(tuple(f"{sentence[0].upper()}{sentence[1:]}." for sentence in seen))
-    return Section("shapes", title, (said, Pictures((drawing,))))
+    return Section("shapes", title, (Table(caption, header, tuple(rows)), Pictures((drawing,))))

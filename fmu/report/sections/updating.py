@@ -6,7 +6,7 @@ import numpy as np
 
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima import percent as share_of
-from fmu.report.document import Items, Part, Pictures, Section, Table, Text
+from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.markdown import MISSING
 from fmu.report.numbers import decimals, fixed, percent, significant, span
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
@@ -17,7 +17,7 @@ from fmu.report.svg import picture
 from fmu.report.units import shown
 
 _MOST_MAXIMA = 6
-NO_FREQUENCIES = "The run holds no frequencies to compare with measured ones."
+NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
 def parameters(run: Run) -> Section:
@@ -28,7 +28,7 @@ def parameters(run: Run) -> Section:
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
         mean, sd, low, high = (run.value(name, c) for c in ("mean", "sd", "eti90_lb", "eti90_ub"))
         n = decimals(sd)
-        bounds = span(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).all() else "none"
+        bounds = span(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).any() else "none"
         rows.append(
             (
                 name, unit.name or MISSING, fixed(start, n), fixed(mean, n), span(low, high, n), fixed(sd, n),
@@ -46,11 +46,11 @@ def parameters(run: Run) -> Section:
     return Section("parameters", "Updated parameters", (table, Pictures((drawing,))))
 
 
-def frequencies(run: Run) -> Section:
+def frequencies(run: Run) -> Section | Omitted:
     """Return the frequencies measured, before updating and after it."""
     title, table = "Frequencies", run.prediction
     if table is None:
-        return Section("frequencies", title, (Text(NO_FREQUENCIES),))
+        return Omitted(title, NO_FREQUENCIES)
     before = frequencies_before(run.trace)
     before = np.full(len(table), np.nan) if before is None else before
     is_noisy = "noisy_sd" in table
@@ -80,16 +80,14 @@ def frequencies(run: Run) -> Section:
     return Section("frequencies", title, (Table(caption, header, tuple(rows)), Pictures((drawing,))))
 
 
-def maxima(run: Run) -> Section:
+def maxima(run: Run) -> Section | Omitted:
     """Return the maxima of the posterior: deterministic updating."""
     title = "Maxima of the posterior: deterministic updating"
     if run.maxima is None:
-        said = Text("The trace keeps no maxima: it was drawn without searching for them (fmu run does, first).")
-        return Section("maxima", title, (said,))
+        return Omitted(title, "the trace keeps none; fmu run searches for them first")
     found = run.maxima
-    lead = (
-        "One maximum was found" if len(found) == 1 else f"{len(found)} maxima were found"
-    ) + ", each from the number of starts given. Shares are of the posterior's probability around each of them."
+    count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
+    lead = f"{count} Share: of the posterior's probability. Starts: how many climbs ended there."
     parts: list[Part] = [Text(lead), _maxima_table(run, found)]
     if len(found) > _MOST_MAXIMA:
         parts.append(Items((f"The other {len(found) - _MOST_MAXIMA} are lower, and in map.csv.",)))
@@ -118,5 +116,5 @@ def _maxima_table(run: Run, found: Maxima) -> Table:
         rows.append(
             (f"mode {label}", "Hz", *(fixed(value, 2) for value in values), significant(found.measured[k], 6))
         )
-    header = ("", "unit", "start", *names, "posterior mean", "measured")
+    header = ("quantity", "unit", "start", *names, "posterior mean", "measured")
     return Table("The model at the start, at the maxima and on average", header, tuple(rows), words=(1,))

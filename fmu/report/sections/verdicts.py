@@ -21,22 +21,26 @@ def convergence(run: Run) -> Verdict:
     """Return the verdict on the sampler."""
     question = "Has the sampler converged?"
     if run.diagnosis.converged:
-        return Verdict(question, "Converged", True, (SOUND,))
-    return Verdict(question, "Not converged", False, run.diagnosis.reasons)
+        return Verdict(question, "Converged", True, "Why the run counts as converged", (SOUND,))
+    return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.reasons)
 
 
 def model_fit(run: Run) -> Verdict:
     """Return the verdict on the model, which no convergence of a sampler tells."""
-    question, per_cent = "Does the model fit the data?", f"{100 * INTERVAL:g} %"
-    others = run.diagnosis.warnings
-    provisional = () if run.diagnosis.converged else ("By draws that have not converged, and so provisional.",)
+    question = "Does the model fit the data?"
+    found = run.diagnosis.warnings
+    if not run.diagnosis.converged:
+        found = (*found, "All of this is by draws that have not converged, and so provisional.")
     if run.prediction is None or "noisy_sd" not in run.prediction:
-        said = ("The run has no predictive distribution of measurements to hold against the data.", *others)
-        return Verdict(question, "Cannot be said", None, said)
+        nothing = "The run has no predictive distribution of measurements to hold against the data."
+        return Verdict(question, "Cannot be said", None, "Why that cannot be said", (nothing, *found))
     missed, n = len(fit_warnings(run.trace)), len(run.prediction)
     if missed:
-        answer = f"No: {missed} of {n} modes are not fitted" if missed > 1 else f"No: 1 of {n} modes is not fitted"
-        return Verdict(question, answer, False, (*others, *provisional))
-    within = f"Every measured frequency lies in the {per_cent} interval of its prediction, noise included."
-    answer = "Yes, but see below" if others else "Yes"
-    return Verdict(question, answer, True, (within, *others, *provisional))
+        answer = f"No: {missed} of {n} measured modes {'is' if missed == 1 else 'are'} not fitted"
+        return Verdict(question, answer, False, "What speaks against the model", found)
+    within = (
+        f"Every measured frequency lies in the {100 * INTERVAL:g} % interval of its prediction, measurement noise "
+        "included."
+    )
+    answer = "Yes, with reservations" if run.diagnosis.warnings else "Yes"
+    return Verdict(question, answer, True, "What speaks for the model, and against it", (within, *found))
