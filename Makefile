@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test lint bench validate mutants clean-environment
+.PHONY: help paper test lint notebooks notebooks-save bench validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -33,6 +33,12 @@ $(READY_BENCH): $(READY)
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,bench]'
 	touch $(READY_BENCH)
 
+notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they are
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+
+notebooks-save: $(READY)  ## Run the notebooks and keep what they show
+	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter execute --inplace --NotebookClient.record_timing=False notebooks/*.ipynb
+
 bench: export OPENBLAS_NUM_THREADS = 1
 bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into results/benchmarks.md
 	mkdir -p .benchmarks
@@ -44,6 +50,9 @@ bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into
 
 validate: $(READY)  ## Calibrate every sampler by simulation, into results/validation.md
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.validation results
+
+mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
+	.venv/bin/python -m tests.validation.mutants results/mutants.md
 
 clean-environment:  ## Remove .venv, to be made anew by the next command
 	rm -rf .venv

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fmu.analysis.prediction import expectation as expectation
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
+    from fmu.config import load as load
     from fmu.fem.frame import Frame as Frame
     from fmu.fem.separable import SeparableModel as SeparableModel
     from fmu.posterior.measurement import ModalData as ModalData
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from fmu.samplers.ensemble import Ensemble as Ensemble
     from fmu.samplers.hamiltonian import HamiltonianMonteCarlo as HamiltonianMonteCarlo
     from fmu.samplers.metropolis import MetropolisHastings as MetropolisHastings
+    from fmu.samplers.proposals import RandomWalk as RandomWalk
     from fmu.samplers.slice import Slice as Slice
     from fmu.sampling import sample as sample
 
@@ -45,6 +47,7 @@ _HOME = {
     "MetropolisHastings": "fmu.samplers.metropolis",
     "ModalData": "fmu.posterior.measurement",
     "Parameter": "fmu.posterior.parameters",
+    "RandomWalk": "fmu.samplers.proposals",
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
     "UpdatingProblem": "fmu.posterior.problem",
@@ -53,6 +56,7 @@ _HOME = {
     "expectation": "fmu.analysis.prediction",
     "find_map": "fmu.analysis.search",
     "identifiability": "fmu.analysis.identifiability",
+    "load": "fmu.config",
     "load_trace": "fmu.analysis.trace",
     "sample": "fmu.sampling",
     "summary": "fmu.analysis.diagnostics",
@@ -66,6 +70,7 @@ __all__ = [
     "MetropolisHastings",
     "ModalData",
     "Parameter",
+    "RandomWalk",
     "SeparableModel",
     "Slice",
     "UpdatingProblem",
@@ -76,6 +81,7 @@ __all__ = [
     "expectation",
     "find_map",
     "identifiability",
+    "load",
     "load_trace",
     "sample",
     "summary",

@@ -25,6 +25,17 @@ def test_certificate_is_within_its_tolerances(trace, problem):
     assert certify(trace, problem).items() <= attrs.items()
 
 
+def test_nothing_is_promised_where_a_chain_far_off_began(monkeypatch):
+    problem = fmu.cases.load("cantilever-young", pairing="index")
+    walk = fmu.MetropolisHastings(fmu.RandomWalk(0.01))
+    trace = fmu.sample(problem, walk, draws=1000, warmup=0, chains=1, init="start", seed=1)
+    assert np.ptp(trace["sample_stats"]["lp"].to_numpy()) > 1000
+    assert 0 < trace.attrs["certificate_log_prob_error"] <= 1e-3
+    monkeypatch.setattr("fmu.analysis.certificate.PLAUSIBLE", np.inf)
+    with pytest.warns(CertificateWarning):
+        certify(trace, problem)
+
+
 def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
     blocks = list(problem.model.reduced.blocks)
     b = next(i for i, block in enumerate(blocks) if isinstance(block, ReducedBlock))
