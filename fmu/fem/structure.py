@@ -75,6 +75,8 @@ class PairedStructure:
         self.rule: IndexPairing | ShapePairing
         if pairing == "index":
             self.rule = IndexPairing(numbers)
+            if max(numbers) > model.n_dof:
+                raise ValueError(f"numbers: must lie in 1..{model.n_dof}, the modes of the model (got {numbers})")
         elif shapes is not None:
             self.rule = ShapePairing(np.array([model.dof(*sensor) for sensor in sensors]), shapes)
         else:

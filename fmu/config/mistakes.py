@@ -1,0 +1,69 @@
+"""Mistakes in a configuration: all of them at once, each with its place in the file, the rule and the value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+_SHOWN = 60
+
+
+class Mistake(NamedTuple):
+    """One mistake: where it is (``parameters.1.upper``), what is the rule, and what was received."""
+
+    where: str
+    rule: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.rule}" if self.where else self.rule
+
+
+class ConfigurationError(ValueError):
+    """A configuration that cannot be used.
+
+    Attributes
+    ----------
+    source : str
+        The file.
+    mistakes : tuple of Mistake
+        All that were found.
+    """
+
+    def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
+        self.source, self.mistakes = source, tuple(mistakes)
+        super().__init__("\n".join([f"{source}:", *(f"  {mistake}" for mistake in self.mistakes)]))
+
+
+def got(rule: str, value: Any) -> str:
+    """Return a rule with the value received, cut short if it is long."""
+    text = repr(value)
+    return f"{rule} (got {text if len(text) <= _SHOWN else text[:_SHOWN] + ' …'})"
+
+
+def of_validation(error: ValidationError) -> list[Mistake]:
+    """Return what pydantic found, in the words of this package."""
+    return [_of_one(dict(one)) for one in error.errors(include_url=False)]
+
+
+def _of_one(error: dict[str, Any]) -> Mistake:
+    # pydantic puts the tag of a union into the place; the file has none there
+    where = ".".join(str(part) for part in error["loc"] if str(part) not in _TAGS)
+    kind, value = error["type"], error["input"]
+    if kind == "extra_forbidden":
+        return Mistake(where, "is no known key")
+    if kind == "missing":
+        return Mistake(where, "is missing")
+    if kind == "value_error":
+        return Mistake(where, str(error["ctx"]["error"]))
+    return Mistake(where, got(_as_rule(error["msg"]), value))
+
+
+def _as_rule(message: str) -> str:
+    """Return pydantic's ``Input should be …`` as ``must be …``."""
+    subject, should, rest = message.partition(" should ")
+    return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
+
+
+_TAGS = frozenset({"frame", "matrices"})

@@ -1,0 +1,221 @@
+"""Broken files: every mistake at once, each with its place, the rule and the value received."""
+
+import re
+from contextlib import suppress
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.io import mmwrite
+
+from fmu.config import ConfigurationError, load
+
+FRAME = [
+    ("E = 2.1e11", 'E = "soft"', "model.materials.steel.E: must be a valid number (got 'soft')"),
+    ("E = 2.1e11", "E = -1.0", "model.materials.steel.E: must be greater than 0 (got -1.0)"),
+    ("E = 2.1e11", "E = nan", "model.materials.steel.E: must be a finite number (got nan)"),
+    ("nu = 0.3", "nu = 0.7", "model.materials.steel.nu: must be less than or equal to 0.5 (got 0.7)"),
+    ("rho = 7850.0\n", "", "model.materials.steel.rho: is missing"),
+    ("nu = 0.3", "nu = 0.3\ncolour = 1", "model.materials.steel.colour: is no known key"),
+    (
+        "thickness = 0.005",
+        "thickness = 0.06",
+        "model.sections.leg.tube: thickness must not exceed half the diameter 0.1",
+    ),
+    ("J = 7e-6\n", "", "model.sections.beam: must have all of A, Iy, Iz and J"),
+    (
+        "J = 7e-6",
+        "J = 7e-6\ntube = { diameter = 1.0, thickness = 0.1 }",
+        "model.sections.beam: must be either rectangle",
+    ),
+    ("corner = [0.0, 0.0, 2.0]", "corner = [0.0, 2.0]", "model.points.corner: must have at least 3 items"),
+    ("[model.points]", "[model.points]\nidle = [1.0, 1.0, 1.0]", "model.points.idle: is the end of no member"),
+    (
+        'left = "clamped"',
+        'nowhere = "clamped"',
+        "model.supports: must be one of left, corner, other, right (got 'nowhere')",
+    ),
+    ('right = ["x", "y", "z"]', 'right = ["up"]', "model.supports.right"),
+    ('point = "corner"', 'point = "roof"', "model.masses: must be one of left, corner, other, right (got 'roof')"),
+    ("mass = 20.0", "mass = -20.0", "model.masses.0.mass: must be greater than or equal to 0 (got -20.0)"),
+    (
+        'to = "right"',
+        'to = "wrong"',
+        "model.members.1.to: must be one of left, corner, other, right (got 'wrong')",
+    ),
+    ('to = "right"', 'to = "other"', "model.members.1.to: must differ from from (got 'other')"),
+    ('section = "beam"', 'section = "I"', "model.members.2.section: must be one of leg, beam (got 'I')"),
+    ("elements = 4", "elements = 0", "model.members.2.elements: must be greater than or equal to 1 (got 0)"),
+    ("elements = 4", "elements = 4.5", "model.members.2.elements: must be a valid integer"),
+    ("y_direction = [0.0, 1.0, 0.0]", "y_direction = [1.0, 0.0, 0.0]", "model: y_direction"),
+    (
+        "frequencies = [9.5, 12.1]",
+        "frequencies = [9.5, 0.0]",
+        "measurement.frequencies.1: must be greater than 0 (got 0.0)",
+    ),
+    ("frequencies = [9.5, 12.1]", "frequencies = [9.5]", "measurement: sd must be 1, one a mode (got 2)"),
+    ("sd = [0.1, 0.2]", "", "measurement: must have either sd or beta"),
+    ("sd = [0.1, 0.2]", "sd = 0.1\nbeta = 1.0", "measurement: must have either sd or beta"),
+    (
+        '["other", "y"]]',
+        '["roof", "y"]]',
+        "measurement.sensors.1: must be a point and a direction that are free to move",
+    ),
+    (
+        '["other", "y"]]',
+        '["left", "y"]]',
+        "measurement.sensors.1: must be a point and a direction that are free to move",
+    ),
+    (
+        "sd = [0.1, 0.2]",
+        "sd = 0.1\nnumbers = [1, 99]",
+        "numbers: must lie in 1..57, the modes of the model (got (1, 99))",
+    ),
+    (
+        'name = "rho beam"',
+        'name = "E legs"',
+        "parameters.1.name: must not be that of another parameter (got 'E legs')",
+    ),
+    ('name = "rho beam"', 'name = "rho/beam"', "parameters.1.name: must match pattern"),
+    ("upper = 2.5e11", "upper = 1.4e11", "parameters.0: upper: must exceed lower 1.5e+11 (got 1.4e+11)"),
+    ("start = 7850.0", "start = 9850.0", "parameters.1: start: must be finite and within [5000, 9000] (got 9850)"),
+    ("lower = 5000.0", "lower = 0.0", "parameters.1.lower: must be positive, as the property is (got 0.0)"),
+    ("lower = 5000.0\n", "", "parameters.1.lower: must be positive, as the property is (got None)"),
+    ("upper = 2.5e11\n", "", "parameters.0: prior: a uniform prior needs finite bounds"),
+    ("sd = 500.0", "sd = 0.0", "parameters.1.prior.normal.sd: must be greater than 0 (got 0.0)"),
+    ('distribution = "normal", mean', 'distribution = "beta", mean', "parameters.1.prior"),
+    ('groups = ["beam"]', 'groups = ["roof"]', "parameters.1.groups: must be among beam, legs (got 'roof')"),
+    ('groups = ["beam"]\n', "", "parameters.1.groups: must name a group"),
+    ('property = "rho"\n', "", "parameters.1.property: is missing: one of E, rho, A, Iy, Iz, J"),
+    (
+        'property = "rho"\ngroups = ["beam"]',
+        'property = "E"\ngroups = ["legs"]',
+        "parameters.1.groups: E of legs is updated by E legs already",
+    ),
+    ('pairing = "index"', 'pairing = "ear"', "pairing: must be 'shape' or 'index' (got 'ear')"),
+    ('type = "frame"', 'type = "shell"', "model: "),
+    ('name = "portal"\n', "", "name: is missing"),
+    ("[measurement]", "[measurement", "is no TOML"),
+]
+
+MATRICES = [
+    ('file = "k1.mtx"', 'file = "k9.mtx"', "model.stiffness.0.file: must be a file"),
+    ('file = "k1.mtx"', 'file = "k1.xlsx"', "model.stiffness.0.file: must end in .mtx or .npz (got 'k1.xlsx')"),
+    ('file = "k1.mtx"', 'file = "garbage.mtx"', "model.stiffness.0.file: must hold a matrix (garbage.mtx: "),
+    ('file = "k2.npz"', 'file = "garbage.npz"', "model.stiffness.1.file: must hold a matrix (garbage.npz: "),
+    (
+        'file = "m.mtx"',
+        'file = "wide.mtx"',
+        "model.mass.0.file: must hold a real square matrix (got float64 of shape (2, 3))",
+    ),
+    ('file = "m.mtx"', 'file = "complex.mtx"', "model.mass.0.file: must hold a real square matrix"),
+    ('file = "k1.mtx"', 'file = "skew.mtx"', "model: stiffness.0: must be symmetric and finite"),
+    ('file = "m.mtx"', 'file = "large.mtx"', "model: mass.0: must have shape (2, 2) (got (3, 3))"),
+    ("powers = { k2 = 1 }", "powers = { k3 = 1 }", "model.stiffness.1.powers: must name one of k1, k2 (got 'k3')"),
+    ("powers = { k2 = 1 }", "", "parameters.1.name: must be in the powers of a term (got 'k2')"),
+    (
+        '["first", "x"], ["second", "x"]]\n\n[[model',
+        '["first", "x"]]\n\n[[model',
+        "model: dofs: must name 2 degrees of freedom (got 1)",
+    ),
+    (
+        'sensors = [["first", "x"], ["second", "x"]]',
+        'sensors = [["third", "x"], ["second", "x"]]',
+        "measurement.sensors.0",
+    ),
+    ("shapes = [[0.6, 1.0], [1.0, -0.6]]", "shapes = [[0.6], [1.0]]", "shapes: must have shape (2, 2)"),
+    ("shapes = [[0.6, 1.0], [1.0, -0.6]]", "shapes = [[0.0, 0.0], [1.0, -0.6]]", "no mode zero at every sensor"),
+    (
+        "frequencies = [3.1, 9.8]",
+        "frequencies = [3.1, 9.8, 20.0]",
+        "measurement: shapes must be 3, one a mode (got 2)",
+    ),
+]
+
+
+def broken(text, old, new):
+    assert text.count(old) >= 1, old
+    return text.replace(old, new, 1)
+
+
+def complaint(folder, text, name="portal.toml"):
+    (folder / name).write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        load(folder / name)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("old", "new", "expected"), FRAME)
+def test_a_broken_frame(frame_text, tmp_path, old, new, expected):
+    found = complaint(tmp_path, broken(frame_text, old, new))
+    assert expected in found
+    assert found.startswith("portal.toml:\n  ")
+
+
+@pytest.mark.parametrize(("old", "new", "expected"), MATRICES)
+def test_broken_matrices(matrices_text, folder, old, new, expected):
+    for suffix in ("mtx", "npz"):
+        (folder / f"garbage.{suffix}").write_text("this is no matrix")
+    mmwrite(folder / "wide.mtx", sp.coo_array(np.ones((2, 3))))
+    mmwrite(folder / "complex.mtx", sp.coo_array(np.array([[1j, 0.0], [0.0, 1.0]])))
+    mmwrite(folder / "skew.mtx", sp.coo_array(np.array([[1.0, 2.0], [0.0, 1.0]])))
+    mmwrite(folder / "large.mtx", sp.coo_array(np.eye(3)))
+    assert expected in complaint(folder, broken(matrices_text, old, new))
+
+
+def test_every_mistake_at_once(frame_text, tmp_path):
+    text = (
+        frame_text.replace("nu = 0.3", "nu = 3.0")
+        .replace("mass = 20.0", "mass = true")
+        .replace("sd = 500.0", "sd = -1")
+    )
+    lines = complaint(tmp_path, text).splitlines()
+    assert lines[0] == "portal.toml:"
+    assert [line.split(":")[0].strip() for line in lines[1:]] == [
+        "model.materials.steel.nu",
+        "model.masses.0.mass",
+        "parameters.1.prior.normal.sd",
+    ]
+
+
+def test_mistakes_between_tables_come_together_too(frame_text, tmp_path):
+    text = frame_text.replace('to = "right"', 'to = "wrong"').replace("start = 7850.0", "start = 1.0")
+    found = complaint(tmp_path, text)
+    assert "model.members.1.to" in found
+    assert "parameters.1: start" in found
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(FileNotFoundError, match="must be a TOML file"):
+        load(tmp_path / "nothing.toml")
+
+
+def test_a_file_that_is_no_text(tmp_path):
+    (tmp_path / "portal.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigurationError, match="is no TOML"):
+        load(tmp_path / "portal.toml")
+
+
+def test_a_file_that_is_too_large(tmp_path, monkeypatch, frame_text):
+    monkeypatch.setattr("fmu.config.LARGEST_FILE", 100)
+    assert "must have at most 100 bytes" in complaint(tmp_path, frame_text)
+
+
+NASTY = st.sampled_from(
+    ['""', "0", "-1", "1e400", "nan", "inf", "true", "[]", "{}", '"x"', "[[]]", "1979-05-27", '"\\u0000"']
+)
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_values_changed_at_random_never_crash(frame_text, tmp_path, data):
+    """A changed file is a problem or a configuration error; nothing else."""
+    places = [m.span(1) for m in re.finditer(r"= (.+)$", frame_text, re.MULTILINE)]
+    first, last = data.draw(st.sampled_from(places))
+    text = frame_text[:first] + data.draw(NASTY) + frame_text[last:]
+    path = tmp_path / "portal.toml"
+    path.write_text(text)
+    with suppress(ConfigurationError):
+        load(path)
