@@ -22,7 +22,7 @@ START_SCALE = 0.01
 START_WIDTH = 0.5
 """Interval of a slice before anything is learnt, in scaled units."""
 
-_MOST_STEPS = 128
+_MOST_STEPS = 32  # of a trajectory: a metric that fits needs 2 to 8; one that does not must not cost without end
 _MEMORY = 0.9  # weight of the past in the smoothed log-density of a chain
 _SETTLING = 20  # steps that the scale of a random walk takes to settle
 
@@ -93,7 +93,9 @@ class HamiltonianTuner:
     def finished(self) -> HamiltonianMonteCarlo:
         """Return the settings learnt."""
         step_size = float(np.exp(np.mean(self.averaging.averaged)))
-        inverse_mass = self.sampler.inverse_mass if self.learner.covariance is None else self.kernel.metric.inverse
+        inverse_mass = self.sampler.inverse_mass
+        if inverse_mass is None and self.learner.covariance is not None:
+            inverse_mass = self.learner.covariance
         return replace(
             self.sampler, step_size=step_size, n_steps=self._n_steps(step_size), inverse_mass=inverse_mass
         )

@@ -157,7 +157,8 @@ class PooledMoments:
             return None
         n = len(draws)
         covariance = (n * covariance + SHRINKAGE * np.diag(spread)) / (n + SHRINKAGE)
-        return covariance if np.all(np.linalg.eigvalsh(covariance) > 0) else None
+        correlation = covariance / np.sqrt(np.outer(spread, spread))
+        return covariance if np.all(np.linalg.eigvalsh(correlation) > 0) else None
 
 
 def keeping_up(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
