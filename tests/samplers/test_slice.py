@@ -96,6 +96,28 @@ def test_the_candidate_is_what_is_tested_against_the_level():
     assert (info.extra["n_shrinks"] > 0).sum() > 50
 
 
+def test_intervals_shrink_towards_the_present_point():
+    asked = []
+
+    class Recorded(CorrelatedGaussian):
+        def value_and_slope(self, x):
+            asked.append(x[0])
+            return super().value_and_slope(x)
+
+    target = Recorded()
+    kernel = Slice("hyperrectangle", width=100.0).bind(target)
+    state, _ = kernel.init(target.mean[None] + 0.1)
+    asked.clear()
+    kernel.step(np.random.default_rng(2), state)
+    away = np.array(asked) - state.position
+    assert len(away) > 10
+    for k in range(1, len(away)):
+        missed = away[:k]
+        left = np.max(np.where(missed < 0, missed, -np.inf), axis=0)
+        right = np.min(np.where(missed < 0, np.inf, missed), axis=0)
+        assert np.all((left <= away[k]) & (away[k] <= right))
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_chain_whose_slice_is_not_found_stays(scheme):
     """A density that jumps after the start was evaluated hides its slice altogether."""

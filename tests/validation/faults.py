@@ -1,0 +1,314 @@
+"""Deliberate faults, each of which at least one test must catch.
+
+They are of the kind that leaves a program running and its answers plausible: a factor that is missing, a sign, an
+index, a gate that lets everything through.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One change of one file.
+
+    Attributes
+    ----------
+    name : str
+    file : str
+        Within the project.
+    old, new : str
+        Text that occurs exactly once, and what takes its place.
+    tests : tuple of str
+        What pytest is given: the tests that ought to notice.
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+PROTOCOL = "tests/samplers/test_sampler_protocol.py::test_moments"
+METROPOLIS = ("tests/samplers/test_metropolis.py",)
+HAMILTONIAN = ("tests/samplers/test_reflection.py", "tests/samplers/test_hamiltonian.py")
+SLICE = ("tests/samplers/test_slice.py",)
+DIAGNOSTICS = ("tests/analysis/test_diagnostics.py",)
+
+IN_THE_SAMPLERS = (
+    Fault(
+        "Metropolis: accept test inverted",
+        "fmu/samplers/metropolis.py",
+        "accepted = log_u <= log_ratio",
+        "accepted = log_u >= log_ratio",
+        METROPOLIS,
+    ),
+    Fault(
+        "Metropolis: Hastings ratio dropped",
+        "fmu/samplers/metropolis.py",
+        "+ self.proposal.log_ratio(candidate[alive], state.position[alive])",
+        "+ 0.0",
+        METROPOLIS,
+    ),
+    Fault(
+        "Metropolis: Hastings ratio upside down",
+        "fmu/samplers/metropolis.py",
+        "self.proposal.log_ratio(candidate[alive], state.position[alive])",
+        "self.proposal.log_ratio(state.position[alive], candidate[alive])",
+        METROPOLIS,
+    ),
+    Fault(
+        "HMC: accept test inverted",
+        "fmu/samplers/hamiltonian.py",
+        "accepted = log_u <= -error",
+        "accepted = log_u >= -error",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "HMC: half the gradient in the first half step",
+        "fmu/samplers/hamiltonian.py",
+        "p[going] += half * slope[going]  # eq. (12)",
+        "p[going] += 0.5 * half * slope[going]  # eq. (12)",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "HMC: last half step of the momentum omitted",
+        "fmu/samplers/hamiltonian.py",
+        "p[going] += half * slope[going]  # eq. (14)",
+        "p[going] += 0.0 * half  # eq. (14)",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "HMC: kinetic energy of the start left out of the accept test",
+        "fmu/samplers/hamiltonian.py",
+        "energy = self.metric.kinetic(momentum) - state.log_prob",
+        "energy = -state.log_prob",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "HMC: a trajectory at the cap on bounces is cut short instead of rejected",
+        "fmu/samplers/hamiltonian.py",
+        "arrived = moved.arrived & ~nonfinite[going]",
+        "arrived = ~nonfinite[going]",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "reflection: momentum not flipped",
+        "fmu/samplers/reflection.py",
+        "p[moving, wall] += impulse",
+        "p[moving, wall] += 0.0 * impulse",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "reflection: the other velocities unchanged under a dense metric",
+        "fmu/samplers/reflection.py",
+        "v[moving] += impulse[:, None] * metric.inverse[wall]",
+        "v[moving, wall] += impulse * metric.inverse[wall, wall]",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "metric: factor transposed",
+        "fmu/samplers/metric.py",
+        "return z @ self._inverse_factor",
+        "return z @ self._inverse_factor.T",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "metric: momenta from the inverse mass instead of the mass",
+        "fmu/samplers/metric.py",
+        "return z @ self._inverse_factor",
+        "return z @ np.linalg.inv(self._inverse_factor).T",
+        HAMILTONIAN,
+    ),
+    Fault(
+        "central difference: divided by the whole step where a wall has cut it",
+        "fmu/samplers/gradient.py",
+        "distance = np.diagonal(above - below, axis1=1, axis2=2)",
+        "distance = 2.0 * self.h * self.delta",
+        ("tests/samplers/test_gradient.py",),
+    ),
+    Fault(
+        "slice: shrinks to the wrong side",
+        "fmu/samplers/slice.py",
+        "below = offset < 0.0",
+        "below = offset > 0.0",
+        SLICE,
+    ),
+    Fault(
+        "slice: the misprint of the paper, level tested at the old point",
+        "fmu/samplers/slice.py",
+        "hit: BoolArray = value >= level[waiting]",
+        "hit: BoolArray = log_prob[waiting] >= level[waiting]",
+        SLICE,
+    ),
+    Fault(
+        "slice: interval centred on the point instead of placed at random",
+        "fmu/samplers/slice.py",
+        "left = -width * rng.random((chains, len(width)))",
+        "left = -width * np.full((chains, len(width)), 0.5)",
+        (*SLICE, PROTOCOL),
+    ),
+    Fault(
+        "slice: stepping out to the right alone",
+        "fmu/samplers/slice.py",
+        "to_left = np.floor((budget + 1) * rng.random(len(x))).astype(np.int64)",
+        "to_left = np.zeros(len(x), dtype=np.int64)",
+        SLICE,
+    ),
+    Fault(
+        "slice: both ends step out with the whole budget",
+        "fmu/samplers/slice.py",
+        "left_over = np.stack([to_left, budget - to_left])",
+        "left_over = np.full((2, len(x)), budget)",
+        SLICE,
+    ),
+    Fault(
+        "snooker: Jacobian factor dropped",
+        "fmu/samplers/snooker.py",
+        "factor[apart] = (ndim - 1) * (np.log(after[apart]) - np.log(before[apart]))",
+        "factor[apart] = 0.0",
+        ("tests/samplers/test_ensemble.py", f"{PROTOCOL}[emcee-snooker-gaussian]"),
+    ),
+    Fault(
+        "scaled view: gradient left in the parameters' units",
+        "fmu/samplers/scaled.py",
+        "return log_prob, gradient * self.scale",
+        "return log_prob, gradient",
+        ("tests/samplers/test_sampling_loop.py",),
+    ),
+    Fault(
+        "random walk: covariance instead of its factor",
+        "fmu/samplers/proposals.py",
+        "return position + (z @ factor.T if factor.ndim == 2 else factor * z)",
+        "return position + (z @ factor @ factor.T if factor.ndim == 2 else factor * z)",
+        METROPOLIS,
+    ),
+)
+IN_THE_POSTERIOR = (
+    Fault(
+        "likelihood: half the gradient",
+        "fmu/posterior/likelihood.py",
+        "return -2.0 * np.asarray(self.beta)",
+        "return -1.0 * np.asarray(self.beta)",
+        ("tests/posterior/test_likelihood.py",),
+    ),
+    Fault(
+        "likelihood: normaliser (5) dropped",
+        "fmu/posterior/likelihood.py",
+        "0.5 * np.log(beta / np.pi)",
+        "0.0 * beta",
+        ("tests/posterior/test_likelihood.py",),
+    ),
+    Fault(
+        "likelihood: β taken for 1/σ²",
+        "fmu/posterior/likelihood.py",
+        "return 1.0 / np.sqrt(2.0 * np.asarray(self.beta))",
+        "return 1.0 / np.sqrt(np.asarray(self.beta))",
+        ("tests/posterior/test_likelihood.py",),
+    ),
+    Fault(
+        "prior: its mass inside the bounds left out",
+        "fmu/posterior/parameters.py",
+        "np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass",
+        "np.sum(np.log(self._precision / (2.0 * np.pi))))",
+        ("tests/posterior/test_parameters.py", "tests/posterior/test_problem.py"),
+    ),
+    Fault(
+        "prior: drawn from one tail where the centre is above the bounds",
+        "fmu/posterior/parameters.py",
+        "self.mean + self.sd * (-z if flip else z)",
+        "self.mean + self.sd * z",
+        ("tests/posterior/test_parameters.py",),
+    ),
+)
+IN_THE_STRUCTURE = (
+    Fault(
+        "Fox & Kapoor: without λ ∂M, full model",
+        "fmu/fem/modal.py",
+        "return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))",
+        "return gradient",
+        ("tests/fem/test_modal.py", "tests/fem/test_structure.py"),
+    ),
+    Fault(
+        "Fox & Kapoor: without λ ∂M, reduced model",
+        "fmu/fem/reduced_basis.py",
+        "if not self.constant_mass:\n            gradient -=",
+        "if False:\n            gradient -=",
+        ("tests/fem/test_reduced_basis.py",),
+    ),
+    Fault(
+        "MAC: not squared",
+        "fmu/fem/modal.py",
+        "return np.divide(cross**2, size,",
+        "return np.divide(np.abs(cross), size,",
+        ("tests/fem/test_modal.py",),
+    ),
+    Fault(
+        "pairing by number: off by one",
+        "fmu/fem/pairing.py",
+        "picked = np.array(self.numbers) - 1",
+        "picked = np.maximum(np.array(self.numbers) - 2, 0)",
+        ("tests/fem/test_pairing.py",),
+    ),
+    Fault(
+        "beam: lumped instead of consistent coupling of rotations",
+        "fmu/fem/beam.py",
+        "d, e, f = 13 * L**2 / 420, 4 * L**3 / 420, 3 * L**3 / 420",
+        "d, e, f = 13 * L**2 / 420, 4 * L**3 / 420, 0 * L**3 / 420",
+        ("tests/fem/test_beam.py", "tests/fem/test_closed_form.py"),
+    ),
+)
+IN_THE_VERDICT = (
+    Fault(
+        "R-hat: gate inverted",
+        "fmu/analysis/diagnostics.py",
+        "if np.all(values < limit):",
+        "if np.all(values > limit):",
+        DIAGNOSTICS,
+    ),
+    Fault(
+        "verdict: NaN counts as converged, R-hat and MCSE",
+        "fmu/analysis/diagnostics.py",
+        "if np.all(values < limit):",
+        "if not np.any(values >= limit):",
+        DIAGNOSTICS,
+    ),
+    Fault(
+        "verdict: NaN counts as converged, ESS",
+        "fmu/analysis/diagnostics.py",
+        "if np.all(values >= limit):",
+        "if not np.any(values < limit):",
+        DIAGNOSTICS,
+    ),
+    Fault(
+        "verdict: one chain is enough",
+        "fmu/analysis/diagnostics.py",
+        "if chains < needed:",
+        "if chains < 1:",
+        DIAGNOSTICS,
+    ),
+    Fault(
+        "ensembles: walkers that do not mix are not asked about",
+        "fmu/analysis/diagnostics.py",
+        "failures += _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT,",
+        "failures += _above(0.0 * rhat_over_walkers(trace), WALKER_RHAT_LIMIT,",
+        DIAGNOSTICS,
+    ),
+    Fault(
+        "ensembles: the steps of all walkers taken for one chain",
+        "fmu/analysis/effective.py",
+        "return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))",
+        "return float(np.sum(x.shape[1] / autocorrelation_times(x, 1)))",
+        ("tests/analysis/test_effective.py",),
+    ),
+    Fault(
+        "E-BFMI: upside down",
+        "fmu/analysis/movement.py",
+        "return np.sum(np.diff(energy, axis=1) ** 2, axis=1) / spread",
+        "return spread / np.sum(np.diff(energy, axis=1) ** 2, axis=1)",
+        ("tests/analysis/test_movement.py", *DIAGNOSTICS),
+    ),
+)
+FAULTS = (*IN_THE_SAMPLERS, *IN_THE_POSTERIOR, *IN_THE_STRUCTURE, *IN_THE_VERDICT)

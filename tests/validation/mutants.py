@@ -1,0 +1,157 @@
+"""Put every deliberate fault into a copy of the project and see which test catches it.
+
+python -m tests.validation.mutants OUT.md [WORD …]: with words, only the faults whose names contain one of them.
+Exit code 1 where a fault survives, 2 where the tests of the project as it is fail.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmu.report.markdown import table
+from tests.validation.faults import FAULTS, Fault
+
+PROJECT = Path(__file__).parents[2]
+PATIENCE_S = 180.0
+"""How long the tests of one fault may take; a fault that makes them hang is not caught by that."""
+FAILED = re.compile(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", re.MULTILINE)
+TESTS_FAILED = 1
+"""pytest's exit code where tests ran, and failed."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The first test that failed, None if all passed, and how long that took."""
+
+    caught_by: str | None
+    wall_s: float
+
+
+def mutated(text: str, fault: Fault) -> str:
+    """Return the text of a file with the fault in it.
+
+    Raises
+    ------
+    ValueError
+        If the text to be replaced does not occur exactly once.
+    """
+    found = text.count(fault.old)
+    if found != 1:
+        raise ValueError(f"{fault.name}: {fault.file} must contain {fault.old!r} once (got {found} times)")
+    return text.replace(fault.old, fault.new)
+
+
+def copy_of_the_project(directory: Path) -> Path:
+    """Copy what the tests need into `directory` and return the copy's root."""
+    root = directory / "project"
+    root.mkdir()
+    for part in ("fmu", "tests"):
+        shutil.copytree(PROJECT / part, root / part, ignore=shutil.ignore_patterns("__pycache__", ".*_cache"))
+    for part in ("pyproject.toml", "README.md"):
+        shutil.copy(PROJECT / part, root / part)
+    where = _python(root, "-c", "import fmu; print(fmu.__file__)").stdout.strip()
+    if not Path(where).is_relative_to(root):
+        raise RuntimeError(f"the copy must test itself (it imports {where})")
+    return root
+
+
+def try_tests(root: Path, tests: tuple[str, ...]) -> Verdict:
+    """Run tests of the copy until one fails.
+
+    Raises
+    ------
+    RuntimeError
+        If pytest does not get as far as running them.
+    subprocess.TimeoutExpired
+        If they take longer than `PATIENCE_S`.
+    """
+    began = time.perf_counter()
+    options = ("-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider")
+    done = _python(root, "-m", "pytest", *options, *tests)
+    wall_s = time.perf_counter() - began
+    if done.returncode == 0:
+        return Verdict(None, wall_s)
+    failed = FAILED.search(done.stdout)
+    if done.returncode != TESTS_FAILED or failed is None:
+        raise RuntimeError(f"pytest {' '.join(tests)} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}")
+    return Verdict(failed.group(1), wall_s)
+
+
+def try_fault(root: Path, fault: Fault) -> Verdict:
+    """Put the fault into the copy, run its tests, and take it out again."""
+    path = root / fault.file
+    sound = path.read_text()
+    path.write_text(mutated(sound, fault))
+    try:
+        return try_tests(root, fault.tests)
+    finally:
+        path.write_text(sound)
+
+
+def main(target: str, *words: str) -> int:
+    """Try the faults, write the table, and return the exit code."""
+    faults = [fault for fault in FAULTS if not words or any(word in fault.name for word in words)]
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as directory:
+        root = copy_of_the_project(Path(directory))
+        sound = try_tests(root, tuple(sorted({test for fault in faults for test in fault.tests})))
+        if sound.caught_by is not None:
+            print(f"without any fault: {sound.caught_by} fails")
+            return 2
+        verdicts = {}
+        for fault in faults:
+            verdicts[fault] = try_fault(root, fault)
+            caught_by = verdicts[fault].caught_by or "SURVIVES"
+            print(f"{fault.name}: {caught_by} ({verdicts[fault].wall_s:.0f} s)", flush=True)
+    Path(target).parent.mkdir(parents=True, exist_ok=True)
+    Path(target).write_text(page(verdicts, time.perf_counter() - began))
+    return 1 if any(verdict.caught_by is None for verdict in verdicts.values()) else 0
+
+
+def page(verdicts: dict[Fault, Verdict], wall_s: float) -> str:
+    """Return the report."""
+    rows = [
+        [fault.name, f"`{fault.file}`", f"`{verdict.caught_by}`" if verdict.caught_by else "**survives**"]
+        for fault, verdict in verdicts.items()
+    ]
+    caught = sum(verdict.caught_by is not None for verdict in verdicts.values())
+    return PAGE.format(
+        caught=caught,
+        faults=len(rows),
+        minutes=wall_s / 60.0,
+        rows=table(["fault", "in", "caught by"], rows, (0, 1, 2)),
+    )
+
+
+def _python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    # no byte code: two faults may differ in no more than what the time stamps of a cache can tell
+    environment = os.environ | {
+        "PYTHONPATH": os.fspath(root),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    command = [sys.executable, *arguments]
+    return subprocess.run(
+        command, cwd=root, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+
+
+PAGE = """# Deliberate faults
+
+Written by `make mutants` in {minutes:.0f} minutes: {caught} of {faults} faults caught. Each is put into a copy of
+the project (`tests/validation/faults.py`), in which the tests of that part run until one fails; without a fault
+all of them pass.
+
+{rows}"""
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
