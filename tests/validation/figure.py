@@ -28,10 +28,10 @@ def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> F
         uniform = UniformRanks(len(found.ranks), DRAWS)
         z, n = np.concatenate([[0.0], uniform.points, [1.0]]), uniform.replicates
         for panel, ranks in zip(row, found.ranks.T, strict=True):
-            for at, shade in ((level, PALE), (USUAL, tint(GREY, 0.6))):
+            for at, shade, label in ((level, PALE, f"gate, {level:.1e}"), (USUAL, tint(GREY, 0.6), "95 %")):
                 band = uniform.simultaneous_band(at)
                 lowest, highest = (np.concatenate([[0], edge, [n]]) / n - z for edge in band)
-                panel.fill_between(z, lowest, highest, color=shade, linewidth=0)
+                panel.fill_between(z, lowest, highest, color=shade, linewidth=0, label=label)
             ecdf = np.concatenate([[0], uniform.counts(ranks), [n]]) / n
             panel.plot(z, ecdf - z, color=colour(names[title]), linewidth=1.5)
             panel.axhline(0.0, color=GREY, linewidth=0.6)
@@ -40,6 +40,9 @@ def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> F
     for panel, quantity in zip(axes[0], QUANTITIES, strict=True):
         panel.set_title(quantity, fontsize=FONT + 1)
     axes[0, 0].set_xlim(0.0, 1.0)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=FONT - 1, frameon=False,
+                  title="simultaneous bands", title_fontsize=FONT - 1)  # fmt: skip
     figure.supxlabel(f"rank of the truth among {DRAWS} draws, as a fraction", fontsize=FONT)
     figure.supylabel("ECDF of the ranks − uniform", fontsize=FONT)
     return figure

@@ -13,6 +13,7 @@ from fmu.report.markdown import number, table
 from tests.validation.bands import UniformRanks
 from tests.validation.calibration import DRAWS, QUANTITIES, Calibration
 from tests.validation.effective_size import BIAS, Ratio, limits
+from tests.validation.power import POWER, detectable
 
 FALSE_ALARM = 1e-3
 """The probability that a correct set of samplers fails anywhere."""
@@ -65,12 +66,14 @@ class Study:
         return lowest <= ratio.value <= highest
 
 
-def write(study: Study, directory: Path, wall_s: float) -> None:
+def write(study: Study, directory: Path, processor_s: float) -> None:
     """Write ``validation.md`` and ``validation/sbc.png`` into the directory."""
     from tests.validation.figure import plot_calibration
 
     (directory / "validation").mkdir(parents=True, exist_ok=True)
     plot_calibration(study.calibrations, study.level).savefig(directory / "validation" / "sbc.png", dpi=150)
+    replicates = min(len(found.ranks) for found in study.calibrations.values())
+    shift, factor = detectable(UniformRanks(replicates, DRAWS), study.level)
     verdict = "**All gates pass.**"
     if study.failures:
         verdict = "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
@@ -80,9 +83,11 @@ def write(study: Study, directory: Path, wall_s: float) -> None:
             comparisons=study.comparisons,
             false_alarm=FALSE_ALARM,
             level=study.level,
-            minutes=wall_s / 60.0,
+            minutes=processor_s / 60.0,
             draws=DRAWS,
-            replicates=max(len(found.ranks) for found in study.calibrations.values()),
+            shift=shift,
+            factor=factor,
+            power=100 * POWER,
             calibration=_calibration_table(study),
             bias=100 * BIAS,
             ratios=_ratio_table(study),
@@ -116,7 +121,7 @@ def _ratio_table(study: Study) -> str:
 
 PAGE = """# Validation of the samplers
 
-Written by `make validate` in {minutes:.0f} minutes. {verdict}
+Written by `make validate` in {minutes:.0f} minutes of processor time. {verdict}
 
 There are {comparisons} gates. Together they fail a correct set of samplers with a probability of at most
 {false_alarm:g} (Bonferroni): each works at the level {level:.1e}. All samplers run as a user gets them: what
@@ -133,9 +138,11 @@ bounds, warm-up and sampler together.
 
 ![Simulation-based calibration](validation/sbc.png)
 
-The bands are simultaneous over all ranks and exact (Säilynoja, Bürkner & Vehtari 2022): the dark one holds 95 % of
-panels of a correct sampler, so that about one panel in twenty leaves it; the pale one is the gate. p is the
-probability that the ranks of a correct sampler stray as far.
+The bands are simultaneous over all ranks and exact (Säilynoja, Bürkner & Vehtari 2022): the dark one holds 95 %
+of the panels of correct samplers, so that about one panel in twenty leaves it; the pale one is the gate. p is the
+probability that the ranks of a correct sampler stray as far. With a probability of {power:.0f} % the gate finds a
+posterior mean that is wrong by {shift:.2f} standard deviations, or draws that are too narrow by a factor of
+{factor:.2f} (for a Gaussian posterior).
 
 {calibration}
 ## Effective sample size
