@@ -28,7 +28,7 @@ def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> F
         uniform = UniformRanks(len(found.ranks), DRAWS)
         z, n = np.concatenate([[0.0], uniform.points, [1.0]]), uniform.replicates
         for panel, ranks in zip(row, found.ranks.T, strict=True):
-            for at, shade, label in ((level, PALE, f"gate, {level:.1e}"), (USUAL, tint(GREY, 0.6), "95 %")):
+            for at, shade, label in ((level, PALE, f"gate, {level:.1e}"), (USUAL, tint(GREY, 0.7), "95 %")):
                 band = uniform.simultaneous_band(at)
                 lowest, highest = (np.concatenate([[0], edge, [n]]) / n - z for edge in band)
                 panel.fill_between(z, lowest, highest, color=shade, linewidth=0, label=label)
@@ -36,10 +36,11 @@ def plot_calibration(calibrations: Mapping[str, Calibration], level: float) -> F
             panel.plot(z, ecdf - z, color=colour(names[title]), linewidth=1.5)
             panel.axhline(0.0, color=GREY, linewidth=0.6)
             panel.tick_params(labelsize=FONT - 1)
-        row[0].set_ylabel(title.replace(", ", ",\n"), fontsize=FONT)
+        row[0].set_ylabel(title.replace(", ", ",\n").replace("–", "–\n"), fontsize=FONT)
     for panel, quantity in zip(axes[0], QUANTITIES, strict=True):
         panel.set_title(quantity, fontsize=FONT + 1)
     axes[0, 0].set_xlim(0.0, 1.0)
+    axes[0, 0].set_xticks([0.0, 0.5, 1.0], ["0", "0.5", "1"])
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=FONT - 1, frameon=False,
                   title="simultaneous bands", title_fontsize=FONT - 1)  # fmt: skip
