@@ -1,11 +1,20 @@
-"""One experiment of the paper, run for a few seconds: too short to mean anything, long enough to write "
-"down."""
+"""What there is to report on, run for a few seconds: too short to mean anything, long enough to write down.
 
+One experiment of the paper; runs on the cantilever, on a black-box model with hostile names, on a plain density.
+"""
+
+import numpy as np
 import pytest
 
+import fmu
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.problem import UpdatingProblem
+from fmu.report.html import write_pages
 from fmu.report.paper.experiment import compute
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import Length, Plan
+from tests.report.parsed import IMAGE, SCRIPT
 
 EXPERIMENT = ("cantilever-section", "shape")
 
@@ -15,6 +24,7 @@ def plan():
     return Plan(
         experiments=(EXPERIMENT,),
         paper=Length(40, 0, 1),
+        pace=Length(40, 0, 2),
         long={
             "mh": Length(80, 20, 2),
             "slice": Length(40, 10, 2),
@@ -39,3 +49,86 @@ def result(plan, messages):
 @pytest.fixture(scope="session")
 def findings(result):
     return Findings.of(result)
+
+
+SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
+
+
+class LinearModel:
+    """f = 100 + A theta: frequencies and nothing else, neither shapes nor matrices."""
+
+    n_parameters = 2
+    n_modes = 3
+
+    def frequencies(self, theta):
+        return 100.0 + theta @ SLOPES.T
+
+    def frequencies_and_gradient(self, theta):
+        return self.frequencies(theta), np.broadcast_to(SLOPES, (len(theta), 3, 2))
+
+
+class Gaussian:
+    """A density without names, units, prior or measurement."""
+
+    ndim = 2
+    lower = np.array([-np.inf, -5.0])
+    upper = np.array([np.inf, np.inf])
+
+    def log_prob(self, x):
+        return -0.5 * np.sum((np.asarray(x) - [0.0, 3.0]) ** 2, axis=-1)
+
+    def log_prob_and_grad(self, x):
+        return self.log_prob(x), [0.0, 3.0] - np.asarray(x)
+
+    def sample_prior(self, rng, n):
+        return rng.normal(size=(n, 2))
+
+
+@pytest.fixture(scope="session")
+def beam_traces():
+    """Short runs on the cantilever: two samplers, with all that a trace can keep."""
+    problem = fmu.cases.load("cantilever-young")
+    maxima = fmu.find_map(problem, starts=16)
+    lengths = {"hmc": {"draws": 60, "warmup": 60}, "emcee": {"draws": 12, "warmup": 10}}
+    return {name: fmu.sample(problem, name, chains=2, maxima=maxima, **n) for name, n in lengths.items()}
+
+
+@pytest.fixture(scope="session")
+def hostile_traces():
+    """Runs on a black-box model whose names are HTML and mathematics."""
+    parameters = [
+        Parameter(IMAGE, start=0.5, lower=-4.0, upper=4.0, prior=Normal(1.0), unit="Pa"),
+        Parameter("$x_1$ & &amp;", start=0.0, prior=Normal(2.0), unit="<b>"),
+    ]
+    data = ModalData([101.0, 99.5, 102.0], labels=(IMAGE, "</style>", "$a$"))
+    problem = UpdatingProblem(LinearModel(), data, parameters, beta=[0.5, 1.0, 2.0], name=SCRIPT)
+    maxima = fmu.find_map(problem, starts=4)
+    trace = fmu.sample(problem, "hmc", draws=40, warmup=30, chains=2, maxima=maxima)
+    return {"hmc": trace, SCRIPT: trace}
+
+
+@pytest.fixture(scope="session")
+def plain_traces():
+    """Runs on a plain density: one that converges, one of a single chain that cannot."""
+    return {
+        "hmc": fmu.sample(Gaussian(), "hmc", draws=400, warmup=200, chains=4),
+        "mh": fmu.sample(Gaussian(), "mh", draws=60, warmup=30, chains=1),
+    }
+
+
+@pytest.fixture(scope="session")
+def beam_report(beam_traces, tmp_path_factory):
+    """Directory of the pages on `beam_traces`."""
+    return write_pages(beam_traces, tmp_path_factory.mktemp("beam")).parent
+
+
+@pytest.fixture(scope="session")
+def hostile_report(hostile_traces, tmp_path_factory):
+    """Directory of the pages on `hostile_traces`."""
+    return write_pages(hostile_traces, tmp_path_factory.mktemp("hostile")).parent
+
+
+@pytest.fixture(scope="session")
+def plain_report(plain_traces, tmp_path_factory):
+    """Directory of the pages on `plain_traces`."""
+    return write_pages(plain_traces, tmp_path_factory.mktemp("plain")).parent

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.report.plots.style import BLACK, FONT, GREY, NARROW, PALE, colour, finish, literal, new_figure
+from fmu.report.plots.style import (
+    BLACK,
+    FONT,
+    GREY,
+    NARROW,
+    PALE,
+    colour,
+    finish,
+    legend_below,
+    literal,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,7 +88,7 @@ def plot_frequency_errors(
     axes.set_xlabel("mode, measured frequency", fontsize=FONT)
     axes.set_ylabel("(computed − measured)/measured, %", fontsize=FONT)
     finish(axes)
-    figure.legend(loc="outside lower center", ncols=2, fontsize=FONT - 1, frameon=False)
+    legend_below(axes)
     return axes
 
 
@@ -162,5 +173,5 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     axes.set_xlabel("mode", fontsize=FONT)
     axes.set_ylabel("(frequency − predicted mean)\n/ predictive sd", fontsize=FONT)
     finish(axes)
-    figure.legend(loc="outside lower center", ncols=1, fontsize=FONT - 1, frameon=False)
+    legend_below(axes)
     return axes

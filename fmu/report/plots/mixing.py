@@ -15,8 +15,10 @@ from fmu.report.plots.style import (
     chain_colours,
     colour,
     finish,
+    legend_below,
     literal,
     new_figure,
+    stacked,
 )
 
 if TYPE_CHECKING:
@@ -61,13 +63,12 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     posterior = trace["posterior"].to_dataset()
     if posterior.sizes["chain"] < 2:
         raise ValueError("trace: must have at least two chains to rank (got 1)")
-    figure = figure or new_figure(NARROW, 1.35 * len(names) + 0.5)
-    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    axes = stacked(len(names), figure)
     thinned = posterior.isel(
         draw=slice(None, None, apart(posterior.sizes["draw"], _MAX_RANKED, walkers_of(trace)))
     )
     panels = {name: xr.DataArray(np.array(axis, dtype=object)) for name, axis in zip(names, axes, strict=True)}
-    drawn_on = {"figure": xr.DataArray(np.array(figure, dtype=object))}
+    drawn_on = {"figure": xr.DataArray(np.array(axes[0].figure, dtype=object))}
     collection = PlotCollection(
         thinned,
         xr.DataTree.from_dict({"/": xr.Dataset(drawn_on), "plot": xr.Dataset(panels)}),
@@ -84,7 +85,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
         axis.set_ylabel(f"Δ ECDF of\n{literal(name)}", fontsize=FONT)
         finish(axis)
     axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
-    figure.align_ylabels(axes)
+    axes[0].figure.align_ylabels(axes)
     return axes
 
 
@@ -108,8 +109,7 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
 
     names, walkers = parameter_names(trace), walkers_of(trace)
     draws = parameter_draws(trace)
-    figure = figure or new_figure(NARROW, 1.35 * len(names) + 0.5)
-    axes = figure.subplots(len(names), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    axes = stacked(len(names), figure, sharey=True)
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
         for values, shade in zip(autocorrelation(draws[..., i], walkers), chain_colours(trace), strict=True):
             axis.plot(values[: _LAGS + 1], color=shade, linewidth=1.2)
@@ -154,5 +154,5 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     axes.set_xlabel("energy (−log-probability + kinetic), nats", fontsize=FONT)
     axes.set_ylabel("density / nat⁻¹", fontsize=FONT)
     finish(axes)
-    figure.legend(loc="outside lower center", ncols=2, fontsize=FONT - 1, frameon=False)
+    legend_below(axes)
     return axes

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.report.plots.style import BLACK, FONT, GREY, NARROW, colour, finish, literal, new_figure
+from fmu.report.plots.style import (
+    BLACK,
+    FONT,
+    GREY,
+    NARROW,
+    colour,
+    finish,
+    legend_below,
+    literal,
+    new_figure,
+    stacked,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -96,19 +107,21 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     base = colour(str(trace.attrs["sampler"]))
     is_line = np.linalg.matrix_rank(coordinates - coordinates[0], tol=_FLAT * np.ptp(coordinates)) <= 1
     draw = _draw_along if is_line else _draw_isometric
-    figure = figure or new_figure(NARROW, (1.25 if is_line else 2.6) * len(labels) + 0.7)
-    axes = figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0]
+    axes = stacked(len(labels), figure, 1.3 if is_line else 2.6)
     states = ((START, GREY, "--"), (MEAN, base, "-"))
     for label, axis in zip(labels, axes, strict=True):
         one = modes.sel(mode=label)
         shapes = [one["displacement"].sel(state=state).to_numpy() for state, *_ in states]
         draw(axis, coordinates, ends, shapes, [(shade, dashes) for _, shade, dashes in states])
+        for line, words in zip(axis.lines[-2:], ("before updating", "posterior mean"), strict=True):
+            line.set_label(words)
         before, after = (float(one["frequency"].sel(state=state)) for state, *_ in states)
         axis.set_title(f"mode {literal(label)}: {before:.1f} Hz before, {after:.1f} Hz at the posterior mean",
                        fontsize=FONT, loc="left")  # fmt: skip
         finish(axis)
     axes[-1].set_xlabel("position along the structure / m" if is_line else "projected position / m", fontsize=FONT)
-    figure.align_ylabels(axes)
+    legend_below(axes[0])
+    axes[0].figure.align_ylabels(axes)
     return axes
 
 

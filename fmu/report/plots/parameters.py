@@ -19,6 +19,7 @@ from fmu.report.plots.style import (
     colour,
     constant,
     finish,
+    legend_below,
     literal,
     new_figure,
     unit_of,
@@ -88,8 +89,7 @@ def plot_parameter_updates(
         axis.set_ylabel(f"value / {unit}" if unit else "value", fontsize=FONT)
     axes[0].set_title("mean and 90 % interval", fontsize=FONT - 1, color=GREY, loc="right")
     axes[-1].set_xlabel("parameter", fontsize=FONT)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=FONT - 1, frameon=False)
+    legend_below(axes[0])
     return axes
 
 

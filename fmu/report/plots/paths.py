@@ -12,7 +12,6 @@ from fmu.report.plots.style import (
     BLACK,
     FONT,
     GREY,
-    NARROW,
     PALE,
     chain_colours,
     constant,
@@ -53,7 +52,7 @@ def plot_traces(
     from fmu.analysis.diagnostics import parameter_names
 
     names = parameter_names(next(iter(traces.values())))
-    figure = figure or new_figure(NARROW * len(traces) + 0.4, 1.55 * len(names) + 0.8)
+    figure = figure or new_figure(5.2 * len(traces) + 0.4, 1.55 * len(names) + 0.8)
     axes = figure.subplots(len(names), len(traces), sharex="col", squeeze=False)
     for j, (title, trace) in enumerate(traces.items()):
         walkers = int(trace.attrs["walkers"])

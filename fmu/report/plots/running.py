@@ -16,8 +16,10 @@ from fmu.report.plots.style import (
     chain_colours,
     colour,
     finish,
+    legend_below,
     literal,
     new_figure,
+    stacked,
     unit_of,
 )
 
@@ -55,8 +57,7 @@ def plot_running_means(
 
     names = parameter_names(trace)
     table = summary(trace) if table is None else table
-    figure = figure or new_figure(NARROW, 1.35 * len(names) + 0.5)
-    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    axes = stacked(len(names), figure)
     steps = trace["posterior"].sizes["draw"] // walkers_of(trace)
     at, means = running_means(trace, lengths(steps, 60))
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
@@ -72,7 +73,7 @@ def plot_running_means(
         axis.set_ylabel(literal(unit.label(name)), fontsize=FONT)
         finish(axis)
     axes[-1].set_xlabel("steps kept", fontsize=FONT)
-    figure.align_ylabels(axes)
+    axes[0].figure.align_ylabels(axes)
     return axes
 
 
@@ -106,5 +107,5 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     axes.set_ylim(bottom=_FLOOR)
     axes.set_ylabel(f"R-hat − 1 (at least {_FLOOR:g})", fontsize=FONT)
     finish(axes)
-    figure.legend(loc="outside lower center", ncols=5, fontsize=FONT - 1, frameon=False)
+    legend_below(axes)
     return axes

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu.report.units import Unit, shown
 
@@ -24,8 +25,10 @@ BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
 VERMILLION = "#D55E00"
 FONT = 10
 DPI = 130
-NARROW = 5.2
+NARROW = 4.6
 """Width in inches of a figure whose labels are still readable on a phone."""
+_LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
+"""Width in inches of what a label stands beside, and of a letter of it."""
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
@@ -71,6 +74,24 @@ def finish(axes: Axes) -> None:
     axes.tick_params(labelsize=FONT - 1)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def stacked(n: int, figure: Figure | None, height: float = 1.35, sharey: bool = False) -> NDArray[Any]:
+    """Return `n` axes below one another with a common abscissa, on a narrow figure if none is given."""
+    figure = figure or new_figure(NARROW, height * n + 0.5)
+    return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
+
+
+def legend_below(axes: Axes) -> None:
+    """Explain what is drawn on some axes below the figure, in as many columns as there is room for."""
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        raise ValueError("axes: must be on a figure")
+    handles, labels = axes.get_legend_handles_labels()
+    if labels:
+        width = _LEGEND_HANDLE + _LEGEND_LETTER * max(map(len, labels))
+        columns = min(len(labels), max(1, int(figure.get_figwidth() / width)))
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=FONT - 1, frameon=False)
 
 
 def literal(text: str) -> str:

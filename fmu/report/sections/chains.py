@@ -14,6 +14,7 @@ from fmu.report.numbers import decimals, fixed, significant, span
 from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
 from fmu.report.plots.paths import plot_traces
 from fmu.report.plots.running import plot_running_means, plot_running_rhat
+from fmu.report.plots.style import NARROW, new_figure
 from fmu.report.run import Run
 from fmu.report.svg import picture
 
@@ -49,7 +50,8 @@ def paths(run: Run) -> Section:
     worst = run.summary["rhat"].max()
     alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {worst:.4f}."
     caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."
-    drawings = [picture(plot_traces({"": run.trace}), "paths", alt, caption)]
+    figure = new_figure(NARROW, 1.35 * len(run.names) + 0.6)
+    drawings = [picture(plot_traces({"": run.trace}, figure=figure), "paths", alt, caption)]
     if _has_several_chains(run):
         axes = plot_ranks(run.trace)
         far = [f"{name} {_furthest(axis):.2f}" for name, axis in zip(run.names, axes, strict=True)]
