@@ -46,6 +46,12 @@ def whole(value: Any) -> str:
     return f"{int(value):,}".replace(",", " ")
 
 
+def about(value: Any) -> str:
+    """Format an estimate to two significant digits, ``"≈ 12 000 000"``; a dash where there is none."""
+    text = whole(value)
+    return text if text == MISSING else f"≈ {whole(float(f'{float(value):.2g}'))}"
+
+
 def interval(mean: float, lower: float, upper: float, style: str) -> str:
     """Return ``mean [lower, upper]``."""
     return f"{mean:{style}} [{lower:{style}}, {upper:{style}}]"

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fmu.report.paper.convergence import lengths_up_to, running_error, shortened, solves_by_step, solves_needed
+from fmu.analysis.diagnostics import summary
+from fmu.report.paper.convergence import (
+    lengths_up_to,
+    running_error,
+    shortened,
+    solves_at_this_pace,
+    solves_by_step,
+    solves_needed,
+)
 from fmu.report.paper.reference import Reference, around_the_maxima, pooled
 
 REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given")
@@ -79,6 +87,16 @@ def test_solves_needed_is_where_the_verdict_turned_good_for_good(walkers):
     assert 200 <= needed.draws <= 250
     cost = 7 + walkers * needed.draws * (needed.draws + 1) // 2
     assert needed.solves == 2 * cost
+
+
+def test_pace_is_in_proportion_to_the_worst_ess():
+    draws = np.random.default_rng(3).standard_normal((2, 4, 100))
+    trace = make_trace(*draws)
+    ess = summary(trace)[["ess_bulk", "ess_tail"]].min().min()
+    assert 50 < ess < 400
+    # 4 chains of 1 + 2 + … + 100 solves; the warm-up does not count
+    assert solves_at_this_pace(trace) == round(4 * 5050 * 400 / ess)
+    assert solves_at_this_pace(make_trace(draws[0], np.zeros((4, 100)))) is None
 
 
 def test_solves_needed_of_a_run_that_never_convinces():

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from fmu.report.markdown import MISSING, interval, number, table, whole
+from fmu.report.markdown import MISSING, about, interval, number, table, whole
 from fmu.report.units import shown
 
 
@@ -25,6 +25,9 @@ def test_numbers():
     assert number(None, ".1f") == number(float("nan"), ".1f") == MISSING
     assert whole(1234567) == "1 234 567"
     assert whole(None) == whole(pd.NA) == whole(float("nan")) == MISSING
+    assert about(11_740_000) == "≈ 12 000 000"
+    assert about(86) == "≈ 86"
+    assert about(None) == about(pd.NA) == about(float("nan")) == MISSING
     assert interval(1.0, 0.51, 1.56, ".1f") == "1.0 [0.5, 1.6]"
 
 

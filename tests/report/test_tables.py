@@ -1,15 +1,17 @@
 """The tables of an experiment hold what its traces and the paper hold."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.linalg as sl
 
 from fmu.cases import cantilever
+from fmu.report.paper.experiment import starts_in_the_posterior
 from fmu.report.paper.page import experiment_page
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS
-from fmu.report.paper.tables import agreement
+from fmu.report.paper.tables import agreement, comparison_table
 
 MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])
 
@@ -102,6 +104,27 @@ def test_predictive_distribution(result, findings):
     expected = predictive["model_frequency"].to_numpy().reshape(-1, 5).mean(axis=0)
     np.testing.assert_allclose(table["long_hmc_predictive"], expected, rtol=1e-9)
     np.testing.assert_allclose(table["long_hmc_predictive_eti90_ub"], np.quantile(noisy, 0.95, axis=0), rtol=1e-9)
+
+
+def test_without_a_converged_run_nobody_knows_the_papers_pace(result, findings):
+    assert result.pace == {}
+    assert findings.comparison["paper_needed_solves"].isna().all()
+
+
+def test_the_papers_pace_comes_from_draws_of_a_converged_run(result):
+    """The trace of HMC, and only if it is converged; without it that of emcee."""
+
+    def starts(*converged):
+        verdicts = {s: SimpleNamespace(converged=s in converged) for s in SAMPLERS}
+        return starts_in_the_posterior(result.long, verdicts, 3)
+
+    for name in ("hmc", "emcee"):
+        every = draws_of(result.long[name])
+        np.testing.assert_array_equal(starts(name, "mh"), every[[0, (len(every) - 1) // 2, -1]])
+    assert starts("mh", "slice") is None
+    pace = replace(result, pace={"slice": result.paper["slice"]})
+    needed = comparison_table(pace)["paper_needed_solves"]
+    assert list(needed.notna()) == [name == "slice" for name in SAMPLERS]
 
 
 def test_costs_count_the_warmup(result, findings):

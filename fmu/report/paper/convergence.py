@@ -97,6 +97,18 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     return needed
 
 
+def solves_at_this_pace(trace: xr.DataTree) -> int | None:
+    """Return how many model solves a run would take for the effective sample size that the verdict asks for.
+
+    In proportion to the smallest bulk or tail ESS of the draws at hand, warm-up left out; None where that is NaN.
+    """
+    from fmu.analysis.diagnostics import ESS_LIMIT, summary
+
+    ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
+    solves = int(trace["sample_stats"]["n_solves"].sum())
+    return round(solves * ESS_LIMIT / ess) if ess > 0 else None
+
+
 def solves_by_step(trace: xr.DataTree) -> IntArray:
     """Return each chain's model solves up to every step kept, warm-up counted, shape (chains, steps)."""
     from fmu.analysis.diagnostics import walkers_of

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu.cases.published import EXPERIMENTS
 from fmu.cases.published import Experiment as Published
@@ -56,6 +57,8 @@ class Result:
         The physical modes paired with the measured ones at each maximum, ``"W1 W2 W3 W4 W5"`` for example.
     paper, long : mapping of str to DataTree
         Traces under the paper's protocol and of the long runs, by sampler.
+    pace : mapping of str to DataTree
+        Traces with the paper's settings from draws of the posterior; none where no trusted long run converged.
     reference : Reference
     diagnoses : mapping of str to Diagnosis
         The verdicts on the long runs, which know the maxima and each other.
@@ -76,6 +79,7 @@ class Result:
     maxima_modes: tuple[str, ...]
     paper: Mapping[str, xr.DataTree]
     long: Mapping[str, xr.DataTree]
+    pace: Mapping[str, xr.DataTree]
     reference: Reference
     diagnoses: Mapping[str, Diagnosis]
     comparison: pd.DataFrame
@@ -137,9 +141,15 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
 
     paper = {s: run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
     long = {s: run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
-    counter.finish()
     summaries = {s: summary(trace) for s, trace in long.items()}
     diagnoses = diagnose_all(long, summaries=summaries)
+    starts = starts_in_the_posterior(long, diagnoses, plan.pace.chains)
+    pace = {
+        s: run(f"{s}, the paper's pace", paper_settings(s), plan.pace, starts)
+        for s in PAPER_SAMPLERS
+        if starts is not None
+    }
+    counter.finish()
     reference = _reference(long, diagnoses, maxima)
 
     return Result(
@@ -150,6 +160,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
         maxima_modes=tuple(" ".join(row) for row in paired_names(problem, np.array([m.theta for m in maxima]))),
         paper=paper,
         long=long,
+        pace=pace,
         reference=reference,
         diagnoses=diagnoses,
         comparison=side_by_side(long, summaries, diagnoses),
@@ -170,6 +181,20 @@ def _needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
     if not diagnosis.converged:
         return Needed(None, None)
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
+
+
+def starts_in_the_posterior(
+    long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
+) -> NDArray[np.float64] | None:
+    """Return draws (chains, ndim) spread over a converged run of a trusted sampler; None where none has."""
+    from fmu.analysis.diagnostics import parameter_draws
+
+    for name in TRUSTED:
+        if diagnoses[name].converged:
+            draws = parameter_draws(long[name])
+            every = np.linspace(0, draws.shape[0] * draws.shape[1] - 1, chains).astype(int)
+            return draws.reshape(-1, draws.shape[2])[every]
+    return None
 
 
 def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:

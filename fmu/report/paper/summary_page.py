@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from fmu.report.markdown import interval, number, table, whole
+from fmu.report.markdown import about, interval, number, table, whole
 from fmu.report.paper.claims import judge, statement
 from fmu.report.paper.experiment import PAIRED_BY
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.page import ENDS
+from fmu.report.paper.run_sections import WOULD_NEED
 from fmu.report.paper.vector_beta import RELATIVE, VectorBeta
 from fmu.report.paper.vector_beta_page import outcome
 from fmu.report.plots import TITLES
@@ -110,21 +111,21 @@ def _costs(everything: Sequence[Findings]) -> str:
         for name in findings.comparison.index:
             needed = findings.value(name, "needed_solves")
             rows.append((
-                findings.name, TITLES[name], whole(findings.value(name, "paper_solves")),
-                number(findings.value(name, "paper_error"), ".1f"),
+                findings.name, TITLES[name], "yes" if findings.is_converged(name) else "**no**",
                 whole(needed) if needed == needed else f"more than {whole(findings.value(name, 'n_solves'))}",
                 number(findings.value(name, "ess_per_solve") if findings.is_converged(name) else None, ".2g"),
+                whole(findings.value(name, "paper_solves")), number(findings.value(name, "paper_error"), ".1f"),
+                about(findings.value(name, "paper_needed_solves")),
             ))  # fmt: skip
     header = (
-        "experiment", "sampler", "the paper's protocol: solves", "its worst mean, sd off", "solves to "
-        "converge",
-        "ESS per solve",
+        "experiment", "sampler", "converged", "solves to converge", "ESS per solve",
+        "the paper's protocol: solves", "its worst mean, sd off", "would need",
     )  # fmt: skip
     return (
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
         "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
-        "differences there, as "
-        "the paper does, and exact gradients in the long runs.\n\n" + table(header, rows, words=(0, 1))
+        f"differences there, as the paper does, and exact gradients in the long runs. {WOULD_NEED}\n\n"
+        + table(header, rows, words=(0, 1, 2))
     )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.report.paper.convergence import solves_at_this_pace
 from fmu.report.paper.plan import PAPER_SAMPLERS
 
 if TYPE_CHECKING:
@@ -96,7 +97,9 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
     ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
     ``needed_solves``: model solves, warm-up counted, after which the long run passed for converged at every length
-    looked at, missing if it never did; ``paper_solves``: what the paper's protocol took; ``paper_error``: how far
+    looked at, missing if it never did; ``paper_solves``: what the paper's protocol took; ``paper_needed_solves``:
+    what the paper's settings would take, at the pace they have in the posterior, for the effective sample size
+    that the verdict asks for, missing where no run tells where the posterior is; ``paper_error``: how far
     its means lie from the reference (the largest over the parameters, in posterior sd); ``published_error``:
     the same of the published vector.
     """
@@ -109,7 +112,9 @@ def comparison_table(result: Result) -> pd.DataFrame:
     table["needed_solves"] = [result.needed[s].solves for s in table.index]
     table["needed_draws"] = [result.needed[s].draws for s in table.index]
     table["paper_solves"] = [cost.get(s) for s in table.index]
-    for column in ("needed_solves", "needed_draws", "paper_solves"):
+    pace = {s: solves_at_this_pace(trace) for s, trace in result.pace.items()}
+    table["paper_needed_solves"] = [pace.get(s) for s in table.index]
+    for column in ("needed_solves", "needed_draws", "paper_solves", "paper_needed_solves"):
         table[column] = table[column].astype("Int64")
     table["paper_error"] = [off.get(s, np.nan) for s in table.index]
     table["published_error"] = [published.get(s, np.nan) for s in table.index]
