@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +12,9 @@ from numpy.typing import NDArray
 from fmu.cases.published import EXPERIMENTS
 from fmu.cases.published import Experiment as Published
 from fmu.report.paper.convergence import Curve, Needed, running_error, solves_needed
-from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Length, Plan, long_settings, paper_settings
+from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan, long_settings, paper_settings
 from fmu.report.paper.reference import Reference, around_the_maxima, pooled
+from fmu.report.paper.runs import Progress, Runs
 from fmu.report.paper.spectrum import paired_names, shares
 from fmu.report.plots import TITLES
 
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from fmu.analysis.diagnosis import Diagnosis
     from fmu.analysis.maxima import Maxima
     from fmu.posterior.problem import UpdatingProblem
-    from fmu.samplers.kernel import Sampler
-
-Progress = Callable[[str, int, int, Mapping[str, str]], None]
 
 PAIRED_BY = {"index": "by number", "shape": "by shape"}
 TRUSTED = ("hmc", "emcee")
@@ -110,46 +107,26 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
         Called after every step as ``progress(phase, done, total, info)``, the phase being the experiment's name.
     """
     from fmu import cases
-    from fmu.analysis.certificate import CertificateWarning
     from fmu.analysis.comparison import side_by_side
-    from fmu.analysis.diagnosis import diagnose_all, with_maxima
+    from fmu.analysis.diagnosis import diagnose_all
     from fmu.analysis.diagnostics import summary
     from fmu.analysis.search import find_map
-    from fmu.sampling import sample
 
     published = EXPERIMENTS[case]
     problem = cases.load(case, pairing)
     maxima = find_map(problem, plan.starts, plan.seed)
-    counter = _Counter(directory_of(case, pairing), plan.steps, progress)
-
-    def run(words: str, settings: Sampler, length: Length, init: Any) -> xr.DataTree:
-        with warnings.catch_warnings():
-            # every run's certificate stands on the page; on the way from a far start its warning means nothing
-            warnings.simplefilter("ignore", CertificateWarning)
-            trace = sample(
-                problem,
-                settings,
-                draws=length.draws,
-                warmup=length.warmup,
-                chains=length.chains,
-                seed=plan.seed,
-                init=init,
-                progress=counter.watch(words),
-            )
-        counter.done += length.steps
-        return with_maxima(trace, maxima)
-
-    paper = {s: run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
-    long = {s: run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
+    runs = Runs(problem, maxima, plan.seed, directory_of(case, pairing), plan.steps, progress)
+    paper = {s: runs.run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
+    long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
     summaries = {s: summary(trace) for s, trace in long.items()}
     diagnoses = diagnose_all(long, summaries=summaries)
     starts = starts_in_the_posterior(long, diagnoses, plan.pace.chains)
     pace = {
-        s: run(f"{s}, the paper's pace", paper_settings(s), plan.pace, starts)
+        s: runs.run(f"{s}, the paper's pace", paper_settings(s), plan.pace, starts)
         for s in PAPER_SAMPLERS
         if starts is not None
     }
-    counter.finish()
+    runs.finish()
     reference = _reference(long, diagnoses, maxima)
 
     return Result(
@@ -212,31 +189,3 @@ def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
-
-
-class _Counter:
-    """Turns the steps of many runs into one line of progress."""
-
-    def __init__(self, phase: str, total: int, progress: Progress | None) -> None:
-        self.phase, self.total, self.progress = phase, total, progress
-        self.done = 0
-
-    def watch(self, words: str) -> Progress | None:
-        """Return the callback of one run, whose warm-up precedes its draws."""
-        report = self.progress
-        if report is None:
-            return None
-        before = {"draws": 0}
-
-        def step(phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
-            if phase == "warmup":
-                before["draws"] = total
-            ahead = before["draws"] if phase == "draws" else 0
-            report(self.phase, min(self.done + ahead + done, self.total - 1), self.total, {"run": words})
-
-        return step
-
-    def finish(self) -> None:
-        """Report the end, whether or not every planned run was made."""
-        if self.progress is not None:
-            self.progress(self.phase, self.total, self.total, {"run": "all"})

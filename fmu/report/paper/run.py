@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fmu.report.files import OutputDirectory
-from fmu.report.paper.experiment import Progress, Result, compute, directory_of
+from fmu.report.paper.experiment import Result, compute, directory_of
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
+from fmu.report.paper.runs import Progress
 from fmu.report.paper.vector_beta import SAMPLER, VectorBeta, sample_weighted, side_by_side
 from fmu.report.paper.workers import default_workers, in_processes
 

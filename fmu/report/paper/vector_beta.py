@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.cases.published import EXPERIMENTS
-from fmu.report.paper.experiment import PAIRED_BY, Progress, Result, directory_of
+from fmu.report.paper.experiment import PAIRED_BY, Result, directory_of
 from fmu.report.paper.plan import Plan, long_settings
+from fmu.report.paper.runs import Progress, Runs
 from fmu.report.paper.tables import posterior_mean
 
 if TYPE_CHECKING:
@@ -81,21 +82,14 @@ def sample_weighted(result: Result, plan: Plan, progress: Progress | None = None
     """Repeat the long HMC run of an experiment, settings and seed the same, with a weight for every mode."""
     from fmu import cases
     from fmu.analysis.search import find_map
-    from fmu.sampling import sample
 
     beta = relative_weights(result.published.measured_hz)
     problem = cases.load(result.published.case, result.pairing, beta=beta)
-    length = plan.long[SAMPLER]
-    return sample(
-        problem,
-        long_settings(SAMPLER),
-        draws=length.draws,
-        warmup=length.warmup,
-        chains=length.chains,
-        seed=plan.seed,
-        maxima=find_map(problem, plan.starts, plan.seed),
-        progress=progress and _one_phase(f"{result.name}, vector β", length.steps, length.warmup, progress),
-    )
+    maxima, length = find_map(problem, plan.starts, plan.seed), plan.long[SAMPLER]
+    runs = Runs(problem, maxima, plan.seed, f"{result.name}, vector β", length.steps, progress)
+    trace = runs.run(f"{SAMPLER}, long run", long_settings(SAMPLER), length)
+    runs.finish()
+    return trace
 
 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
@@ -139,12 +133,3 @@ def _modes(result: Result, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
         columns[f"{name}_sigma_hz"] = 1.0 / np.sqrt(2.0 * beta[name])
         columns |= {f"{name}_hz": at_mean, f"{name}_error": error(at_mean)}
     return pd.DataFrame(columns, index=pd.Index(problem.data.labels, name="mode"))
-
-
-def _one_phase(phase: str, total: int, warmup: int, report: Progress) -> Progress:
-    """Return the callback of one run whose warm-up and draws are one phase."""
-
-    def step(part: str, done: int, _: int, info: Mapping[str, str]) -> None:
-        report(phase, done + (warmup if part == "draws" else 0), total, info)
-
-    return step

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from typing import Any
 
-from fmu.report.paper.experiment import Progress
+from fmu.report.paper.runs import Progress
 
 _TICK_S = 0.1
 _messages: Any = None
