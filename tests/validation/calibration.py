@@ -19,7 +19,7 @@ from fmu.fem.model import ModalModel
 from fmu.posterior.problem import UpdatingProblem
 from fmu.samplers import Run
 from tests.validation.contenders import Contender
-from tests.validation.storeys import PARAMETERS, problem, reduced_model
+from tests.validation.storeys import DESIGN_HZ, PARAMETERS, problem, reduced_model
 
 DRAWS = 63
 """L, the draws that the truth is ranked among: 64 possible ranks."""
@@ -65,7 +65,7 @@ def _replicate(
 ) -> tuple[NDArray[np.int64], float, int]:
     """Return the ranks of one truth (quantities,), the smallest ESS and the number of draws."""
     rng = np.random.default_rng(seed)
-    prior = problem(model, np.array([1.0, 2.0]))
+    prior = problem(model, DESIGN_HZ)  # of which no data are asked
     truth = prior.sample_prior(rng, 1)
     posterior = problem(model, prior.simulate_data(rng, prior.frequencies(truth))[0])
     run = Run(

@@ -35,6 +35,7 @@ PROTOCOL = "tests/samplers/test_sampler_protocol.py::test_moments"
 METROPOLIS = ("tests/samplers/test_metropolis.py",)
 HAMILTONIAN = ("tests/samplers/test_reflection.py", "tests/samplers/test_hamiltonian.py")
 SLICE = ("tests/samplers/test_slice.py",)
+WARMUP = ("tests/samplers/test_warmup.py", "tests/samplers/test_tuning.py")
 DIAGNOSTICS = ("tests/analysis/test_diagnostics.py",)
 
 IN_THE_SAMPLERS = (
@@ -179,6 +180,27 @@ IN_THE_SAMPLERS = (
         ("tests/samplers/test_sampling_loop.py",),
     ),
     Fault(
+        "warm-up: dual averaging runs away from its target",
+        "fmu/samplers/warmup.py",
+        "weight * (self.target - acceptance)",
+        "weight * (acceptance - self.target)",
+        WARMUP,
+    ),
+    Fault(
+        "warm-up: mass instead of its inverse",
+        "fmu/samplers/tuning.py",
+        "inverse_mass = self.learner.covariance",
+        "inverse_mass = np.linalg.inv(self.learner.covariance)",
+        WARMUP,
+    ),
+    Fault(
+        "warm-up: principal axes transposed",
+        "fmu/samplers/tuning.py",
+        "width=width, axes=axes)",
+        "width=width, axes=axes.T)",
+        WARMUP,
+    ),
+    Fault(
         "random walk: covariance instead of its factor",
         "fmu/samplers/proposals.py",
         "return position + (z @ factor.T if factor.ndim == 2 else factor * z)",
@@ -216,6 +238,13 @@ IN_THE_POSTERIOR = (
         ("tests/posterior/test_parameters.py", "tests/posterior/test_problem.py"),
     ),
     Fault(
+        "prior: left out of the gradient",
+        "fmu/posterior/problem.py",
+        "return value, slopes.sum(axis=1) + self._prior.log_pdf_gradient(points)",
+        "return value, slopes.sum(axis=1)",
+        ("tests/posterior/test_problem_gradient.py",),
+    ),
+    Fault(
         "prior: drawn from one tail where the centre is above the bounds",
         "fmu/posterior/parameters.py",
         "self.mean + self.sd * (-z if flip else z)",
@@ -250,6 +279,13 @@ IN_THE_STRUCTURE = (
         "fmu/fem/pairing.py",
         "picked = np.array(self.numbers) - 1",
         "picked = np.maximum(np.array(self.numbers) - 2, 0)",
+        ("tests/fem/test_pairing.py",),
+    ),
+    Fault(
+        "pairing by shape: two measured modes may share a computed one",
+        "fmu/fem/pairing.py",
+        "best[i] = linear_sum_assignment(mac[i], maximize=True)[1]",
+        "pass",
         ("tests/fem/test_pairing.py",),
     ),
     Fault(
@@ -301,6 +337,13 @@ IN_THE_VERDICT = (
         "fmu/analysis/effective.py",
         "return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))",
         "return float(np.sum(x.shape[1] / autocorrelation_times(x, 1)))",
+        ("tests/analysis/test_effective.py",),
+    ),
+    Fault(
+        "ensembles: autocorrelation about each walker's own mean",
+        "fmu/analysis/effective.py",
+        "paths - paths.mean()",
+        "paths - paths.mean(axis=1, keepdims=True)",
         ("tests/analysis/test_effective.py",),
     ),
     Fault(

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 import fmu
 from fmu.fem.model import ModalModel
 from fmu.fem.separable import Term
 from fmu.posterior.parameters import Normal
 
+FloatArray = NDArray[np.float64]
+
 STIFFNESS, MASS = 4e7, 2e4  # N/m, kg
+DESIGN_HZ = np.array([3.17, 8.88])  # all factors 1
 SD_HZ = np.array([0.1, 0.3])
 MODEST = Normal(sd=0.3, mean=1.0)
 PARAMETERS = (
@@ -37,10 +41,12 @@ def reduced_model() -> ModalModel:
         [Term(sp.csr_array(STIFFNESS * first), (1, 0, 0)), Term(sp.csr_array(STIFFNESS * others), (0, 1, 0))],
         [Term(sp.csr_array(MASS * floors), (0, 0, 0)), Term(sp.csr_array(MASS * top), (0, 0, 1))],
     )
-    return problem(model, np.array([3.2, 9.0]), reduction=True).model
+    return problem(model, DESIGN_HZ, reduction=True).model
 
 
-def problem(model: fmu.SeparableModel | ModalModel, measured_hz: np.ndarray, reduction: bool = False):
+def problem(
+    model: fmu.SeparableModel | ModalModel, measured_hz: FloatArray, reduction: bool = False
+) -> fmu.UpdatingProblem:
     """Return the updating problem for the given measurement, in Hz."""
     data = fmu.ModalData(measured_hz)
     beta = 1.0 / (2.0 * SD_HZ**2)
