@@ -27,7 +27,7 @@ from fmu.report.paper.run import run_experiment
 from tests.benchmarks.ratio import spd
 
 CASE, PAIRING = "cantilever-young", "shape"
-SHORTER = 2
+SHORTER = 4
 
 # where a frame's file lies, innermost first, says what the time was spent on
 PLACES = {
@@ -44,7 +44,7 @@ SAMPLERS = {"metropolis.py": "mh", "slice.py": "slice", "hamiltonian.py": "hmc",
 
 TEXT = """## Where the time goes
 
-One experiment of `fmu paper` ({case} by {pairing}, half its draws) took {cpu:.0f} s of processor time:
+One experiment of `fmu paper` ({case} by {pairing}, a quarter of its draws) took {cpu:.0f} s of processor time:
 
 {paper}
 Sampling alone, and how much of it were log-probabilities and gradients:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 def paired_ratios(
     ours: Callable[[], object],
     theirs: Callable[[], object],
-    seconds: float = 2.0,
+    seconds: float = 1.0,
     clock: Callable[[], float] = time.process_time,
 ) -> NDArray[np.float64]:
     """Return time of ours / time of theirs for interleaved pairs, at least nine of them.

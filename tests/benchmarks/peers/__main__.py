@@ -13,8 +13,7 @@ from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
-SEEDS = (1, 2, 3)
-PEERS = ("numpyro", "jax", "nutpie", "pints", "zeus-mcmc", "emcee")
+PEERS = ("numpyro", "jax", "nutpie", "pints", "emcee")
 
 
 def main(out: str, *options: str) -> None:
@@ -41,7 +40,7 @@ def main(out: str, *options: str) -> None:
                 "unit": contender.unit,
                 "parameters": list(target.problem.names),
                 "prepared_s": time.process_time() - began,
-                "runs": [asdict(run(seed).figures()) for seed in SEEDS[: 1 if short else None]],
+                "runs": [asdict(run(seed).figures()) for seed in contender.seeds[: 1 if short else None]],
             }
             rows.append(row)
             took, ess = time.process_time() - began, [round(r["ess"]) for r in row["runs"]]

@@ -10,7 +10,7 @@ import numpy as np
 
 from fmu.posterior.focus import plausible_points
 from tests.benchmarks.peers.chains import pints_adaptive
-from tests.benchmarks.peers.ensembles import emcee_default, emcee_dense, zeus_default
+from tests.benchmarks.peers.ensembles import emcee_default, emcee_dense
 from tests.benchmarks.peers.jax_model import JaxPosterior
 from tests.benchmarks.peers.nuts import numpyro_full, numpyro_nuts, nutpie_nuts
 from tests.benchmarks.peers.ours import sampler
@@ -21,12 +21,12 @@ from tests.benchmarks.ratio import paired_ratios
 CASES = ("cantilever-young", "cantilever-section")
 OURS = {
     "hmc": Length(1000, 2000),
-    "mh": Length(2000, 20000),
-    "slice": Length(1000, 4000),
-    "emcee": Length(500, 1500),
+    "mh": Length(2000, 12000),
+    "slice": Length(1000, 3000),
+    "emcee": Length(1000, 1500),
 }
-NUTS = Length(400, 400)
-STRETCH, ADAPTIVE, ZEUS = Length(1000, 4000), Length(3000, 15000), Length(200, 400)
+NUTS, STRETCH, ADAPTIVE = Length(300, 300), Length(1000, 2000), Length(3000, 9000)
+SEEDS = (1, 2, 3)
 
 GRADIENT, VALUE = "gradient", "log-probability"
 
@@ -44,12 +44,14 @@ class Contender:
         What an evaluation of it is.
     prepare : callable
         Returns what runs it for a seed; compilation happens there.
+    seeds : tuple of int
     """
 
     label: str
     model: str
     unit: str
     prepare: Callable[[], Callable[[int], Outcome]]
+    seeds: tuple[int, ...] = SEEDS
 
 
 FMU, JAX = "fmu", "reduced, JAX"
@@ -74,6 +76,9 @@ def contenders(target: Target, short: bool = False) -> Iterator[Contender]:
         return sequential[0]
 
     yield Contender("NumPyro NUTS", JAX, GRADIENT, numpyro)
+    if target.case == CASES[0]:  # to see that it makes little difference
+        vectorized = partial(numpyro_nuts, reduced, length(NUTS), "vectorized")
+        yield Contender("NumPyro NUTS, vectorized", JAX, GRADIENT, vectorized, SEEDS[:1])
     yield Contender(
         "NumPyro NUTS",
         FULL_JAX,
@@ -82,7 +87,6 @@ def contenders(target: Target, short: bool = False) -> Iterator[Contender]:
     )
     yield Contender("nutpie NUTS", FMU, GRADIENT, lambda: nutpie_nuts(target, length(NUTS)))
     yield Contender("PINTS adaptive MH", FMU, VALUE, lambda: pints_adaptive(target, length(ADAPTIVE)))
-    yield Contender("zeus", FMU, VALUE, lambda: zeus_default(target, length(ZEUS)))
     stretch = emcee_default(target, length(STRETCH))
     yield Contender("emcee, default moves", FMU, VALUE, lambda: stretch)
     yield Contender("emcee, default moves", WHOLE, VALUE, lambda: emcee_dense(stretch, WholeBeam(target)))

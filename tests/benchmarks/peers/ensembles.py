@@ -1,8 +1,7 @@
-"""emcee and zeus as their users run them: one ensemble of 32 walkers, the default moves, on the unit box."""
+"""emcee as its users run it: one ensemble of 32 walkers, the default moves, on the unit box."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -55,35 +54,6 @@ def emcee_dense(run: Callable[[int], Outcome], log_prob: SciPyLogProb) -> Callab
         draws = outcome.position.reshape(-1, outcome.position.shape[-1])
         points = draws[:: len(draws) // 20]
         return outcome.at(per_call(lambda: [log_prob(x) for x in points]) / len(points))
-
-    return once
-
-
-def zeus_default(target: Target, length: Length, ensembles: int = 2) -> Callable[[int], Outcome]:
-    """Return what runs zeus's ensemble slice sampler for a seed, on fmu's log-probability in batches."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of its imports
-        import zeus
-
-    density = InBox(target)
-
-    def once(seed: int) -> Outcome:
-        np.random.seed(seed)  # noqa: NPY002  (zeus draws from NumPy's global state)
-        starts = target.starts(seed, ensembles * WALKERS).reshape(ensembles, WALKERS, -1)
-        paths, costs = [], []
-        for start in starts:
-            sampler = zeus.EnsembleSampler(
-                WALKERS, target.problem.ndim, density, vectorize=True, light_mode=False, verbose=False
-            )
-            density.inside, stopwatch = 0, Stopwatch()
-            sampler.run_mcmc(target.to_unit(start), length.warmup, progress=False)
-            warm, warmed = sampler.get_last_sample(), stopwatch.read(density.inside)
-            density.inside = 0
-            sampler.reset()
-            sampler.run_mcmc(warm, length.draws, progress=False)
-            costs.append((warmed, stopwatch.read(density.inside)))
-            paths.append(sampler.get_chain(flat=True))
-        return _outcome(target, paths, costs)
 
     return once
 

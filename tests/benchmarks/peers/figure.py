@@ -45,6 +45,11 @@ def draw(rows: dict[str, list[Any]], out: str) -> None:
     figure.savefig(out, dpi=DPI)
 
 
+def short(value: float) -> str:
+    """Return two significant digits, without an exponent."""
+    return np.format_float_positional(float(f"{value:.1e}"), trim="-")
+
+
 def _bars(axes: Any, rows: list[Any], value: Any) -> None:
     values = np.array([value(row) for row in rows])
     axes.set_xscale("log")
@@ -56,5 +61,5 @@ def _bars(axes: Any, rows: list[Any], value: Any) -> None:
             style = {"facecolor": face, "edgecolor": GREY, "hatch": hatch}
         axes.barh(y, width, 0.7, **style)
         axes.plot(value(row, True), y, marker="|", color="black", markersize=11)
-        axes.text(1.1 * width, y, f"{width:.2g}", va="center", fontsize=FONT - 2, color=GREY)
+        axes.text(1.1 * width, y, short(width), va="center", fontsize=FONT - 2, color=GREY)
     finish(axes)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.report.markdown import number, table
-from tests.benchmarks.peers.figure import draw
+from fmu.report.markdown import table
+from tests.benchmarks.peers.figure import draw, short
 from tests.benchmarks.peers.outcome import Cost, Figures
 
 HEAD = """## Peers
@@ -28,13 +28,14 @@ theta takes fmu {gradient} times as long as their log-probabilities.
 - A row in italics is a product: the evaluations that the sampler needs on the fast model, times what one
   evaluation of the slow model takes by itself. SciPy's dense solver has the matrices of every term at hand.
 - The log-probabilities differ from fmu's by {difference:.0e} at most at plausible points, a constant apart.
-- Last column: how far a sampler's posterior means are from those of all others together, in standard errors, the
-  largest over the parameters.
+- Last column: how far a sampler's posterior means are from those of emcee with its default moves, in standard
+  errors, the largest over the parameters. PINTS goes on adapting after the warm-up, as is its default.
 
 Versions: {versions}.
 """
 
 HMC_BUDGET = 0.06
+REFERENCE = "emcee, default moves"
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def comparison(rows: list[Row]) -> str:
     for row in sorted(rows, key=Row.per_second, reverse=True):
         name = f"*{row.name}*" if row.is_product else f"**{row.name}**" if row.ours else row.name
         figures = [
-            number(value, ".2g")
+            short(value)
             for value in (
                 row.per_evaluation(),
                 row.per_evaluation(True),
@@ -185,33 +186,36 @@ def comparison(rows: list[Row]) -> str:
                 row.per_second(True),
             )
         ]
-        checks = ["", ""] if row.is_product else [f"{row.rhat:.3f}", f"{deviation(row, rows):.1f}"]
+        away = "reference" if row.label == REFERENCE else f"{deviation(row, rows):.1f}"
+        checks = ["", ""] if row.is_product else [f"{row.rhat:.3f}", away]
         lines.append([name, row.unit, *figures, *checks])
     head = ["sampler", "evaluation", "ESS per evaluation", "warm-up counted", "ESS per s", "warm-up counted"]
     return table([*head, "largest R-hat", "means, se"], lines, (0, 1))
 
 
 def deviation(row: Row, rows: list[Row]) -> float:
-    """Return how far a row's means are from the weighted mean of the others, in standard errors, at most."""
-    others = [other.mean() for other in rows if other is not row and not other.is_product]
-    weights = np.array([error**-2.0 for _, error in others])
-    reference = np.sum(weights * [mean for mean, _ in others], axis=0) / weights.sum(axis=0)
-    mean, error = row.mean()
-    return float(np.max(np.abs(mean - reference) / np.sqrt(error**2 + 1.0 / weights.sum(axis=0))))
+    """Return how far a row's means are from those of emcee with its default moves, in standard errors, at most."""
+    reference, error = next(other for other in rows if other.label == REFERENCE).mean()
+    mean, own = row.mean()
+    return float(np.max(np.abs(mean - reference) / np.sqrt(own**2 + error**2)))
+
+
+def trusted(row: Row, rows: list[Row]) -> bool:
+    """Return whether its chains agree with one another and its means with the reference."""
+    return not row.is_product and row.rhat < 1.05 and deviation(row, rows) < 4.0
 
 
 def ahead(rows: list[Row]) -> str:
-    """Say who is first, and which peers are ahead of fmu's HMC."""
+    """Say who is first, and by how much where it is a peer."""
     hmc = next(row for row in rows if row.label == "hmc")
-    measured = [row for row in rows if not row.is_product]
-    sentences = []
+    sentences = ["First of those with R-hat < 1.05 and means within 4 standard errors of the reference:\n"]
     for what, figure in (("evaluation", Row.per_evaluation), ("second", Row.per_second)):
         for warmup_in, when in ((False, "after warm-up"), (True, "warm-up counted")):
-            best = max(measured, key=lambda row: figure(row, warmup_in))
-            sentence = f"Per {what}, {when}: {best.name} is first"
-            if not best.ours:
-                sentence = f"**{sentence}**, {figure(best, warmup_in) / figure(hmc, warmup_in):.2g} times fmu hmc"
-            sentences.append(f"- {sentence}.")
+            best = max((row for row in rows if trusted(row, rows)), key=lambda row: figure(row, warmup_in))
+            sentence = f"per {what}, {when}: {best.name}"
+            if best is not hmc:
+                sentence += f", {figure(best, warmup_in) / figure(hmc, warmup_in):.2g} times fmu hmc"
+            sentences.append(f"- {sentence if best.ours else f'**{sentence}**'}")
     return "\n".join(sentences) + "\n"
 
 
