@@ -42,7 +42,9 @@ class HamiltonianMonteCarlo:
     target_accept : float
         Acceptance rate that the step size is adapted to.
     length : float
-        Length of a trajectory that adaptation aims at, in standard deviations of the target.
+        Length of a trajectory that adaptation aims at, in standard deviations of the target. With
+        2 the effective sample size per gradient is within a quarter of the best on posteriors that lean on their
+        bounds, where that is near 1.5, and on curved ones; a Gaussian without bounds would rather have 3.
     gradient : {"exact", "central-difference"}
     delta : float or vector (ndim,)
         The perturbation vector Δ of eq. (15), in scaled units.

@@ -169,6 +169,56 @@ class Banana(Target):
         return value, np.stack([-x[:, 0] / self.a**2 + 2 * self.b * r * x[:, 0], -r], axis=1)
 
 
+class TwoModes(Target):
+    """Two correlated Gaussians of unequal weight, near enough to be crossed: a saddle lies between them."""
+
+    name = "two-modes"
+
+    def __init__(self):
+        super().__init__(2)
+        self.weights = np.array([0.7, 0.3])
+        self.centres = np.array([[-1.0, 0.0], [1.2, 1.5]])
+        self.covariances = np.array([[[0.5, 0.2], [0.2, 0.4]], [[0.3, -0.15], [-0.15, 0.6]]])
+        self.precisions = np.linalg.inv(self.covariances)
+        self.mean = self.weights @ self.centres
+        away = self.centres - self.mean
+        self.covariance = np.einsum("k,kij->ij", self.weights, self.covariances) + away.T * self.weights @ away
+        self.unbounded_view()
+
+    def value_and_slope(self, x):
+        pull = np.einsum("nki,kij->nkj", self.centres - x[:, None], self.precisions)
+        parts = np.log(self.weights) - 0.5 * np.log(np.linalg.det(self.covariances))
+        parts = parts - 0.5 * np.sum((self.centres - x[:, None]) * pull, axis=2)
+        value = np.logaddexp(*parts.T)
+        return value, np.sum(np.exp(parts - value[:, None])[:, :, None] * pull, axis=1)
+
+
+class Funnel(Target):
+    """v ~ N(0, s²) over the logarithm of the variance of two coordinates x ~ N(0, e^v) (Neal 2003, section 8).
+
+    E[x²] = exp(s²/2). The funnel is a mild one: with s = 0.7 instead of Neal's 3 no sampler misses its neck, and
+    the eighth moment, on which the error of an estimated MCSE of x² hangs, is small enough to trust it.
+    """
+
+    name = "funnel"
+    s = 0.7
+
+    def __init__(self):
+        super().__init__(3)
+        self.mean = np.zeros(3)
+        self.covariance = np.diag([self.s**2, *2 * [np.exp(self.s**2 / 2)]])
+        self.unbounded_view()
+
+    def value_and_slope(self, x):
+        v, rest = x[:, 0], x[:, 1:]
+        with np.errstate(over="ignore", invalid="ignore"):  # far out in a neck that is never accepted
+            precision = np.exp(-v)
+            square = np.sum(rest**2, axis=1) * precision
+            value = -0.5 * (v / self.s) ** 2 - 0.5 * square - v
+            slope_v = -v / self.s**2 + 0.5 * square - 1.0
+            return value, np.column_stack([slope_v, -rest * precision[:, None]])
+
+
 class Counting:
     """A density that counts what it is asked for, and refuses to be asked outside its box."""
 
@@ -197,4 +247,4 @@ class Counting:
         return self.target.log_prob_and_grad(theta)
 
 
-ALL = (CorrelatedGaussian, TruncatedGaussian, BoundedBeta, SkewedGumbel, Banana)
+ALL = (CorrelatedGaussian, TruncatedGaussian, BoundedBeta, SkewedGumbel, Banana, TwoModes, Funnel)

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from moments import assert_right
-from targets import ALL, BoundedBeta, CorrelatedGaussian, Counting, SkewedGumbel, TruncatedGaussian
+from targets import (
+    ALL,
+    BoundedBeta,
+    CorrelatedGaussian,
+    Counting,
+    Funnel,
+    SkewedGumbel,
+    TruncatedGaussian,
+    TwoModes,
+)
 
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, run
 
@@ -15,28 +24,52 @@ def dense(ndim):
     return 0.7 * np.eye(ndim) + 0.3
 
 
+def oblique(ndim):
+    """Directions in no relation to any target."""
+    return np.linalg.qr(np.random.default_rng(8).standard_normal((ndim, ndim)))[0]
+
+
 SAMPLERS = {
     "mh": lambda t: MetropolisHastings(RandomWalk(2.0 / t.ndim**0.5 * t.width)),
     "slice-hyperrectangle": lambda t: Slice("hyperrectangle", width=4 * t.width),
     "slice-coordinate": lambda t: Slice("coordinate", width=2 * t.width, max_steps_out=4),
+    "slice-hyperrectangle-oblique": lambda t: Slice("hyperrectangle", width=4 * t.width, axes=oblique(t.ndim)),
+    "slice-coordinate-oblique": lambda t: Slice("coordinate", width=2 * t.width, axes=oblique(t.ndim)),
     "hmc": lambda t: HamiltonianMonteCarlo(0.4 * t.width, 6, inverse_mass=dense(t.ndim)),
     "hmc-central": lambda t: HamiltonianMonteCarlo(0.4 * t.width, 6, gradient="central-difference"),
+    "mh-adaptive": lambda t: MetropolisHastings(),
+    "slice-adaptive": lambda t: Slice(),
+    "slice-coordinate-adaptive": lambda t: Slice("coordinate"),
+    "hmc-adaptive": lambda t: HamiltonianMonteCarlo(),
     "emcee-stretch": lambda t: Ensemble(),
     "emcee-de": lambda t: Ensemble(moves="de"),
     "emcee-snooker": lambda t: Ensemble(moves="snooker"),
 }
 LENGTH = {
     "mh": (64, 2500),
-    "slice-hyperrectangle": (64, 1500),
-    "slice-coordinate": (64, 600),
-    "hmc": (64, 600),
+    "slice-hyperrectangle": (64, 750),
+    "slice-coordinate": (64, 500),
+    "slice-hyperrectangle-oblique": (64, 750),
+    "slice-coordinate-oblique": (64, 300),
+    "hmc": (64, 300),
     "hmc-central": (64, 400),
+    "mh-adaptive": (64, 1000),
+    "slice-adaptive": (64, 500),
+    "slice-coordinate-adaptive": (64, 200),
+    "hmc-adaptive": (64, 400),
     "emcee-stretch": (4, 900),
-    "emcee-de": (4, 900),
+    "emcee-de": (4, 450),
     "emcee-snooker": (4, 900),
 }
 MATRIX = [
     *((name, kind) for name in ("mh", "slice-hyperrectangle", "slice-coordinate", "hmc") for kind in ALL),
+    *((name, kind) for name in ("mh-adaptive", "slice-adaptive", "hmc-adaptive") for kind in ALL),
+    *(("slice-coordinate-adaptive", kind) for kind in (TruncatedGaussian, TwoModes)),
+    *(("slice-hyperrectangle-oblique", kind) for kind in (TruncatedGaussian, SkewedGumbel, Funnel)),
+    *(
+        ("slice-coordinate-oblique", kind)
+        for kind in (CorrelatedGaussian, TruncatedGaussian, BoundedBeta, TwoModes)
+    ),
     *(("hmc-central", kind) for kind in (TruncatedGaussian, SkewedGumbel)),
     *(("emcee-stretch", kind) for kind in (CorrelatedGaussian, TruncatedGaussian, SkewedGumbel)),
     *(("emcee-de", kind) for kind in (CorrelatedGaussian, BoundedBeta)),
@@ -146,13 +179,14 @@ def test_a_failing_density_stops_the_point_and_not_the_run(name):
     density = Counting(Failing())
     start = density.target.mean - 0.1 * np.abs(np.random.default_rng(1).standard_normal((2, 32, 5)))
     init = start if name.startswith("emcee") else start[:, 0]
-    result = run(density, SAMPLERS[name](density), draws=40, warmup=0, chains=2, seed=1, init=init)
+    warmup = 100 if name.endswith("adaptive") else 0
+    result = run(density, SAMPLERS[name](density), draws=40, warmup=warmup, chains=2, seed=1, init=init)
     stats = result.posterior.stats
     assert np.all(np.isfinite(stats["lp"]))
     assert np.all(result.posterior.position[..., 0] <= density.target.mean[0] + 0.2)
     assert stats["n_nonfinite"].sum() > 0
     assert stats["accepted"].any()
-    assert stats["n_solves"].sum() == density.n_solves
+    assert stats["n_solves"].sum() + result.warmup.stats["n_solves"].sum() == density.n_solves
     if name.startswith("hmc"):
         np.testing.assert_array_equal(stats["diverging"], stats["n_nonfinite"] > 0)
         assert not np.any(stats["diverging"] & stats["accepted"])

@@ -1,4 +1,4 @@
-"""What warm-up is built of: its schedule, the averaging of a step size, moments that a bad chain does not spoil."""
+"""What warm-up is built of: schedule, averaging of a step size, moments that a bad chain does not spoil."""
 
 import numpy as np
 import pytest
