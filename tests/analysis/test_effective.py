@@ -141,3 +141,25 @@ def test_tail_ess_of_an_ensemble_is_that_of_the_quantiles(ar1):
 def test_by_walker_follows_each_walker_through_the_steps():
     x = np.arange(12).reshape(1, 12)  # 4 steps of 3 walkers
     np.testing.assert_array_equal(effective.by_walker(x, 3)[0], [[0, 3, 6, 9], [1, 4, 7, 10], [2, 5, 8, 11]])
+
+
+@pytest.mark.parametrize(
+    ("draws", "most", "walkers", "expected"),
+    [(1000, 1500, 1, 1), (1000, 500, 1, 2), (1001, 500, 1, 3), (6400, 100, 32, 65), (6000, 500, 30, 13)],
+)
+def test_thinning_sees_all_walkers_alike(draws, most, walkers, expected):
+    distance = effective.apart(draws, most, walkers)
+    assert distance == expected
+    seen = np.bincount(np.arange(0, draws, distance) % walkers, minlength=walkers)
+    assert np.ptp(seen) <= 1
+
+
+def test_autocorrelation_of_an_ensemble_is_about_its_common_mean():
+    rng = np.random.default_rng(1)
+    steps = rng.normal(size=(2, 400, 4)) + np.array([0.0, 0.0, 8.0, 8.0])  # walkers that sit in two places
+    values = effective.autocorrelation(steps.reshape(2, -1), 4)
+    assert values.shape == (2, 400)
+    np.testing.assert_allclose(values[:, 0], 1.0)
+    assert np.all(values[:, 1:20] > 0.85)  # 16 of the variance 17 is that of the places, less at longer lags
+    still = np.ones((1, 40))
+    assert np.isnan(effective.autocorrelation(still)).all()

@@ -66,7 +66,7 @@ def frequencies(run: Run) -> Section | Omitted:
             )
         )  # fmt: skip
         seen.append(f"mode {mode} {percent(errors[0])} before, {percent(errors[1], 2)} after")
-    header = ("mode", "measured, Hz", "before, Hz", "error", "after, Hz", "error", "90 %, without noise, Hz",
+    header = ("mode", "measured, Hz", "before, Hz", "error before", "after, Hz", "error after", "90 %, without noise, Hz",
               "90 %, with noise, Hz")  # fmt: skip
     caption = (
         "After: posterior mean of the model's frequency. Its 90 % interval without the measurement noise is where "

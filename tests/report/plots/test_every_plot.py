@@ -1,0 +1,106 @@
+"""Every plot: it returns its Axes, every axis says what it shows in which unit, a figure handed in is used."""
+
+import html
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from fmu.report import plots
+from fmu.report.corner_plot import plot_corner
+from fmu.report.plots import COLOURS
+from fmu.report.plots.style import new_figure
+from fmu.report.svg import inline_svg
+
+GPA = tuple(f"E{k} / GPa" for k in range(1, 6))
+Y_LABELS = {
+    "plot_parameter_updates": ("value / GPa",),
+    "plot_frequency_updates": ("(computed − measured)/measured, %",),
+    "plot_predictive_check": ("(frequency − predicted mean)\n/ predictive sd",),
+    "plot_mac": ("mode of the reference",),
+    "plot_mode_shapes": ("z displ.\n/ largest",) * 5,
+    "plot_traces": GPA,
+    "plot_ranks": tuple(f"Δ ECDF of\nE{k}" for k in range(1, 6)),
+    "plot_autocorrelation": tuple(f"autocorrelation\nof E{k}" for k in range(1, 6)),
+    "plot_running_means": GPA,
+    "plot_running_rhat": ("R-hat − 1 (at least 0.001)",),
+    "plot_energy": ("density / nat⁻¹",),
+    "plot_efficiency": ("sampler",),
+}
+X_LABELS = {
+    "plot_parameter_updates": "parameter",
+    "plot_frequency_updates": "mode, measured frequency",
+    "plot_predictive_check": "mode",
+    "plot_mac": "mode of the model, posterior mean",
+    "plot_mode_shapes": "position along the structure / m",
+    "plot_traces": "step",
+    "plot_ranks": "rank among the draws of all chains / their number",
+    "plot_autocorrelation": "lag / steps",
+    "plot_running_means": "steps kept",
+    "plot_running_rhat": "steps kept",
+    "plot_energy": "energy (−log-probability + kinetic), nats",
+    "plot_efficiency": "effective draws per 1000 model solves",
+}
+SEVERAL = ("plot_parameter_updates", "plot_traces", "plot_efficiency")
+ONE_AXES = ("plot_frequency_updates", "plot_predictive_check", "plot_mac", "plot_running_rhat", "plot_energy",
+            "plot_efficiency")  # fmt: skip
+SHAPES = ("plot_mac", "plot_mode_shapes")  # a black-box model has none
+NAMELESS = ("plot_energy", "plot_efficiency")
+
+
+def draw(name, trace, **more):
+    return getattr(plots, name)({"hmc": trace} if name in SEVERAL else trace, **more)
+
+
+def test_all_plots_of_traces_are_here():
+    public = {name for name in dir(plots) if name.startswith("plot_")}
+    assert set(Y_LABELS) == set(X_LABELS) == public - {"plot_frequency_errors"}  # that one takes frequencies
+
+
+@pytest.mark.parametrize("name", Y_LABELS)
+def test_it_returns_axes_with_labels_and_units(name, beam_traces):
+    found = draw(name, beam_traces["hmc"])
+    assert isinstance(found, np.ndarray) == (name not in ONE_AXES)
+    axes = np.ravel(np.asarray(found, dtype=object))
+    assert tuple(axis.get_ylabel() for axis in axes) == Y_LABELS[name]
+    assert axes[-1].get_xlabel() == X_LABELS[name]
+    assert {axis.get_xlabel() for axis in axes[:-1]} <= {""}  # shared with the last
+
+
+@pytest.mark.parametrize("name", Y_LABELS)
+def test_a_figure_handed_in_is_drawn_on(name, beam_traces):
+    figure = new_figure(8.0, 9.0)
+    found = draw(name, beam_traces["hmc"], figure=figure)
+    assert {axis.figure for axis in np.ravel(np.asarray(found, dtype=object))} == {figure}
+
+
+@pytest.mark.parametrize("name", [name for name in Y_LABELS if name not in ("plot_energy", "plot_mac")])
+def test_the_sampler_has_its_colour(name, beam_traces):
+    axes = np.ravel(np.asarray(draw(name, beam_traces["emcee"]), dtype=object))
+    shades = [line.get_color() for axis in axes for line in axis.lines]
+    shades += [shade for axis in axes for artist in axis.collections for shade in artist.get_edgecolor()]
+    shades += [patch.get_edgecolor() for axis in axes for patch in axis.patches]
+    assert COLOURS["emcee"] in {to_hex(shade).upper() for shade in shades}
+    assert not {to_hex(shade).upper() for shade in shades} & {COLOURS["hmc"], COLOURS["mh"], COLOURS["slice"]}
+
+
+@pytest.mark.parametrize("name", [name for name in Y_LABELS if name not in SHAPES])
+def test_names_are_no_mathematics(name, hostile_traces):
+    axes = np.ravel(np.asarray(draw(name, hostile_traces["hmc"]), dtype=object))
+    drawn = inline_svg(axes[0].figure, "a", "alt 1")
+    names = [html.escape(name, quote=False) for name in ("$x_1$ & &amp;", "$a$")]
+    about = {"plot_frequency_updates": names[1], "plot_predictive_check": names[1]}
+    if name not in NAMELESS:
+        assert about.get(name, names[0]) in drawn
+
+
+def test_corner_of_some_parameters(beam_traces):
+    axes = plot_corner(beam_traces["hmc"], names=("E4", "E2"))
+    assert axes.shape == (2, 2)
+    assert [axis.get_xlabel() for axis in axes[-1]] == ["E4 / GPa", "E2 / GPa"]
+
+
+def test_corner_of_a_plain_density_marks_no_start(plain_traces):
+    axes = plot_corner(plain_traces["hmc"])
+    words = [text.get_text() for text in axes[0, 0].figure.legends[0].get_texts()]
+    assert words == ["bound"]

@@ -1,0 +1,193 @@
+"""Sections: their numbers are those of the analysis, in the units that people read."""
+
+import numpy as np
+import pytest
+
+from fmu.analysis.identifiability import contraction, kept_identifiability
+from fmu.analysis.prediction import leave_one_out
+from fmu.report.document import Details, Items, Link, Omitted, Table, Text
+from fmu.report.run import runs_of
+from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
+from fmu.report.sections.verdicts import model_fit
+
+
+@pytest.fixture(scope="module")
+def runs(beam_traces):
+    return runs_of(beam_traces)
+
+
+@pytest.fixture(scope="module")
+def hmc(runs):
+    return runs["hmc"]
+
+
+def table(section, caption=""):
+    """Return the rows of a section's table as dicts."""
+    found = next(part for part in section.parts if isinstance(part, Table) and caption in part.caption)
+    return [dict(zip(found.header, row, strict=True)) for row in found.rows]
+
+
+def number(text):
+    return float(text.replace("−", "-").replace("%", "").replace(" ", ""))
+
+
+def test_parameters(hmc):
+    for row, (name, expected) in zip(table(updating.parameters(hmc)), hmc.summary.iterrows(), strict=True):
+        assert (row["parameter"], row["unit"]) == (name, "GPa")
+        assert number(row["mean"]) == pytest.approx(expected["mean"] / 1e9, abs=0.06)
+        assert number(row["sd"]) == pytest.approx(expected["sd"] / 1e9, rel=0.05)
+        low, high = map(number, row["90 % interval"].split(" to "))
+        assert (low, high) == pytest.approx((expected["eti90_lb"] / 1e9, expected["eti90_ub"] / 1e9), abs=0.06)
+        assert number(row["start"]) == 240.0
+        assert number(row["change"]) == pytest.approx(100 * (expected["mean"] / 2.4e11 - 1), abs=0.06)
+        assert list(map(number, row["bounds"].split(" to "))) == [170.0, 250.0]
+
+
+def test_frequencies(hmc):
+    before = hmc.trace["modes"]["frequency"].sel(state="start").to_numpy()
+    rows = table(updating.frequencies(hmc))
+    for row, f, (_, expected) in zip(rows, before, hmc.prediction.iterrows(), strict=True):
+        assert number(row["measured, Hz"]) == expected["measured"]
+        assert number(row["before, Hz"]) == pytest.approx(f, abs=0.06)
+        assert number(row["after, Hz"]) == pytest.approx(expected["mean"], abs=0.06)
+        assert number(row["error"]) == pytest.approx(
+            100 * (expected["mean"] / expected["measured"] - 1), abs=0.006
+        )
+        narrow = list(map(number, row["90 %, without noise, Hz"].split(" to ")))
+        wide = list(map(number, row["90 %, with noise, Hz"].split(" to ")))
+        assert narrow == pytest.approx([expected["eti90_lb"], expected["eti90_ub"]], abs=0.06)
+        assert wide == pytest.approx([expected["noisy_eti90_lb"], expected["noisy_eti90_ub"]], abs=0.06)
+
+
+def test_maxima(hmc):
+    rows = {row["quantity"]: row for row in table(updating.maxima(hmc))}
+    best = hmc.maxima[0]
+    assert number(rows["log-probability"]["maximum 1"]) == pytest.approx(best.log_prob, abs=0.06)
+    assert rows["at bounds"]["maximum 1"] == hmc.maxima.words_at_bounds(best)
+    assert number(rows["E2"]["maximum 1"]) == pytest.approx(best.theta[1] / 1e9, abs=0.06)
+    assert number(rows["mode 4"]["maximum 1"]) == pytest.approx(best.frequencies[3], abs=0.006)
+    assert number(rows["mode 4"]["measured"]) == 1082.2
+
+
+def test_identifiability(hmc):
+    section = structure.identifiability(hmc)
+    kept = kept_identifiability(hmc.trace)
+    texts = [part.words for part in section.parts if isinstance(part, Text)]
+    assert [text.split(":")[0] for text in texts] == [
+        "Before updating, at the start", "After updating, at the highest maximum"
+    ]  # fmt: skip
+    lists = [part.items for part in section.parts if isinstance(part, Items)]
+    assert lists == [tuple(found.sentences()[1:]) for found in kept.values()]
+    (details,) = (part for part in section.parts if isinstance(part, Details))
+    first = details.parts[0]
+    assert first.header[:3] == ("direction", "singular value", "sd left")
+    assert [number(row[1]) for row in first.rows] == pytest.approx(kept["start"].singular_values, rel=0.01)
+    expected = contraction(hmc.trace)
+    for row in table(section, "From prior to posterior"):
+        assert number(row["contraction"]) == pytest.approx(expected["contraction"][row["parameter"]], abs=6e-4)
+        assert number(row["prior sd"]) == pytest.approx(expected["prior_sd"][row["parameter"]] / 1e9, abs=0.6)
+
+
+def test_shapes_and_mac(hmc):
+    section = structure.mac(hmc)
+    assert "modes before updating, at all translations" in section.parts[0].words
+    rows = table(structure.shapes(hmc))
+    modes = hmc.trace["modes"].to_dataset()
+    one, other = (modes.sel(state=state) for state in ("start", "posterior mean"))
+    for k, row in enumerate(rows):
+        assert number(row["after, Hz"]) == pytest.approx(float(other["frequency"][k]), abs=0.06)
+        change = np.abs(one["displacement"][k] - other["displacement"][k]).max()
+        assert number(row["change of shape"]) == pytest.approx(100 * float(change), rel=0.06)
+
+
+def test_predictive_check(hmc):
+    section = prediction.predictive(hmc)
+    replicate = hmc.trace["posterior_predictive"]["frequency"]
+    rows = table(section)
+    for k, row in enumerate(rows):
+        below = float((replicate[..., k] < hmc.prediction["measured"].iloc[k]).mean())
+        assert number(row["share predicted below"]) == pytest.approx(below, abs=6e-4)
+        assert row["in the 90 % interval"] == ("yes" if 0.05 <= below <= 0.95 else "no")
+    inside = sum(row["in the 90 % interval"] == "yes" for row in rows)
+    assert section.parts[0].words.startswith(f"{inside} of 5 measured frequencies lie in the 90 % interval")
+
+
+def test_leaving_one_out_warns_in_words(hmc):
+    expected = leave_one_out(hmc.trace)
+    section = prediction.left_out(hmc)
+    doubtful = [str(mode) for mode in expected.index[~expected["reliable"]]]
+    assert len(doubtful) > 1
+    warnings = section.parts[0].items
+    assert warnings[0].startswith(f"Not reliable for modes {', '.join(doubtful)}:")
+    assert "as many parameters as modes" in warnings[1]
+    assert [number(row["elpd, nats"]) for row in table(section)] == pytest.approx(
+        list(expected["elpd"]), abs=0.006
+    )
+
+
+def test_cost_counts_the_warm_up(hmc):
+    section = origin.cost(hmc)
+    attrs = hmc.trace.attrs
+    solves = table(section)[0]
+    assert number(solves["warm-up"]) == attrs["warmup_n_solves"]
+    assert number(solves["both"]) == attrs["n_solves"] + attrs["warmup_n_solves"] == hmc.costs["n_solves"]
+    gained = {row["quantity"]: row["value"] for row in table(section, "What it gave")}
+    assert number(gained["effective draws per 1000 solves"]) == pytest.approx(
+        1000 * hmc.costs["ess_per_solve"], rel=0.006
+    )
+
+
+def test_certificate_is_held_against_what_was_promised(hmc):
+    kept = origin.certificate(hmc)
+    assert kept.parts[0].words.endswith("The reduced model keeps its promise.")
+    broken = hmc.trace.copy()
+    broken.attrs = {**hmc.trace.attrs, "certificate_log_prob_error": 0.5}
+    (run,) = runs_of({"hmc": broken}).values()
+    section = origin.certificate(run)
+    assert section.parts[0].words.endswith("The reduced model does not keep its promise.")
+    assert table(section)[1]["found"] == "0.5"
+
+
+def test_settings_show_what_was_learnt_and_where_it_comes_from(hmc):
+    section = origin.settings(hmc)
+    rows = {row["setting"]: row for row in table(section)}
+    assert rows["step_size"]["given"] == "–"
+    assert number(rows["step_size"]["after warm-up"]) > 0
+    assert rows["inverse_mass"]["after warm-up"] == "5 × 5 matrix"
+    about = {row["quantity"]: row["value"] for row in table(section, "The run")}
+    assert about["seed"] == "1"
+    assert about["configuration hash (SHA-256)"] == hmc.trace.attrs["configuration_hash"]
+    assert about["version of fmu"]
+
+
+def test_energies_are_of_hamiltonian_trajectories_only(runs):
+    assert "E-BFMI of the chains" in chains.energies(runs["hmc"]).parts[0].words
+    assert isinstance(chains.energies(runs["emcee"]), Omitted)
+
+
+def test_samplers_side_by_side_lead_to_their_pages(runs):
+    rows = table(comparison.overview(runs, {"hmc": "hmc.html", "emcee": "emcee.html"}))
+    assert [row["sampler"] for row in rows] == [
+        Link("Hamiltonian Monte Carlo", "hmc.html"), Link("emcee ensemble", "emcee.html")
+    ]  # fmt: skip
+    assert number(rows[0]["model solves"]) == runs["hmc"].costs["n_solves"]
+
+
+@pytest.mark.parametrize(("shift", "verdict"), [(0.0, "agree"), (1.0, "differ by more than chance")])
+def test_converged_runs_agree_or_one_is_wrong(shift, verdict, plain_traces):
+    good = plain_traces["hmc"]
+    other = good.copy()
+    other["posterior"] = other["posterior"].to_dataset() + shift
+    # Alone each: seen together, a run that sits elsewhere counts against the other's convergence.
+    found = {name: runs_of({name: trace})[name] for name, trace in (("one", good), ("two", other))}
+    assert all(run.diagnosis.converged for run in found.values())
+    head, detail = comparison.agreement(found).parts[0].items
+    assert verdict in head
+    assert detail.startswith("one and two: at most ")
+
+
+def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):
+    (plain,) = runs_of({"hmc": plain_traces["hmc"]}).values()
+    assert (model_fit(plain).is_good, model_fit(plain).answer) == (None, "Cannot be said")
+    (fitted,) = runs_of({"hmc": hostile_traces["hmc"]}).values()
+    assert (model_fit(fitted).is_good, model_fit(fitted).answer) == (True, "Yes")
