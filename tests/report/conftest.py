@@ -13,7 +13,7 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.report.html import write_pages
 from fmu.report.paper.experiment import compute
 from fmu.report.paper.findings import Findings
-from fmu.report.paper.plan import Length, Plan
+from fmu.report.paper.plan import PAPER_SAMPLERS, Length, Plan
 from tests.report.parsed import IMAGE, SCRIPT
 
 EXPERIMENT = ("cantilever-section", "shape")
@@ -24,7 +24,7 @@ def plan():
     return Plan(
         experiments=(EXPERIMENT,),
         paper=Length(40, 0, 1),
-        pace=Length(40, 0, 2),
+        pace=dict.fromkeys(PAPER_SAMPLERS, Length(40, 0, 2)),
         long={
             "mh": Length(80, 20, 2),
             "slice": Length(40, 10, 2),

@@ -120,12 +120,11 @@ def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = Non
     long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
     summaries = {s: summary(trace) for s, trace in long.items()}
     diagnoses = diagnose_all(long, summaries=summaries)
-    starts = starts_in_the_posterior(long, diagnoses, plan.pace.chains)
-    pace = {
-        s: runs.run(f"{s}, the paper's pace", paper_settings(s), plan.pace, starts)
-        for s in PAPER_SAMPLERS
-        if starts is not None
-    }
+    pace = {}
+    for s, length in plan.pace.items():
+        starts = starts_in_the_posterior(long, diagnoses, length.chains)
+        if starts is not None:
+            pace[s] = runs.run(f"{s}, the paper's pace", paper_settings(s), length, starts)
     runs.finish()
     reference = _reference(long, diagnoses, maxima)
 

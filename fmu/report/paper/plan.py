@@ -37,7 +37,7 @@ class Plan:
         In the order of the pages.
     paper : Length
         The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
-    pace : Length
+    pace : mapping of str to Length
         The paper's settings once more, from draws of the posterior: what an effective draw costs with them.
     long : mapping of str to Length
         The long runs, one a sampler, from draws of the prior.
@@ -54,7 +54,13 @@ class Plan:
         (case, pairing) for case in EXPERIMENTS for pairing in PAIRINGS
     )
     paper: Length = Length(N_SAMPLES, 0, 1)
-    pace: Length = Length(N_SAMPLES, 0, 4)
+    pace: Mapping[str, Length] = field(
+        default_factory=lambda: {
+            "mh": Length(10 * N_SAMPLES, 0, 4),
+            "slice": Length(N_SAMPLES, 0, 4),
+            "hmc": Length(N_SAMPLES, 0, 4),
+        }
+    )
     long: Mapping[str, Length] = field(
         default_factory=lambda: {
             "mh": Length(20_000, 2_000, 4),
@@ -75,7 +81,7 @@ class Plan:
     @property
     def steps(self) -> int:
         """Steps of one experiment in all."""
-        runs = (*(length for _ in PAPER_SAMPLERS for length in (self.paper, self.pace)), *self.long.values())
+        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values())
         return sum(length.steps for length in runs)
 
 

@@ -12,7 +12,7 @@ from fmu.report.plots import TITLES
 
 WOULD_NEED = (
     "*Would need*: solves that the paper's settings take for an effective sample size of 400, at the pace of "
-    "chains that start in the posterior; the way there is not in it."
+    "chains that start in the posterior, a rough estimate where they mix slowly; the way there is not in it."
 )
 _REACHED = ("sampler", "converged", "R-hat", "bulk ESS", "tail ESS", "mcse/sd", "moved", "divergences")
 _COST = (
