@@ -66,8 +66,10 @@ def frequencies(run: Run) -> Section | Omitted:
             )
         )  # fmt: skip
         seen.append(f"mode {mode} {percent(errors[0])} before, {percent(errors[1], 2)} after")
-    header = ("mode", "measured, Hz", "before, Hz", "error before", "after, Hz", "error after", "90 %, without noise, Hz",
-              "90 %, with noise, Hz")  # fmt: skip
+    header = (
+        "mode", "measured, Hz", "before, Hz", "error before", "after, Hz", "error after",
+        "90 %, without noise, Hz", "90 %, with noise, Hz",
+    )  # fmt: skip
     caption = (
         "After: posterior mean of the model's frequency. Its 90 % interval without the measurement noise is where "
         "the model's frequency lies, with it where a new measurement would."
