@@ -102,6 +102,14 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
 def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
     """Read a trace that `save_trace` wrote, whole, into memory.
 
+    Parameters
+    ----------
+    path : str or os.PathLike
+
+    Returns
+    -------
+    xarray.DataTree
+
     Raises
     ------
     FileNotFoundError

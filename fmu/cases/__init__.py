@@ -16,12 +16,27 @@ _CASES = {
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the built-in cases."""
+    """List the built-in cases.
+
+    Returns
+    -------
+    tuple of str
+        What `load` and `describe` take.
+    """
     return tuple(_CASES)
 
 
 def describe(name: str) -> str:
-    """Return one line on a case.
+    """Say in one line what a case is.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    str
 
     Raises
     ------
@@ -44,6 +59,10 @@ def load(name: str, pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingPr
         By MAC, or by number in the sorted spectrum as in the paper.
     beta : float or array_like, shape (n_modes,)
         Weight of a squared frequency error, 1/Hz²; 1 for every mode in the paper.
+
+    Returns
+    -------
+    UpdatingProblem
 
     Raises
     ------

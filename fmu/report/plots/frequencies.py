@@ -64,6 +64,11 @@ def plot_frequency_errors(
         Side by side within each mode, in this order.
     labels : sequence of str
         Of the modes.
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
     """
     measured = np.asarray(measured_hz, dtype=float)
     figure = figure or new_figure(7.2, 4.4)
@@ -103,6 +108,10 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     trace : xarray.DataTree
         With ``posterior_predictive`` and ``observed_data``.
     figure : Figure, optional
+
+    Returns
+    -------
+    Axes
     """
     from fmu.analysis.prediction import predict_frequencies
 
@@ -139,6 +148,10 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     trace : xarray.DataTree
         With ``posterior_predictive`` frequencies, measurement noise included.
     figure : Figure, optional
+
+    Returns
+    -------
+    Axes
 
     Raises
     ------

@@ -133,6 +133,10 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
         With ``energy`` in its sample_stats.
     figure : Figure, optional
 
+    Returns
+    -------
+    Axes
+
     Raises
     ------
     ValueError

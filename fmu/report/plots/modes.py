@@ -45,6 +45,10 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
         Where: the posterior mean if not given.
     figure : Figure, optional
 
+    Returns
+    -------
+    Axes
+
     Raises
     ------
     ValueError

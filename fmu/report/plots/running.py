@@ -84,6 +84,10 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     ----------
     trace : xarray.DataTree
     figure : Figure, optional
+
+    Returns
+    -------
+    Axes
     """
     from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_names
     from fmu.analysis.running import running_rhat

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_ROOM = 1.25
+"""Width of the frame over that of the longest bar, which leaves room for the number behind it."""
+
 
 def plot_efficiency(
     traces: Mapping[str, xr.DataTree], table: pd.DataFrame | None = None, figure: Figure | None = None
@@ -29,6 +32,10 @@ def plot_efficiency(
     table : pandas.DataFrame, optional
         ``fmu.compare(traces)``, where it is at hand.
     figure : Figure, optional
+
+    Returns
+    -------
+    Axes
     """
     from fmu.analysis.comparison import CONVERGED, compare
 
@@ -37,16 +44,17 @@ def plot_efficiency(
     axes = figure.subplots()
     y = np.arange(len(traces), dtype=float)
     widths = 1000.0 * np.nan_to_num(table.loc[list(traces), "ess_per_solve"].to_numpy())
+    names = []
     for k, (label, trace) in enumerate(traces.items()):
         shade = colour(str(trace.attrs["sampler"]))
         is_converged = table.loc[label, "verdict"] == CONVERGED
         axes.barh(y[k], widths[k], 0.62, color=shade if is_converged else "none", edgecolor=shade, linewidth=1.6)
-        words = f"{widths[k]:.3g}" + ("" if is_converged else ", not converged")
-        axes.annotate(words, (widths[k], y[k]), (4, 0), textcoords="offset points", va="center",
+        axes.annotate(f"{widths[k]:.3g}", (widths[k], y[k]), (4, 0), textcoords="offset points", va="center",
                       fontsize=FONT - 1, color=GREY)  # fmt: skip
-    axes.set_yticks(y, [TITLES.get(label, literal(label)) for label in traces])
+        names.append(TITLES.get(label, literal(label)) + ("" if is_converged else "\n(not converged)"))
+    axes.set_yticks(y, names)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.45 * max(widths.max(), 1e-300))
+    axes.set_xlim(0.0, _ROOM * max(widths.max(), 1e-300))
     axes.set_xlabel("effective draws per 1000 model solves", fontsize=FONT)
     axes.set_ylabel("sampler", fontsize=FONT)
     finish(axes)

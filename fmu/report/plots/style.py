@@ -32,7 +32,19 @@ _LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """Return an empty figure of the given size in inches, unknown to pyplot."""
+    """Make an empty figure that is unknown to pyplot.
+
+    Parameters
+    ----------
+    width, height : float
+        In inches.
+    layout : {"constrained"}, optional
+        None where something else arranges the axes.
+
+    Returns
+    -------
+    Figure
+    """
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout=layout)
@@ -70,7 +82,12 @@ def constant(trace: xr.DataTree, which: str, name: str) -> float:
 
 
 def finish(axes: Axes) -> None:
-    """Set what all axes have in common."""
+    """Set what all axes have in common.
+
+    Parameters
+    ----------
+    axes : Axes
+    """
     axes.tick_params(labelsize=FONT - 1)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
