@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.analysis.diagnosis import Diagnosis
+    from fmu.posterior.problem import UpdatingProblem
 
 _BAD_INPUT = 2
 _FORMATS = {"rhat": ".4f", "rhat_max": ".4f", "ess_bulk": ".0f", "ess_tail": ".0f"}
@@ -33,7 +34,7 @@ class _Commands(click.Group):
     """Commands whose errors are one line."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run, and turn an error in what the user gave into one line and exit code 2."""
+        """Run, and turn an error in what the user gave into a line, or one a mistake of a file, and code 2."""
         try:
             code = super().main(*args, **{**kwargs, "standalone_mode": False})
         except click.exceptions.NoArgsIsHelpError as error:
@@ -45,12 +46,17 @@ class _Commands(click.Group):
             click.echo("Stopped.", err=True)
             sys.exit(1)
         except (ValueError, OSError) as error:
-            _stop(str(error))
+            _stop(
+                str(error.args[0]) if hasattr(error, "mistakes") else str(error), *getattr(error, "mistakes", ())
+            )
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _stop(message: str) -> None:
-    click.echo(f"Error: {' '.join(message.split())}", err=True)
+def _stop(message: str, *mistakes: object) -> None:
+    """Print one line, and one more for each mistake in a file."""
+    for line in (f"Error: {message}", *(f"  {mistake}" for mistake in mistakes)):
+        indent = "  " if line.startswith("  ") else ""
+        click.echo(indent + " ".join(line.split()), err=True)
     sys.exit(_BAD_INPUT)
 
 
@@ -74,8 +80,9 @@ def cases() -> None:
 @click.argument("case")
 @click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=("hmc",),
               show_default=True, help="May be given several times.")  # fmt: skip
-@click.option("--pairing", type=click.Choice(("shape", "index")), default="shape", show_default=True,
-              help="Pair computed with measured modes by shape, or by number in the spectrum.")  # fmt: skip
+@click.option("--pairing", type=click.Choice(("shape", "index")),
+              help="Pair computed with measured modes by shape, or by number in the spectrum.  [default: what the "
+              "file says; shape]")  # fmt: skip
 @click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Steps kept.")
 @click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
 @click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")
@@ -93,23 +100,20 @@ def cases() -> None:
 def run(
     case: str,
     samplers: tuple[str, ...],
-    pairing: str,
+    pairing: str | None,
     out: Path | None,
     overwrite: bool,
     reports: bool,
     **steps: Any,
 ) -> int:
-    """Sample the built-in problem CASE.
+    """Sample CASE: a built-in problem, or one that a TOML file describes.
 
     Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
     Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, and pages to
     read (report/index.html).
     """
-    from fmu import cases as builtin
-
-    if case not in builtin.names():
-        raise click.BadParameter(f"{case!r} is not one of {', '.join(builtin.names())}.", param_hint="'CASE'")
-    with _claimed(out or Path("runs") / f"{case}-{pairing}", overwrite) as directory:
+    load, name, pairing = _source(case, pairing)
+    with _claimed(out or Path("runs") / f"{name}-{pairing}", overwrite) as directory:
         from fmu.analysis.comparison import side_by_side
         from fmu.analysis.diagnosis import diagnose_all
         from fmu.analysis.diagnostics import summary
@@ -117,7 +121,7 @@ def run(
         from fmu.analysis.trace import save_trace
         from fmu.sampling import sample
 
-        problem = builtin.load(case, pairing=pairing)
+        problem = load(pairing=pairing)
         maxima = steps["maxima"] = find_map(problem)
         traces, summaries = {}, {}
         with progress_bars() as report:
@@ -186,6 +190,20 @@ def paper(out: Path) -> None:
     with progress_bars() as report:
         run_paper(out, report)
     click.echo(f"Written to {out}")
+
+
+def _source(case: str, pairing: str | None) -> tuple[Callable[..., UpdatingProblem], str, str]:
+    """Return what loads a problem, what its directory is called after, and how its modes are paired."""
+    if case.endswith(".toml"):
+        from fmu import config
+
+        return partial(config.load, case), Path(case).stem, pairing or config.read(Path(case)).pairing
+    from fmu import cases as builtin
+
+    if case not in builtin.names():
+        known = ", ".join(builtin.names())
+        raise click.BadParameter(f"{case!r} is neither one of {known} nor a .toml file.", param_hint="'CASE'")
+    return partial(builtin.load, case), case, pairing or "shape"
 
 
 @contextmanager

@@ -86,6 +86,15 @@ def test_run_writes_traces_and_tables(invoke, tmp_path):
     assert comparison.loc["slice", "n_solves"] == trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]
 
 
+def test_run_writes_pages_to_read(invoke, tmp_path):
+    result = invoke("run", "cantilever-young", *SHORT, "--out", "here", "--report")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.endswith("Report: here/report/index.html\n")
+    pages = sorted(path.name for path in (tmp_path / "here" / "report").glob("*.html"))
+    assert pages == ["index.html", "mh.html"]
+    assert "Not converged" in (tmp_path / "here" / "report" / "mh.html").read_text()
+
+
 def test_run_prints_the_tables_and_nothing_else(invoke):
     result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
     assert result.stderr == ""
@@ -151,7 +160,7 @@ def test_sampling_on_until_there_is_enough(invoke):
 
 
 def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
-    arguments = ("--draws", 10, "--warmup", 20, "--chains", 2, "--sampler", "mh", "--out", "here")
+    arguments = ("--draws", 10, "--warmup", 20, "--chains", 2, "--sampler", "mh", "--out", "here", "--no-report")
     result = invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-draws", 35)
     assert result.exit_code == 1
     assert result.stderr == ""
@@ -169,7 +178,7 @@ def test_a_run_that_is_long_enough_but_missed_a_maximum_is_short(young, monkeypa
     """Effective draws do not make a verdict good."""
     monkeypatch.chdir(tmp_path)
     arguments = ("--pairing", "index", "--init", "start", "--draws", "20", "--warmup", "60", "--until-ess", "5")
-    limit = ("--max-draws", "40", "--sampler", "mh", "--out", "here")
+    limit = ("--max-draws", "40", "--sampler", "mh", "--out", "here", "--no-report")
     result = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *limit])
     assert result.exit_code == 1
     assert "Stopped at the most draws, short of --until-ess 5: mh" in result.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -128,7 +129,8 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
         One row a mode: ``elpd``, the log-density of its measured frequency under the posterior of the other modes;
         ``pareto_k``, the shape of the importance weights' tail; and ``reliable``, whether the weights carry the
         estimate (k below 0.7, less for few draws). A mode that the others do not determine has few reliable
-        weights: with as many parameters as modes that is the rule, and the estimate an upper bound at best.
+        weights: with as many parameters as modes that is the rule, and the estimate an upper bound at best. NaN
+        and not reliable where the draws are too few, or stand still.
 
     Raises
     ------
@@ -147,12 +149,16 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     terms = trace["log_likelihood"][name].transpose("chain", "draw", "mode").to_numpy()
     walkers = walkers_of(trace)
     n = terms.shape[0] * terms.shape[1]
-    ess = np.nanmin([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)])
-    with warnings.catch_warnings():
+    efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
+    elpd = k = np.full(terms.shape[2], np.nan)
+    good = np.nan
+    # ArviZ raises where so many draws are alike that the weights have no tail
+    with warnings.catch_warnings(), suppress(ValueError):
         warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # it is in the table
-        found = az.loo(trace, pointwise=True, var_name=name, reff=min(1.0, float(ess) / n))
-    k = found.pareto_k.to_numpy()
-    columns = {"elpd": found.elpd_i.to_numpy(), "pareto_k": k, "reliable": k <= found.good_k}
+        if np.isfinite(efficiency):
+            found = az.loo(trace, pointwise=True, var_name=name, reff=efficiency)
+            elpd, k, good = found.elpd_i.to_numpy(), found.pareto_k.to_numpy(), found.good_k
+    columns = {"elpd": elpd, "pareto_k": k, "reliable": k <= good}
     return pd.DataFrame(columns, index=pd.Index(trace["log_likelihood"]["mode"].to_numpy(), name="mode"))
 
 

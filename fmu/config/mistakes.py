@@ -33,7 +33,11 @@ class ConfigurationError(ValueError):
 
     def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
         self.source, self.mistakes = source, tuple(mistakes)
-        super().__init__("\n".join([f"{source}:", *(f"  {mistake}" for mistake in self.mistakes)]))
+        n = len(self.mistakes)
+        super().__init__(f"{source}: {n} mistake{'s' if n > 1 else ''}")
+
+    def __str__(self) -> str:
+        return "\n".join([f"{super().__str__()}:", *(f"  {mistake}" for mistake in self.mistakes)])
 
 
 def got(rule: str, value: Any) -> str:

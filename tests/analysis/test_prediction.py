@@ -148,3 +148,10 @@ def test_a_mode_that_the_others_do_not_determine_is_not_reliable(make_result, pr
 def test_leaving_out_needs_a_likelihood(make_trace):
     with pytest.raises(ValueError, match="log-likelihood of the modes"):
         leave_one_out(make_trace(np.zeros((2, 5, 2))))
+
+
+@pytest.mark.parametrize("draws", [np.zeros((2, 50, 2)), np.random.default_rng(46).standard_normal((2, 3, 2))])
+def test_draws_that_tell_nothing_of_what_was_left_out(make_result, problem, draws):
+    table = leave_one_out(to_trace(make_result(draws), problem))
+    assert not table["reliable"].any()
+    assert list(table.index) == ["W1", "W2", "T1"]
