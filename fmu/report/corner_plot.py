@@ -41,6 +41,11 @@ def plot_corner(
     Returns
     -------
     ndarray of Axes, shape (n, n)
+
+    Raises
+    ------
+    ValueError
+        If there are fewer draws than parameters.
     """
     import corner
 
@@ -52,6 +57,8 @@ def plot_corner(
     units = [unit_of(trace, name) for name in names]
     factor = np.array([unit.factor for unit in units])
     draws = parameter_draws(trace).reshape(-1, len(known))[:, columns] / factor
+    if len(draws) < len(names):
+        raise ValueError(f"trace: must have more draws than parameters (got {len(draws)} of {len(names)})")
     draws = draws[:: max(1, len(draws) // _MAX_DRAWS)]
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
     base = colour(str(trace.attrs["sampler"]))

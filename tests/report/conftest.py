@@ -94,14 +94,19 @@ def beam_traces():
 
 
 @pytest.fixture(scope="session")
-def hostile_traces():
-    """Runs on a black-box model whose names are HTML and mathematics."""
+def problem():
+    """A black-box model whose names are HTML and mathematics."""
     parameters = [
         Parameter(IMAGE, start=0.5, lower=-4.0, upper=4.0, prior=Normal(1.0), unit="Pa"),
         Parameter("$x_1$ & &amp;", start=0.0, prior=Normal(2.0), unit="<b>"),
     ]
     data = ModalData([101.0, 99.5, 102.0], labels=(IMAGE, "</style>", "$a$"))
-    problem = UpdatingProblem(LinearModel(), data, parameters, beta=[0.5, 1.0, 2.0], name=SCRIPT)
+    return UpdatingProblem(LinearModel(), data, parameters, beta=[0.5, 1.0, 2.0], name=SCRIPT)
+
+
+@pytest.fixture(scope="session")
+def hostile_traces(problem):
+    """Runs on the black-box model, one with a name that is HTML too."""
     maxima = fmu.find_map(problem, starts=4)
     trace = fmu.sample(problem, "hmc", draws=40, warmup=30, chains=2, maxima=maxima)
     return {"hmc": trace, SCRIPT: trace}

@@ -102,13 +102,14 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
         shade = base if i < len(_DASHES) else shades[-1]
         above = np.maximum(rhat[:, i] - 1.0, _FLOOR)
         axes.plot(at, above, label=literal(name), color=shade, linestyle=dashes, linewidth=1.6)
-    axes.axhline(RHAT_LIMIT - 1.0, color=BLACK, linewidth=1.0)
+    axes.plot(at[[0, -1]], [RHAT_LIMIT - 1.0] * 2, color=BLACK, linewidth=1.0)
     axes.annotate(f"limit {RHAT_LIMIT:g}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
                   ha="right", fontsize=FONT - 2)  # fmt: skip
+    finite = rhat[np.isfinite(rhat)] - 1.0
+    axes.set_ylim(_FLOOR, max(3.0 * (RHAT_LIMIT - 1.0), 1.3 * finite.max(initial=0.0)))
     axes.set(xscale="log", yscale="log")
     axes.minorticks_off()
     axes.set_xlabel("steps kept", fontsize=FONT)
-    axes.set_ylim(bottom=_FLOOR)
     axes.set_ylabel(f"R-hat − 1 (at least {_FLOOR:g})", fontsize=FONT)
     finish(axes)
     legend_below(axes)

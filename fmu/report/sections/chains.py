@@ -18,7 +18,8 @@ from fmu.report.plots.style import NARROW, new_figure
 from fmu.report.run import Run
 from fmu.report.svg import picture
 
-_MOST_PAIRS = 8
+_MOST_PAIRS, _FEWEST = 8, 50
+TOO_FEW = "the draws are too few"
 
 
 def reliability(run: Run) -> Section:
@@ -68,6 +69,10 @@ def _has_several_chains(run: Run) -> bool:
     return bool(run.trace["posterior"].sizes["chain"] > 1)
 
 
+def _has_few_draws(run: Run) -> bool:
+    return bool(run.trace["posterior"].sizes["chain"] * run.trace["posterior"].sizes["draw"] < _FEWEST)
+
+
 def _furthest(axis: Any) -> float:
     """Return the largest ordinate drawn, either sign."""
     return max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines)
@@ -112,9 +117,11 @@ def _running_rhat(run: Run) -> Picture:
     return picture(axes, "rhat", alt, "R-hat of each parameter while the run grew.")
 
 
-def pairs(run: Run) -> Section:
+def pairs(run: Run) -> Section | Omitted:
     """Return the posterior in pairs of parameters."""
-    names = run.names[:_MOST_PAIRS]
+    title, names = "Pairs of parameters", run.names[:_MOST_PAIRS]
+    if _has_few_draws(run):
+        return Omitted(title, TOO_FEW)
     parts: list[Part] = []
     if len(run.names) > _MOST_PAIRS:
         parts.append(Text(f"The first {_MOST_PAIRS} of {len(run.names)} parameters."))
@@ -126,7 +133,7 @@ def pairs(run: Run) -> Section:
         f"Marginals and pairs of {', '.join(names)}. {words}",
         f"Regions with 50 % and 90 % of the draws. {words}".strip(),
     )
-    return Section("pairs", "Pairs of parameters", (*parts, drawing))
+    return Section("pairs", title, (*parts, drawing))
 
 
 def _strongest_correlation(run: Run) -> str:
@@ -145,6 +152,8 @@ def energies(run: Run) -> Section | Omitted:
     title, stats = "Energies of the trajectories", run.trace["sample_stats"]
     if "energy" not in stats:
         return Omitted(title, "this sampler has none")
+    if _has_few_draws(run):
+        return Omitted(title, TOO_FEW)
     fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
     values = ", ".join(f"{x:.2f}" for x in fraction)
     diverged = int(stats["diverging"].sum()) if "diverging" in stats else 0

@@ -31,11 +31,12 @@ def overview(runs: Mapping[str, Run], pages: Mapping[str, str]) -> Section:
             fixed(float(costs["ess_tail_min"]), 0), whole(costs["n_solves"]), fixed(float(costs["wall_s"]), 1),
             significant(1000 * float(costs["ess_per_solve"])), significant(float(costs["ess_per_s"])),
         ))  # fmt: skip
-    header = ("sampler", "verdict", "largest R-hat", "bulk ESS", "tail ESS", "model solves", "time, s",
-              "ESS per 1000 solves", "ESS per second")  # fmt: skip
+    header = (
+        "sampler", "verdict", "R-hat", "bulk ESS", "tail ESS", "solves", "time, s", "ESS / 1000 solves", "ESS / s"
+    )  # fmt: skip
     caption = (
-        "R-hat and ESS of the worst parameter; solves and time with the warm-up. Of a run that has not converged "
-        "no ESS is to be relied on."
+        "R-hat and ESS of the worst parameter; model solves and time with the warm-up. Of a run that has not "
+        "converged no ESS is to be relied on."
     )
     return Section("overview", "Samplers side by side", (Table(caption, header, tuple(rows), words=(1,)),))
 

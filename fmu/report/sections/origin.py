@@ -71,13 +71,13 @@ def settings(run: Run) -> Section:
     parts: list[Part] = [
         Table("Settings of the sampler; what was learnt in warm-up is frozen", header, rows, (1, 2))
     ]
-    long = {name: value for name, value in learnt.items() if len(_text(value)) > _LONG}
-    if long:
-        parts.append(Details("What was learnt, in full", (Code(_pretty(long)),)))
     about = [(name, str(attrs[name])) for name in ("seed", "chains", "walkers", "draws", "warmup", "init")]
     about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
     about.append(("configuration hash (SHA-256)", str(attrs["configuration_hash"])))
     parts.append(Table("The run", ("quantity", "value"), tuple(about), (1,)))
+    long = {name: value for name, value in learnt.items() if len(_text(value)) > _LONG}
+    if long:
+        parts.append(Details("What was learnt, in full", (Code(_pretty(long)),)))
     configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
     parts.append(Details("Everything that determines the draws, as JSON", (configuration,)))
     return Section("settings", "Settings, seed and versions", tuple(parts))

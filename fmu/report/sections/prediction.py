@@ -10,6 +10,8 @@ from fmu.report.run import Run
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.report.svg import picture
 
+_FEWEST = 100
+"""Draws to estimate the tail of importance weights from."""
 NO_NOISE = "the modal residual is a pseudo-likelihood, without measurement noise to predict with"
 
 
@@ -50,6 +52,9 @@ def left_out(run: Run) -> Section | Omitted:
     title = "Leaving one mode out"
     if "log_likelihood" not in run.trace.children:
         return Omitted(title, "the trace has no likelihood of single modes")
+    posterior = run.trace["posterior"]
+    if posterior.sizes["chain"] * posterior.sizes["draw"] < _FEWEST or run.summary["ess_bulk"].isna().all():
+        return Omitted(title, "the draws are too few, or stand still")
     table = leave_one_out(run.trace)
     rows = tuple(
         (str(mode), fixed(float(row["elpd"]), 2), fixed(float(row["pareto_k"]), 2),

@@ -90,10 +90,14 @@ def maxima(run: Run) -> Section | Omitted:
     found = run.maxima
     count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
     lead = f"{count} Share: of the posterior's probability. Starts: how many climbs ended there."
-    parts: list[Part] = [Text(lead), _maxima_table(run, found)]
+    at_bounds = {k: found.words_at_bounds(m) for k, m in enumerate(found.maxima[:_MOST_MAXIMA], 1)}
+    said = [f"Maximum {k} lies at bounds: {words}." for k, words in at_bounds.items() if words]
     if len(found) > _MOST_MAXIMA:
-        parts.append(Items((f"The other {len(found) - _MOST_MAXIMA} are lower, and in map.csv.",)))
-    return Section("maxima", title, tuple(parts))
+        said.append(f"The other {len(found) - _MOST_MAXIMA} are lower, and in map.csv.")
+    parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found))
+    if said:
+        parts = (*parts, Items(tuple(said)))
+    return Section("maxima", title, parts)
 
 
 def _maxima_table(run: Run, found: Maxima) -> Table:
@@ -105,7 +109,6 @@ def _maxima_table(run: Run, found: Maxima) -> Table:
         ("log-probability", "nats", MISSING, *(fixed(m.log_prob, 1) for m in best), *nothing),
         ("share", "", MISSING, *(share_of(m.share) for m in best), *nothing),
         ("starts", "", MISSING, *(str(m.starts) for m in best), *nothing),
-        ("at bounds", "", MISSING, *(found.words_at_bounds(m) or "none" for m in best), *nothing),
     ]
     for k, (name, si) in enumerate(zip(found.names, found.units, strict=True)):
         unit = shown(si)
