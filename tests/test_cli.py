@@ -132,7 +132,19 @@ def test_maxima_are_written_and_kept_in_the_trace(invoke, young):
 def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp_path):
     """All chains start in one place: the verdict names the maximum that they miss, and compare repeats it."""
     monkeypatch.chdir(tmp_path)
-    arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start", "--draws", "60", "--warmup", "60")
+    arguments = (
+        "--pairing",
+        "index",
+        "--sampler",
+        "mh",
+        "--init",
+        "start",
+        "--draws",
+        "60",
+        "--warmup",
+        "60",
+        "--no-report",
+    )
     run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, "--out", "here"])
     assert run.exit_code == 0, run.output
     lines = run.stdout.splitlines()
@@ -149,7 +161,19 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp
 
 
 def test_sampling_on_until_there_is_enough(invoke):
-    arguments = ("--draws", 50, "--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
+    arguments = (
+        "--draws",
+        50,
+        "--warmup",
+        200,
+        "--sampler",
+        "hmc",
+        "--out",
+        "here",
+        "--until-ess",
+        450,
+        "--no-report",
+    )
     result = invoke("run", "cantilever-young", *arguments)
     assert result.exit_code == 0, result.output
     assert "Stopped" not in result.stdout
@@ -177,7 +201,19 @@ def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
 def test_a_run_that_is_long_enough_but_missed_a_maximum_is_short(young, monkeypatch, tmp_path):
     """Effective draws do not make a verdict good."""
     monkeypatch.chdir(tmp_path)
-    arguments = ("--pairing", "index", "--init", "start", "--draws", "20", "--warmup", "60", "--until-ess", "5")
+    arguments = (
+        "--pairing",
+        "index",
+        "--init",
+        "start",
+        "--draws",
+        "20",
+        "--warmup",
+        "60",
+        "--until-ess",
+        "5",
+        "--no-report",
+    )
     limit = ("--max-draws", "40", "--sampler", "mh", "--out", "here", "--no-report")
     result = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *limit])
     assert result.exit_code == 1
@@ -338,7 +374,7 @@ def test_compare_of_different_problems(invoke, young, monkeypatch):
     other = copy.copy(young)
     other.name = "another"
     monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": other)
-    arguments = ("--draws", 6, "--warmup", 3, "--sampler", "slice", "--out", "here", "--overwrite")
+    arguments = ("--draws", 6, "--warmup", 3, "--sampler", "slice", "--out", "here", "--overwrite", "--no-report")
     assert invoke("run", "cantilever-young", *arguments).exit_code == 0
     assert_one_line(invoke("compare", "here"), "here mixes problems", "another")
 
