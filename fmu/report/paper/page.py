@@ -48,7 +48,8 @@ def _how_to_read(findings: Findings) -> str:
         "parameters' mean, and errors |f − f_m|/f_m, as in the paper; *predicted* is the posterior predictive "
         f"mean with its {CI_PROB:.0%} interval for a new measurement, eq. (10).\n\n"
         "Files: `parameters.csv`, `frequencies.csv` and `comparison.csv` hold the same numbers in SI units and "
-        "in full; `trace-*.png`, `corner-*.png`, `frequencies-*.png` and `convergence.png` show them.\n"
+        "in full; `trace-*.png`, `corner-*.png`, `frequencies-*.png` and `convergence.png` show them. A report on "
+        "the long runs, to open in a browser: [report/index.html](report/index.html).\n"
     )
 
 

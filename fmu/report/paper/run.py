@@ -83,8 +83,9 @@ def _weighted(result: Result, plan: Plan, stage: Path, progress: Progress | None
 
 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
-    """Write tables, figures and traces of one experiment."""
+    """Write tables, figures and traces of one experiment, and a report on its long runs."""
     from fmu.analysis.trace import save_trace
+    from fmu.report.html import FOLDER, write_pages
     from fmu.report.paper.figures import write_figures
     from fmu.report.paper.page import experiment_page
 
@@ -95,6 +96,7 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
         getattr(findings, table).to_csv(directory / f"{table}.csv")
     (directory / "tables.md").write_text(experiment_page(findings), encoding="utf-8")
     write_figures(result, findings.frequencies, directory)
+    write_pages(result.long, directory / FOLDER)
     for name, trace in _traces(result):
         save_trace(trace, traces / name)
 
@@ -106,6 +108,7 @@ def file_names(plan: Plan) -> list[str]:
         names += [f"{name}/tables.md", f"{name}/convergence.png"]
         names += [f"{name}/{table}.csv" for table in TABLES]
         names += [f"{name}/{figure}-{sampler}.png" for figure in FIGURES for sampler in SAMPLERS]
+        names += [f"{name}/report/{page}.html" for page in ("index", *SAMPLERS)]
         names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
         names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
     weighted = [directory_of(*experiment) for experiment in plan.experiments if experiment in plan.weighted]

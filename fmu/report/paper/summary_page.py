@@ -22,6 +22,7 @@ FILES = {
     "*/parameters.csv, */frequencies.csv, */comparison.csv, */maxima.csv": "the same numbers, SI units, in full",
     "*/trace-*.png, */corner-*.png, */frequencies-*.png": "paths, posterior and frequency errors of each sampler",
     "*/convergence.png": "error of the mean against model solves, all samplers",
+    "*/report/index.html": "a report on the long runs, to open in a browser",
     "traces/*.nc": "the traces (ArviZ, netCDF); made by the command, not kept in git",
     "manifest.json": "what the command wrote: the next run replaces these files and nothing else",
 }
