@@ -21,7 +21,7 @@ from tests.validation.faults import FAULTS, Fault
 
 PROJECT = Path(__file__).parents[2]
 PATIENCE_S = 180.0
-"""How long the tests of one fault may take; a fault that makes them hang is not caught by that."""
+"""How long one file of tests may take; a fault that makes it hang is not caught by that."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", re.MULTILINE)
 TESTS_FAILED = 1
 """pytest's exit code where tests ran, and failed."""
@@ -71,11 +71,11 @@ def try_tests(root: Path, tests: tuple[str, ...]) -> Verdict:
     RuntimeError
         If pytest does not get as far as running them.
     subprocess.TimeoutExpired
-        If they take longer than `PATIENCE_S`.
+        If they take longer than `PATIENCE_S` a file.
     """
     began = time.perf_counter()
     options = ("-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider")
-    done = _python(root, "-m", "pytest", *options, *tests)
+    done = _python(root, "-m", "pytest", *options, *tests, patience_s=PATIENCE_S * len(tests))
     wall_s = time.perf_counter() - began
     if done.returncode == 0:
         return Verdict(None, wall_s)
@@ -130,7 +130,7 @@ def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
     )
 
 
-def _python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def _python(root: Path, *arguments: str, patience_s: float = PATIENCE_S) -> subprocess.CompletedProcess[str]:
     # no byte code: two faults may differ in no more than what the time stamps of a cache can tell
     environment = os.environ | {
         "PYTHONPATH": os.fspath(root),
@@ -139,7 +139,7 @@ def _python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     }
     command = [sys.executable, *arguments]
     return subprocess.run(
-        command, cwd=root, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        command, cwd=root, env=environment, capture_output=True, text=True, timeout=patience_s, check=False
     )
 
 
