@@ -132,20 +132,8 @@ def test_maxima_are_written_and_kept_in_the_trace(invoke, young):
 def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp_path):
     """All chains start in one place: the verdict names the maximum that they miss, and compare repeats it."""
     monkeypatch.chdir(tmp_path)
-    arguments = (
-        "--pairing",
-        "index",
-        "--sampler",
-        "mh",
-        "--init",
-        "start",
-        "--draws",
-        "60",
-        "--warmup",
-        "60",
-        "--no-report",
-    )
-    run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, "--out", "here"])
+    arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start", "--draws", "60", "--warmup", "60")
+    run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, "--out", "here", "--no-report"])
     assert run.exit_code == 0, run.output
     lines = run.stdout.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))
@@ -161,20 +149,8 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp
 
 
 def test_sampling_on_until_there_is_enough(invoke):
-    arguments = (
-        "--draws",
-        50,
-        "--warmup",
-        200,
-        "--sampler",
-        "hmc",
-        "--out",
-        "here",
-        "--until-ess",
-        450,
-        "--no-report",
-    )
-    result = invoke("run", "cantilever-young", *arguments)
+    arguments = ("--draws", 50, "--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
+    result = invoke("run", "cantilever-young", *arguments, "--no-report")
     assert result.exit_code == 0, result.output
     assert "Stopped" not in result.stdout
     assert "hmc  converged" in result.stdout.splitlines()
@@ -201,19 +177,7 @@ def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
 def test_a_run_that_is_long_enough_but_missed_a_maximum_is_short(young, monkeypatch, tmp_path):
     """Effective draws do not make a verdict good."""
     monkeypatch.chdir(tmp_path)
-    arguments = (
-        "--pairing",
-        "index",
-        "--init",
-        "start",
-        "--draws",
-        "20",
-        "--warmup",
-        "60",
-        "--until-ess",
-        "5",
-        "--no-report",
-    )
+    arguments = ("--pairing", "index", "--init", "start", "--draws", "20", "--warmup", "60", "--until-ess", "5")
     limit = ("--max-draws", "40", "--sampler", "mh", "--out", "here", "--no-report")
     result = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *limit])
     assert result.exit_code == 1

@@ -3,6 +3,7 @@
 Needs Debian's chromium and chromium-driver; skipped where they are not installed.
 """
 
+import json
 import shutil
 
 import pytest
@@ -35,36 +36,33 @@ def browser(tmp_path_factory):
     driver.quit()
 
 
-@pytest.fixture(params=WIDTHS)
+@pytest.fixture(scope="module", params=WIDTHS)
 def width(browser, request):
     size = {"width": WIDTHS[request.param], "height": SCREEN, "deviceScaleFactor": 1, "mobile": False}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     return WIDTHS[request.param]
 
 
-@pytest.fixture(params=["beam_report/hmc", "beam_report/index", "hostile_report/hmc", "plain_report/mh"])
+@pytest.fixture(
+    scope="module", params=["beam_report/hmc", "beam_report/index", "hostile_report/hmc", "plain_report/mh"]
+)
 def page(browser, width, request):
-    """A page, open at a width."""
+    """A page, open at a width: its address, what the console said, and every address that was asked for."""
     report, _, name = request.param.partition("/")
-    path = request.getfixturevalue(report) / f"{name}.html"
+    address = (request.getfixturevalue(report) / f"{name}.html").as_uri()
     for log in ("browser", "performance"):
         browser.get_log(log)  # what earlier pages left there
-    browser.get(path.as_uri())
-    return path
-
-
-def test_console_is_silent_and_no_request_leaves_the_file(browser, page):
-    import json
-
-    assert browser.get_log("browser") == []
+    browser.get(address)
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = [
-        message["params"]["request"]["url"]
-        for message in messages
-        if message["method"] == "Network.requestWillBeSent"
-    ]
-    assert page.as_uri() in asked
-    assert [url for url in asked if url != page.as_uri() and not url.startswith("data:")] == []
+    requests = [message["params"] for message in messages if message["method"] == "Network.requestWillBeSent"]
+    return address, browser.get_log("browser"), [params["request"]["url"] for params in requests]
+
+
+def test_console_is_silent_and_no_request_leaves_the_file(page):
+    address, console, asked = page
+    assert console == []
+    assert address in asked
+    assert [url for url in asked if url != address and not url.startswith("data:")] == []
 
 
 @pytest.mark.usefixtures("page")
