@@ -37,7 +37,8 @@ notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they a
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --nbmake --nbmake-timeout=300 notebooks
 
 notebooks-save: $(READY)  ## Run the notebooks and keep what they show
-	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter execute --inplace --NotebookClient.record_timing=False notebooks/*.ipynb
+	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter nbconvert --to notebook --execute --inplace \
+	  --ExecutePreprocessor.timeout=300 --ExecutePreprocessor.record_timing=False notebooks/*.ipynb
 
 bench: export OPENBLAS_NUM_THREADS = 1
 bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into results/benchmarks.md
