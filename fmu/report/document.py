@@ -26,9 +26,8 @@ class Items:
 
 @dataclass(frozen=True)
 class Link:
-    """A name that leads to another page of the report, or to a section."""
+    """A name that leads to another page of the report."""
 
-    kind: ClassVar[str] = "link"
     words: str
     target: str
 
@@ -103,7 +102,7 @@ class Details:
     parts: tuple[Part, ...]
 
 
-Part = Text | Items | Table | Picture | Pictures | Code | Details | Link
+Part = Text | Items | Table | Picture | Pictures | Code | Details
 
 
 @dataclass(frozen=True)
