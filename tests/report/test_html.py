@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 import fmu
+from fmu.analysis.diagnosis import UNSEARCHED
 from fmu.analysis.trace import save_trace
 from fmu.cli import main
 from fmu.report.document import Page
@@ -113,6 +114,7 @@ def test_a_converged_run_says_so_and_a_single_chain_does_not(plain_report):
     )
     assert "✓ Converged" in good
     assert "Not converged" not in good
+    assert UNSEARCHED in good[: good.index("Contents")]
     assert "✗ Not converged" in bad
     assert "1 chain, at least 2 are needed" in bad[: bad.index("Contents")]
     assert "✗ 1 of 2 converged" in index

@@ -1,14 +1,17 @@
 """Sections: their numbers are those of the analysis, in the units that people read."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fmu.analysis.diagnosis import UNSEARCHED
 from fmu.analysis.identifiability import contraction, kept_identifiability
 from fmu.analysis.prediction import leave_one_out
 from fmu.report.document import Details, Items, Link, Omitted, Table, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
-from fmu.report.sections.verdicts import model_fit
+from fmu.report.sections.verdicts import COVERED, SOUND, convergence, model_fit
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +186,13 @@ def test_converged_runs_agree_or_one_is_wrong(shift, verdict, plain_traces):
     head, detail = comparison.agreement(found).parts[0].items
     assert verdict in head
     assert detail.startswith("one and two: at most ")
+
+
+def test_a_good_verdict_says_what_it_covers(plain_traces):
+    (run,) = runs_of({"hmc": plain_traces["hmc"]}).values()
+    assert convergence(run).reasons == (SOUND, UNSEARCHED)
+    searched = replace(run, diagnosis=replace(run.diagnosis, searched=True))
+    assert convergence(searched).reasons == (SOUND, COVERED)
 
 
 def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):

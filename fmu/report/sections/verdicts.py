@@ -6,10 +6,8 @@ from fmu.analysis.model_fit import INTERVAL, fit_warnings
 from fmu.report.document import Verdict
 from fmu.report.run import Run
 
-SOUND = (
-    "Nothing speaks against it: the chains agree, there are enough effective draws of every parameter, and no "
-    "place that is known to hold probability was left out."
-)
+SOUND = "Nothing speaks against it: the chains agree, and there are enough effective draws of every parameter."
+COVERED = "No maximum that was found and holds 1 % of the probability was left out."
 
 
 def verdicts(run: Run) -> tuple[Verdict, Verdict]:
@@ -21,7 +19,8 @@ def convergence(run: Run) -> Verdict:
     """Return the verdict on the sampler."""
     question = "Has the sampler converged?"
     if run.diagnosis.converged:
-        return Verdict(question, "Converged", True, "Why the run counts as converged", (SOUND,))
+        beside = run.diagnosis.remarks or (COVERED,)
+        return Verdict(question, "Converged", True, "Why the run counts as converged", (SOUND, *beside))
     return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.reasons)
 
 
