@@ -21,8 +21,8 @@ $(READY): pyproject.toml constraints.txt
 paper: $(READY)  ## Run both experiments of the paper with every sampler, into results/
 	.venv/bin/fmu paper --out results
 
-test: $(READY)  ## Run the whole test suite
-	.venv/bin/python -m pytest
+test: $(READY)  ## Run the whole test suite, a worker a core
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --dist=loadscope
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MAX_RANKED = 500
+_RANKED = (20, 500)
 _LAGS = 100
 
 
@@ -34,8 +34,8 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     """Draw ArviZ's rank plots, one row a parameter: chains of one distribution stay near zero.
 
     The difference between the distribution of a chain's ranks among all draws, and the uniform one. The p-value is
-    that of a multi-chain test of uniformity; where it is below 1 % the ranks at fault are marked. Of long runs
-    every k-th draw is ranked, at most 500 a chain.
+    that of a multi-chain test of uniformity; where it is below 1 % the ranks at fault are marked. The test takes
+    draws for independent: every k-th is ranked, so many as are effective, at least 20 and at most 500 a chain.
 
     Parameters
     ----------
@@ -59,14 +59,14 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     from fmu.analysis.diagnostics import parameter_names, walkers_of
     from fmu.analysis.effective import apart
 
-    names = parameter_names(trace)
+    names, walkers = parameter_names(trace), walkers_of(trace)
     posterior = trace["posterior"].to_dataset()
     if posterior.sizes["chain"] < 2:
         raise ValueError("trace: must have at least two chains to rank (got 1)")
     axes = stacked(len(names), figure)
-    thinned = posterior.isel(
-        draw=slice(None, None, apart(posterior.sizes["draw"], _MAX_RANKED, walkers_of(trace)))
-    )
+    ranked = _independent(trace) / posterior.sizes["chain"]
+    most = int(np.clip(ranked, *_RANKED)) if np.isfinite(ranked) else _RANKED[1]
+    thinned = posterior.isel(draw=slice(None, None, apart(posterior.sizes["draw"], most, walkers)))
     panels = {name: xr.DataArray(np.array(axis, dtype=object)) for name, axis in zip(names, axes, strict=True)}
     drawn_on = {"figure": xr.DataArray(np.array(axes[0].figure, dtype=object))}
     collection = PlotCollection(
@@ -87,6 +87,14 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
     axes[0].figure.align_ylabels(axes)
     return axes
+
+
+def _independent(trace: xr.DataTree) -> float:
+    """Return the smallest effective sample size of a parameter, NaN where one has none."""
+    from fmu.analysis.diagnostics import parameter_draws, walkers_of
+    from fmu.analysis.effective import ess_bulk
+
+    return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
 def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
