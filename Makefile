@@ -34,7 +34,7 @@ $(READY_BENCH): $(READY)
 	touch $(READY_BENCH)
 
 notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they are
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --nbmake --nbmake-timeout=300 notebooks
 
 notebooks-save: $(READY)  ## Run the notebooks and keep what they show
 	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter nbconvert --to notebook --execute --inplace \

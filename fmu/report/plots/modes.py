@@ -120,7 +120,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
         for line, words in zip(axis.lines[-2:], ("before updating", "posterior mean"), strict=True):
             line.set_label(words)
         before, after = (float(one["frequency"].sel(state=state)) for state, *_ in states)
-        axis.set_title(f"mode {literal(label)}: {before:.1f} Hz before, {after:.1f} Hz at the posterior mean",
+        axis.set_title(f"mode {literal(label)}: {before:.1f} Hz before, {after:.1f} Hz after",
                        fontsize=FONT, loc="left")  # fmt: skip
         finish(axis)
     axes[-1].set_xlabel("position along the structure / m" if is_line else "projected position / m", fontsize=FONT)

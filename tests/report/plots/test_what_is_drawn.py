@@ -120,7 +120,7 @@ def test_shapes_before_and_after_have_one_sign(beam_traces):
         np.testing.assert_allclose(after, sign * other)
         assert before.max() == pytest.approx(1.0)
         f, g = (float(trace["modes"]["frequency"].sel(state=s)[k]) for s in ("start", "posterior mean"))
-        assert axis.get_title("left") == f"mode {k + 1}: {f:.1f} Hz before, {g:.1f} Hz at the posterior mean"
+        assert axis.get_title("left") == f"mode {k + 1}: {f:.1f} Hz before, {g:.1f} Hz after"
 
 
 def test_a_structure_in_space_is_drawn_isometric(beam_traces):
