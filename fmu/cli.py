@@ -197,7 +197,9 @@ def _source(case: str, pairing: str | None) -> tuple[Callable[..., UpdatingProbl
     if case.endswith(".toml"):
         from fmu import config
 
-        return partial(config.load, case), Path(case).stem, pairing or config.read(Path(case)).pairing
+        path = Path(case)
+        described = config.read(path)
+        return partial(described.build, path.name, path.parent), path.stem, pairing or described.pairing
     from fmu import cases as builtin
 
     if case not in builtin.names():
@@ -264,11 +266,12 @@ def _echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> 
 def _short_of(
     until_ess: float | None, summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> list[str]:
-    """Return the samplers that did not come to the effective sample size with a good verdict; NaN did not."""
+    """Return the samplers that did not come to the effective sample size with a good verdict."""
     if until_ess is None:
         return []
-    least = {name: table[["ess_bulk", "ess_tail"]].to_numpy().min() for name, table in summaries.items()}
-    return [name for name, found in verdicts.items() if not (found.converged and least[name] >= until_ess)]
+    from fmu.analysis.diagnosis import is_enough
+
+    return [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
 
 
 def _number(style: str, value: Any) -> str:

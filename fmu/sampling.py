@@ -149,10 +149,11 @@ def _limit(draws: int, until_ess: float | None, max_draws: int | None) -> int:
 
 
 def _is_enough(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> bool:
-    """Say whether a run has converged and its smallest effective sample size is large enough; NaN is not."""
-    from fmu.analysis.diagnosis import judge
+    """Say whether a run needs no more draws."""
+    from fmu.analysis.diagnosis import is_enough, judge
     from fmu.analysis.diagnostics import summary
 
+    if until_ess is None:
+        return True
     table = summary(trace)
-    ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
-    return bool(ess >= until_ess) and judge(trace, [] if maxima is None else [maxima], table=table).converged
+    return is_enough(judge(trace, [] if maxima is None else [maxima], table=table), table, until_ess)

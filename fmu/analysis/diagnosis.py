@@ -179,6 +179,11 @@ def diagnose_all(
     return found
 
 
+def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
+    """Say whether a run has converged and every ESS of its summary is at least `until_ess`; NaN is not."""
+    return found.converged and bool(table[["ess_bulk", "ess_tail"]].to_numpy().min() >= until_ess)
+
+
 def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:
     """Say whether two traces come from one posterior, as their configurations have it."""
     first, second = (json.loads(trace.attrs["configuration"])["problem"] for trace in (one, other))

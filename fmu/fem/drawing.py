@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.separable import SeparableModel
+from fmu.fem.separable import Geometry, SeparableModel
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -42,14 +42,12 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
     ValueError
         If the model does not know its geometry.
     """
-    if model.geometry is None:
-        raise ValueError("model: must have a geometry to be drawn (got none)")
-    geometry = model.geometry
+    geometry = _geometry(model)
     view = _view(geometry.nodes)
     place = _fitted(geometry.nodes @ view.T)
     parts = [
         _line(place[a], place[b], colour, 4)
-        for (a, b), colour in zip(geometry.elements, element_colours(model), strict=True)
+        for (a, b), colour in zip(geometry.elements, element_colours(changed_elements(model)), strict=True)
     ]
     parts += [_support(place[node]) for node in _supported(model)]
     parts += [_arrow(place[n], view[:, _AXES.index(d)]) for n, d in sensors if d in _AXES]
@@ -62,16 +60,16 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
     )
 
 
-def element_colours(model: SeparableModel) -> list[str]:
-    """Return the colour of each element: that of the first parameter that changes it."""
-    changed = changed_elements(model)
+def element_colours(changed: BoolArray) -> list[str]:
+    """Return the colour of each element, from `changed_elements`: that of the first parameter that changes it."""
     first = np.where(changed.any(axis=1), np.argmax(changed, axis=1), -1)
     return [UNCHANGED if k < 0 else COLOURS[k % len(COLOURS)] for k in first]
 
 
 def parameter_colours(model: SeparableModel) -> list[str | None]:
     """Return the colour of the elements that each parameter changes, None where it changes none."""
-    changed, colours = changed_elements(model), element_colours(model)
+    changed = changed_elements(model)
+    colours = element_colours(changed)
     return [colours[int(np.argmax(column))] if column.any() else None for column in changed.T]
 
 
@@ -85,12 +83,11 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     ValueError
         If the model does not know its geometry.
     """
-    if model.geometry is None:
-        raise ValueError("model: must have a geometry to be drawn (got none)")
+    elements = _geometry(model).elements
     dofs: dict[Any, list[int]] = {}
     for i, (node, _) in enumerate(model.dofs):
         dofs.setdefault(node, []).append(i)
-    ends = [(dofs.get(int(a), []), dofs.get(int(b), [])) for a, b in model.geometry.elements]
+    ends = [(dofs.get(int(a), []), dofs.get(int(b), [])) for a, b in elements]
     changed = np.zeros((len(ends), model.n_parameters), dtype=bool)
     for term in (*model.K_terms, *model.M_terms):
         parameters = np.flatnonzero(term.powers)
@@ -101,6 +98,12 @@ def changed_elements(model: SeparableModel) -> BoolArray:
             if matrix[a][:, b].nnz > 0 if a and b else np.any(diagonal[a or b]):
                 changed[e, parameters] = True
     return changed
+
+
+def _geometry(model: SeparableModel) -> Geometry:
+    if model.geometry is None:
+        raise ValueError("model: must have a geometry to be drawn (got none)")
+    return model.geometry
 
 
 def _view(nodes: FloatArray) -> FloatArray:
@@ -132,7 +135,7 @@ def _supported(model: SeparableModel) -> list[int]:
     for node, direction in model.dofs:
         free.setdefault(node, set()).add(direction)
     most = max(len(directions) for directions in free.values())
-    nodes = np.unique(np.asarray(model.geometry.elements))  # type: ignore[union-attr]
+    nodes = np.unique(_geometry(model).elements)
     return [int(node) for node in nodes if len(free.get(int(node), ())) < most]
 
 

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from fmu.cases.published import EXPERIMENTS
 from fmu.cases.published import Experiment as Published
+from fmu.progress import Report
 from fmu.report.paper.convergence import Curve, Needed, running_error, solves_needed
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan, long_settings, paper_settings
 from fmu.report.paper.reference import Reference, around_the_maxima, pooled
-from fmu.report.paper.runs import Progress, Runs
+from fmu.report.paper.runs import Runs
 from fmu.report.paper.spectrum import paired_names, shares
 from fmu.report.plots import TITLES
 
@@ -94,7 +95,7 @@ class Result:
         return self.diagnoses[sampler].converged
 
 
-def compute(case: str, pairing: str, plan: Plan, progress: Progress | None = None) -> Result:
+def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None) -> Result:
     """Make all runs of one experiment.
 
     Parameters

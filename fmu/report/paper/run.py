@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fmu.progress import Report
 from fmu.report.files import OutputDirectory
 from fmu.report.paper.experiment import Result, compute, directory_of
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
-from fmu.report.paper.runs import Progress
 from fmu.report.paper.vector_beta import SAMPLER, VectorBeta, sample_weighted, side_by_side
 from fmu.report.paper.workers import default_workers, in_processes
 
@@ -24,7 +24,7 @@ FIGURES = ("trace", "corner", "frequencies")
 
 def run_paper(
     out: str | os.PathLike[str],
-    progress: Progress | None = None,
+    progress: Report | None = None,
     plan: Plan | None = None,
     workers: int | None = None,
 ) -> None:
@@ -60,7 +60,7 @@ def run_paper(
         write_closing_pages([found[directory_of(*experiment)] for experiment in plan.experiments], plan, stage)
 
 
-def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Progress | None) -> Findings:
+def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Report | None) -> Findings:
     """Compute one experiment and write its directory and its traces below `stage`."""
     from fmu.fem.threads import single_thread
 
@@ -72,7 +72,7 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: P
     return findings
 
 
-def _weighted(result: Result, plan: Plan, stage: Path, progress: Progress | None) -> VectorBeta:
+def _weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
     """Make the run with a β for every mode, and write its trace."""
     from fmu.analysis.trace import save_trace
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from fmu.progress import Report
 from fmu.report.paper.plan import Length
 
 if TYPE_CHECKING:
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from fmu.analysis.maxima import Maxima
     from fmu.posterior.problem import UpdatingProblem
     from fmu.samplers.kernel import Sampler
-
-Progress = Callable[[str, int, int, Mapping[str, str]], None]
 
 
 class Runs:
@@ -42,7 +41,7 @@ class Runs:
         seed: int,
         phase: str,
         total: int,
-        progress: Progress | None,
+        progress: Report | None,
     ) -> None:
         self.problem, self.maxima, self.seed = problem, maxima, seed
         self.phase, self.total, self.progress = phase, total, progress
@@ -75,7 +74,7 @@ class Runs:
         if self.progress is not None:
             self.progress(self.phase, self.total, self.total, {"run": "all"})
 
-    def _watch(self, words: str) -> Progress | None:
+    def _watch(self, words: str) -> Report | None:
         """Return the callback of one run, whose warm-up precedes its draws."""
         report = self.progress
         if report is None:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.cases.published import EXPERIMENTS
+from fmu.progress import Report
 from fmu.report.paper.experiment import PAIRED_BY, Result, directory_of
 from fmu.report.paper.plan import Plan, long_settings
-from fmu.report.paper.runs import Progress, Runs
+from fmu.report.paper.runs import Runs
 from fmu.report.paper.tables import posterior_mean
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class VectorBeta:
         return "confirmed" if first["vector_error"] < first["scalar_error"] else "not confirmed"
 
 
-def sample_weighted(result: Result, plan: Plan, progress: Progress | None = None) -> xr.DataTree:
+def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) -> xr.DataTree:
     """Repeat the long HMC run of an experiment, settings and seed the same, with a weight for every mode."""
     from fmu import cases
     from fmu.analysis.search import find_map

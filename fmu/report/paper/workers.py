@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from typing import Any
 
-from fmu.report.paper.runs import Progress
+from fmu.progress import Report
 
 _TICK_S = 0.1
 _messages: Any = None
@@ -22,7 +22,7 @@ def default_workers() -> int:
 
 
 def in_processes[T](
-    work: Callable[..., T], tasks: Sequence[tuple[Any, ...]], workers: int, progress: Progress | None
+    work: Callable[..., T], tasks: Sequence[tuple[Any, ...]], workers: int, progress: Report | None
 ) -> list[T]:
     """Return ``work(*task, progress)`` for every task, in the order of the tasks.
 
@@ -60,7 +60,7 @@ def in_processes[T](
             raise
 
 
-def _listen(futures: Sequence[Future[Any]], messages: Any, progress: Progress | None) -> None:
+def _listen(futures: Sequence[Future[Any]], messages: Any, progress: Report | None) -> None:
     """Pass messages on until all is done or something has failed."""
     while True:
         done, pending = wait(futures, timeout=_TICK_S)
