@@ -94,12 +94,12 @@ def _aligned(shapes: FloatArray) -> FloatArray:
 def _shape_variables(problem: UpdatingProblem, shapes: FloatArray) -> dict[str, Any]:
     structure = problem.model.structure  # type: ignore[attr-defined]
     if problem.data.shapes is None:
-        dofs, name = structure.translations, "modes before updating, at all translations"
-        reference = shapes[0][dofs]
+        seen, name = shapes[:, structure.translations], "modes before updating, at all translations"
+        reference = seen[0]
     else:
-        dofs = np.array([structure.dof(*sensor) for sensor in problem.data.sensors])
+        seen = structure.observation(problem.data.sensors).toarray() @ shapes
         reference, name = np.asarray(problem.data.shapes), "measured shapes, at the sensors"
-    alike = mac(shapes[:, dofs], reference)
+    alike = mac(seen, reference)
     variables: dict[str, Any] = {"mac": (("state", "reference_mode", "mode"), alike, {"reference": name})}
     if structure.geometry is None:
         return variables

@@ -12,6 +12,9 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
+SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
+"""A place and a direction."""
+
 
 class Table(BaseModel):
     """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted."""

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from fmu.config.fields import Name, NotNegative, Positive, Table, Vector
-from fmu.config.mistakes import Mistake, got
-from fmu.fem.frame import ElementGroup, Frame, Material, PointMass, Section
+from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.model import Built
+from fmu.fem.frame import PROPERTIES, ElementGroup, Frame, Material, PointMass, Section
+
+if TYPE_CHECKING:
+    from fmu.config.parameters import ParameterTable
 
 MOST_ELEMENTS = 100_000
 
@@ -95,6 +101,13 @@ class MassTable(Table):
     inertia: Annotated[list[NotNegative], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
 
+class Target(Table):
+    """What of a frame a parameter is the value of: a property, in groups of elements."""
+
+    property: Literal["E", "rho", "A", "Iy", "Iz", "J"] | None = None
+    groups: list[Name] = []
+
+
 class FrameTable(Table):
     """A structure of beam elements."""
 
@@ -106,8 +119,45 @@ class FrameTable(Table):
     supports: dict[Name, list[Direction] | Literal["clamped"]] = {}
     masses: list[MassTable] = []
 
-    def mistakes(self) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
         """Return what is wrong between the tables: names that do not exist, members of no length."""
+        return self._between_tables() + self._of_parameters(parameters)
+
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Return the model and the node of every point; BrokenError with what is wrong. It reads no files."""
+        try:
+            frame, node_of, parts = self._frame()
+            updates = {
+                table.name: [(str(table.property), part) for group in table.groups for part in parts[group]]
+                for table in parameters
+            }
+            return Built(frame.separable(updates), node_of)
+        except ValueError as error:
+            raise BrokenError([Mistake("model", str(error))]) from error
+
+    def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        found = []
+        known = sorted({member.group for member in self.members})
+        owner: dict[tuple[str | None, str], str] = {}
+        for i, table in enumerate(parameters):
+            if table.property is None:
+                found.append(Mistake(f"parameters.{i}.property", f"is missing: one of {', '.join(PROPERTIES)}"))
+            if table.lower is None or table.lower <= 0:
+                rule = got("must be positive, as the property is", table.lower)
+                found.append(Mistake(f"parameters.{i}.lower", rule))
+            if not table.groups:
+                found.append(Mistake(f"parameters.{i}.groups", "must name a group"))
+            for group in table.groups:
+                where = f"parameters.{i}.groups"
+                if group not in known:
+                    found.append(Mistake(where, got(f"must be among {', '.join(known)}", group)))
+                elif (table.property, group) in owner:
+                    other = owner[table.property, group]
+                    found.append(Mistake(where, f"{table.property} of {group} is updated by {other} already"))
+                owner[table.property, group] = table.name
+        return found
+
+    def _between_tables(self) -> list[Mistake]:
         found = []
         for i, member in enumerate(self.members):
             for key, name, known in (
@@ -129,11 +179,7 @@ class FrameTable(Table):
             found.append(Mistake("model.members", f"must have at most {MOST_ELEMENTS} elements together"))
         return found
 
-    def groups(self) -> set[str]:
-        """Return the names of the groups of elements."""
-        return {member.group for member in self.members}
-
-    def build(self) -> tuple[Frame, dict[str, int], dict[str, list[str]]]:
+    def _frame(self) -> tuple[Frame, dict[str, int], dict[str, list[str]]]:
         """Return the frame, the node of every point, and the frame's own groups by the name of each group here.
 
         Members of one group may differ in section, material and orientation; the frame has one group a member.

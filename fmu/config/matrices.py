@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
 from pydantic import Field
 
-from fmu.config.fields import Name, Table
-from fmu.config.mistakes import Mistake, got
+from fmu.config.fields import Name, SensorTable, Table
+from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.model import Built
 from fmu.fem.separable import SeparableModel, Term
+
+if TYPE_CHECKING:
+    from fmu.config.parameters import ParameterTable
 
 LARGEST_FILE = 2**30
 """Bytes; a file beyond it is refused before it is read."""
 READABLE = (".mtx", ".npz")
-
-SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 
 
 class TermTable(Table):
@@ -36,26 +39,27 @@ class MatricesTable(Table):
     mass: Annotated[list[TermTable], Field(min_length=1)]
     dofs: list[SensorTable] | None = None
 
-    def mistakes(self, parameters: list[str]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
         """Return the powers of parameters that do not exist, and the parameters that no term has."""
+        names = [parameter.name for parameter in parameters]
         found, used = [], set()
         for key in ("stiffness", "mass"):
             for i, term in enumerate(getattr(self, key)):
                 used |= set(term.powers)
                 found += [
-                    Mistake(f"model.{key}.{i}.powers", got(f"must name one of {', '.join(parameters)}", name))
+                    Mistake(f"model.{key}.{i}.powers", got(f"must name one of {', '.join(names)}", name))
                     for name in term.powers
-                    if name not in parameters
+                    if name not in names
                 ]
         found += [
             Mistake(f"parameters.{i}.name", got("must be in the powers of a term", name))
-            for i, name in enumerate(parameters)
+            for i, name in enumerate(names)
             if name not in used
         ]
         return found
 
-    def build(self, folder: Path, parameters: list[str]) -> tuple[SeparableModel | None, list[Mistake]]:
-        """Read the matrices beside the file; return the model, or what was wrong with them."""
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Read the matrices beside the file and return the model; BrokenError with what is wrong with them."""
         terms: dict[str, list[Term]] = {}
         found: list[Mistake] = []
         for key in ("stiffness", "mass"):
@@ -66,15 +70,15 @@ class MatricesTable(Table):
                 except ValueError as error:
                     found.append(Mistake(f"model.{key}.{i}.file", str(error)))
                     continue
-                terms[key].append(Term(matrix, tuple(table.powers.get(name, 0.0) for name in parameters)))
+                terms[key].append(Term(matrix, tuple(table.powers.get(p.name, 0.0) for p in parameters)))
         if found:
-            return None, found
+            raise BrokenError(found)
         dofs = None if self.dofs is None else [(node, str(direction)) for node, direction in self.dofs]
         try:
-            return SeparableModel(terms["stiffness"], terms["mass"], dofs), []
+            return Built(SeparableModel(terms["stiffness"], terms["mass"], dofs), {})
         except ValueError as error:
             words = str(error).replace("K_terms", "stiffness").replace("M_terms", "mass")
-            return None, [Mistake("model", words)]
+            raise BrokenError([Mistake("model", words)]) from error
 
 
 def read_matrix(path: Path) -> Any:

@@ -20,6 +20,14 @@ class Mistake(NamedTuple):
         return f"{self.where}: {self.rule}" if self.where else self.rule
 
 
+class BrokenError(Exception):
+    """What a part of a configuration raises when it cannot be built: its mistakes."""
+
+    def __init__(self, mistakes: Sequence[Mistake]) -> None:
+        self.mistakes = tuple(mistakes)
+        super().__init__("; ".join(map(str, self.mistakes)))
+
+
 class ConfigurationError(ValueError):
     """A configuration that cannot be used.
 

@@ -20,6 +20,7 @@ UNCHANGED = "#6E6E6E"
 _WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
 _FLAT = 1e-6
 _AXES = ("x", "y", "z")
+_ROTATIONS = ("rx", "ry", "rz")
 
 
 def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
@@ -50,7 +51,11 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
         for (a, b), colour in zip(geometry.elements, element_colours(changed_elements(model)), strict=True)
     ]
     parts += [_support(place[node]) for node in _supported(model)]
-    parts += [_arrow(place[n], view[:, _AXES.index(d)]) for n, d in sensors if d in _AXES]
+    parts += [
+        _arrow(place[model.arms[n].node if n in model.arms else n], _pointing(d) @ view.T)
+        for n, d in sensors
+        if d[-2:] not in _ROTATIONS
+    ]
     words = f"{len(place)} nodes, {len(geometry.elements)} elements, {len(sensors)} sensors"
     height = place[:, 1].max() + _MARGIN
     return (
@@ -98,6 +103,13 @@ def changed_elements(model: SeparableModel) -> BoolArray:
             if matrix[a][:, b].nnz > 0 if a and b else np.any(diagonal[a or b]):
                 changed[e, parameters] = True
     return changed
+
+
+def _pointing(direction: str) -> FloatArray:
+    """Return the unit vector of ``"z"`` or ``"-z"``, shape (3,)."""
+    unit = np.zeros(3)
+    unit[_AXES.index(direction[-1])] = -1.0 if direction.startswith("-") else 1.0
+    return unit
 
 
 def _geometry(model: SeparableModel) -> Geometry:

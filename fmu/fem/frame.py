@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem import beam
-from fmu.fem.separable import Geometry, SeparableModel, Term, merge_terms
+from fmu.fem.separable import Geometry, RigidArm, SeparableModel, Term, merge_terms
 
 FloatArray = NDArray[np.float64]
 
@@ -121,12 +122,15 @@ class Frame:
     supports : mapping of int to sequence of str
         Fixed directions ("x" … "rz") of a node.
     masses : sequence of PointMass
+    arms : mapping of hashable to RigidArm
+        Places beside the nodes at which sensors may sit, by name.
     """
 
     nodes: ArrayLike
     groups: Sequence[ElementGroup]
     supports: Mapping[int, Sequence[str]] = field(default_factory=dict)
     masses: Sequence[PointMass] = ()
+    arms: Mapping[Any, RigidArm] = field(default_factory=dict)
 
     def separable(self, updates: Mapping[str, Sequence[tuple[str, str]]] | None = None) -> SeparableModel:
         """Assemble K(theta) and M(theta).
@@ -171,7 +175,7 @@ class Frame:
             M_terms.append(Term(sp.csr_array(sp.diags_array(lumped[free])), (0.0,) * n_parameters))
         elements = np.concatenate([np.asarray(group.elements, dtype=np.int64) for group in self.groups])
         geometry = Geometry(coordinates, elements)
-        return SeparableModel(merge_terms(K_terms), merge_terms(M_terms), dofs, geometry)
+        return SeparableModel(merge_terms(K_terms), merge_terms(M_terms), dofs, geometry, self.arms)
 
     def _owners(self, updates: Mapping[str, Sequence[tuple[str, str]]]) -> dict[tuple[str, str], int]:
         groups = {group.name for group in self.groups}

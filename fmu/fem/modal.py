@@ -174,11 +174,13 @@ class FullBlock:
         gradient = self._K_map.contract(theta, _quadratic_forms(self.K_terms, phi))
         return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))
 
-    def observe(
-        self, dofs: IntArray, reference: FloatArray
-    ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-        """Return what picks `dofs` out of shapes (n, size, m), and the references there as they are."""
-        return lambda phi: phi[:, dofs], reference
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return what takes shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
+        if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
+            dofs = rows.indices
+            return lambda phi: phi[:, dofs], reference
+        dense = rows.toarray()
+        return lambda phi: dense @ phi, reference
 
 
 def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,14 +56,12 @@ class Block(Protocol):
         """Return ∂λ/∂θ, shape (n, m, n_parameters)."""
         ...
 
-    def observe(
-        self, dofs: IntArray, reference: FloatArray
-    ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return a map of shapes (n, size, m) to (n, q', m), and the references (q', n_modes) beside it.
 
-        With `dofs` (q,) the block's own degrees of freedom at which shapes are compared and `reference`
-        (q, n_modes): the mapped shapes have the norms that the shapes have at those degrees of freedom, and
-        the same products with the references.
+        With sparse `rows` (q, size) of the block's own degrees of freedom, the coordinates at which shapes are
+        compared, and `reference` (q, n_modes): the mapped shapes have the norms that the shapes have in those
+        coordinates, and the same products with the references.
         """
         ...
 

@@ -118,15 +118,15 @@ class ShapePairing:
 
     Attributes
     ----------
-    dofs : ndarray of int, shape (q,)
-        The model's degrees of freedom at which shapes are compared.
+    rows : scipy.sparse.csr_array, shape (q, n_dof)
+        The coordinates at which shapes are compared, one a row: `fmu.fem.separable.SeparableModel.observation`.
     shapes : ndarray, shape (q, n_modes)
         Reference shapes there: measured ones, or those of the model before updating.
     margin : int
         How many modes beyond the number of references each block offers as candidates.
     """
 
-    dofs: IntArray
+    rows: Any
     shapes: FloatArray
     margin: int = 3
 
@@ -164,11 +164,10 @@ class ShapePairing:
         """Return, for every block that a reference moves in, how its shapes are compared."""
         observed = {}
         for b, block in enumerate(model.blocks):
-            position = {dof: i for i, dof in enumerate(block.dofs)}
-            inside = np.array([i for i, dof in enumerate(self.dofs) if dof in position], dtype=np.int64)
+            seen = self.rows[:, block.dofs]
+            inside = np.flatnonzero(np.diff(seen.indptr))
             if np.any(self.shapes[inside]):
-                local = np.array([position[self.dofs[i]] for i in inside])
-                observed[b] = block.observe(local, self.shapes[inside])
+                observed[b] = block.observe(seen[inside], self.shapes[inside])
         return observed
 
     def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
@@ -200,9 +199,7 @@ class ShapePairing:
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
 
-def reference_modes(
-    model: BlockModel, theta: FloatArray, sensors: IntArray, dofs: IntArray, n_modes: int
-) -> ShapePairing:
+def reference_modes(model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, n_modes: int) -> ShapePairing:
     """Return the pairing with the first `n_modes` elastic modes of a reference model that the sensors can see.
 
     Where no shapes were measured, a mode that moves none of the sensors cannot have been measured either;
@@ -214,8 +211,8 @@ def reference_modes(
         Unreduced.
     theta : ndarray, shape (n_parameters,)
         The reference: as a rule the model before updating.
-    sensors, dofs : ndarray of int
-        Degrees of freedom that were measured, and those at which the shapes will be compared.
+    sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
+        What the sensors see, and the coordinates at which the shapes will be compared.
 
     Raises
     ------
@@ -225,9 +222,9 @@ def reference_modes(
     n_total = sum(block.size for block in model.blocks)
     count = min(4 * n_modes, n_total)
     while True:
-        shapes = _visible_shapes(model, theta, sensors, dofs, count)
+        shapes = _visible_shapes(model, theta, sensors, rows, count)
         if len(shapes) >= n_modes:
-            return ShapePairing(dofs, np.stack(shapes[:n_modes], axis=1))
+            return ShapePairing(rows, np.stack(shapes[:n_modes], axis=1))
         if count == n_total:
             raise ValueError(f"sensors: must see the {n_modes} measured modes (they see {len(shapes)})")
         count = min(2 * count, n_total)
@@ -256,21 +253,18 @@ def assign(mac: FloatArray) -> IntArray:
     return best
 
 
-def _visible_shapes(
-    model: BlockModel, theta: FloatArray, sensors: IntArray, dofs: IntArray, count: int
-) -> list[FloatArray]:
+def _visible_shapes(model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, count: int) -> list[FloatArray]:
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
-    n_dof = max(int(b.dofs.max()) for b in model.blocks) + 1
     solved = {
         b: model.blocks[b].modes(point, int(spectrum.rank[spectrum.block == b].max()) + 1)[1][0]
         for b in set(spectrum.block[0].tolist())
     }
-    shapes = np.zeros((count, n_dof))
+    shapes = np.zeros((count, rows.shape[1]))
     for shape, b, r in zip(shapes, spectrum.block[0], spectrum.rank[0], strict=True):
         shape[model.blocks[b].dofs] = solved[int(b)][:, r]
+    compared, seen = shapes @ rows.T, shapes @ sensors.T
     # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
-    moved = np.max(np.abs(shapes[:, dofs]))
     elastic = spectrum.eigenvalues[0] > RIGID * spectrum.eigenvalues[0, -1]
-    visible = np.max(np.abs(shapes[:, sensors]), axis=1) > 1e-3 * moved
-    return list(shapes[np.ix_(elastic & visible, dofs)])
+    visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
+    return list(compared[elastic & visible])

@@ -14,6 +14,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,14 +89,12 @@ class ReducedBlock:
             gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
         return gradient
 
-    def observe(
-        self, dofs: IntArray, reference: FloatArray
-    ) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-        """Return shapes at `dofs` and the references in an orthonormal basis of what the block can show there."""
-        rows = self.basis[dofs]
-        if len(dofs) <= self.size:
-            return lambda phi: rows @ phi, reference
-        Q, R = np.linalg.qr(rows)
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
+        seen = rows @ self.basis
+        if len(seen) <= self.size:
+            return lambda phi: seen @ phi, reference
+        Q, R = np.linalg.qr(seen)
         return lambda phi: R @ phi, Q.T @ reference
 
     def _set_terms(self, K: FloatArray, M: FloatArray) -> None:

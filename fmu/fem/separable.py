@@ -7,7 +7,7 @@ monomials of the parameters, so that derivatives are exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -58,6 +58,31 @@ class Geometry:
     elements: IntArray
 
 
+@dataclass(frozen=True)
+class RigidArm:
+    """A place rigidly joined to a node: a sensor on the skin of a beam, the centre of a mass.
+
+    Attributes
+    ----------
+    node : hashable
+        Of the model's degrees of freedom.
+    offset : tuple of float, length 3, m
+        From the node to the place, global axes.
+    """
+
+    node: Any
+    offset: tuple[float, float, float]
+
+    def motion(self, direction: str) -> dict[str, float]:
+        """Return how a motion of the place depends on those of its node, to first order: u + θ × r."""
+        x, y, z = self.offset
+        return {direction: 1.0} | {
+            "x": {"ry": z, "rz": -y},
+            "y": {"rz": x, "rx": -z},
+            "z": {"rx": y, "ry": -x},
+        }.get(direction, {})
+
+
 class SeparableModel:
     """A structure whose matrices are sums of fixed matrices with monomial coefficients.
 
@@ -70,6 +95,8 @@ class SeparableModel:
         one counts as a translation of its own node.
     geometry : Geometry, optional
         For drawings of the structure and its mode shapes.
+    arms : mapping of hashable to RigidArm, optional
+        Places beside the nodes at which sensors may sit, by name.
 
     Raises
     ------
@@ -83,6 +110,7 @@ class SeparableModel:
         M_terms: Sequence[Term],
         dofs: Sequence[tuple[Any, str]] | None = None,
         geometry: Geometry | None = None,
+        arms: Mapping[Any, RigidArm] | None = None,
     ) -> None:
         if not K_terms or not M_terms:
             raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
@@ -92,6 +120,7 @@ class SeparableModel:
         self.n_parameters = len(K_terms[0].powers)
         self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
         self.geometry = geometry
+        self.arms = dict(arms or {})
         _check_terms(self)
 
     def __repr__(self) -> str:
@@ -152,9 +181,61 @@ class SeparableModel:
                 f"sensor: the model has no free degree of freedom (got node {node!r}, {direction!r})"
             ) from None
 
+    def observation(self, sensors: Sequence[tuple[Any, str]]) -> Any:
+        """Return what sensors see of a motion of the degrees of freedom.
+
+        Parameters
+        ----------
+        sensors : sequence of (place, direction)
+            A place is a node or one of `arms`. A direction is that of a degree of freedom, with a minus before it
+            if the sensor counts the other way: ``"z"``, ``"-z"``.
+
+        Returns
+        -------
+        scipy.sparse.csr_array, shape (n_sensors, n_dof)
+
+        Raises
+        ------
+        ValueError
+            If a sensor sees no free degree of freedom.
+        """
+        rows = [self._seen_by(sensor) for sensor in sensors]
+        row = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+        column = [dof for r in rows for dof in r]
+        weight = [w for r in rows for w in r.values()]
+        return sp.csr_array((weight, (row, column)), shape=(len(rows), self.n_dof), dtype=float)
+
+    def sees(self, sensor: tuple[Any, str]) -> bool:
+        """Say whether a sensor sees a free degree of freedom, see `observation`."""
+        try:
+            return bool(self._seen_by(sensor))
+        except ValueError:
+            return False
+
+    def _seen_by(self, sensor: tuple[Any, str]) -> dict[int, float]:
+        place, direction = sensor
+        sign, direction = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+        if place not in self.arms:
+            return {self.dof(place, direction): sign}
+        arm = self.arms[place]
+        seen = {
+            self._dof_index[arm.node, d]: sign * weight
+            for d, weight in arm.motion(direction).items()
+            if weight and (arm.node, d) in self._dof_index
+        }
+        if not seen:
+            raise ValueError(f"sensor: sees no free degree of freedom (got {place!r}, {direction!r})")
+        return seen
+
     @cached_property
     def _dof_index(self) -> dict[tuple[Any, str], int]:
         return {name: i for i, name in enumerate(self.dofs)}
+
+
+def selection(dofs: ArrayLike, n_dof: int) -> Any:
+    """Return the rows that pick degrees of freedom (q,) out of a motion, a csr_array of shape (q, n_dof)."""
+    picked = np.asarray(dofs, dtype=np.int64)
+    return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
 
 
 def coefficients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel, Modes
 from fmu.fem.pairing import IndexPairing, Pairing, ShapePairing, reference_modes
 from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.separable import SeparableModel
+from fmu.fem.separable import SeparableModel, selection
 from fmu.fem.threads import single_thread
 from fmu.fem.training import Trained, Training
 
@@ -78,12 +78,12 @@ class PairedStructure:
             if max(numbers) > model.n_dof:
                 raise ValueError(f"numbers: must lie in 1..{model.n_dof}, the modes of the model (got {numbers})")
         elif shapes is not None:
-            self.rule = ShapePairing(np.array([model.dof(*sensor) for sensor in sensors]), shapes)
+            self.rule = ShapePairing(model.observation(sensors), shapes)
         else:
-            dofs = model.translations
-            seen = np.array([model.dof(*sensor) for sensor in sensors]) if sensors else dofs
+            rows = selection(model.translations, model.n_dof)
+            seen = model.observation(sensors) if sensors else rows
             with single_thread():
-                self.rule = reference_modes(self.full, reference, seen, dofs, self.n_modes)
+                self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes)
         self.pairing: Pairing = self.rule
         self._solve_full = self.rule.bind(self.full)
 
@@ -189,13 +189,17 @@ class PairedStructure:
 
     def fingerprint(self) -> str:
         """Return a hash of everything that the frequencies depend on."""
-        digest = hashlib.sha256(repr((self.structure.dofs, self.rule)).encode())
+        digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
+        matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
         if isinstance(self.rule, ShapePairing):
-            digest.update(np.ascontiguousarray(self.rule.shapes).tobytes())
-        for term in (*self.structure.K_terms, *self.structure.M_terms):
-            matrix = term.matrix.tocsr()
-            digest.update(repr((term.powers, matrix.shape)).encode())
-            for part in (matrix.indptr, matrix.indices, matrix.data):
+            digest.update(repr(self.rule.margin).encode() + np.ascontiguousarray(self.rule.shapes).tobytes())
+            matrices.append(((), self.rule.rows))
+        else:
+            digest.update(repr(self.rule).encode())
+        for powers, matrix in matrices:
+            entries = matrix.tocsr()
+            digest.update(repr((powers, entries.shape)).encode())
+            for part in (entries.indptr, entries.indices, entries.data):
                 digest.update(np.ascontiguousarray(part).tobytes())
         return digest.hexdigest()
 

@@ -39,7 +39,8 @@ class ModalResidual:
     Raises
     ------
     ValueError
-        If no shapes were measured, a β is not positive and finite, or the model can move with its sensors held.
+        If no shapes were measured, a sensor is not at a degree of freedom of its own, a β is not positive and
+        finite, or the model can move with its sensors held.
 
     Notes
     -----
@@ -60,7 +61,7 @@ class ModalResidual:
         if not np.all(np.isfinite(beta) & (beta > 0)):
             raise ValueError(f"beta: must be positive and finite (got {beta.tolist()})")
         self.beta = np.broadcast_to(beta, data.n_modes).copy()
-        sensors = np.array([model.dof(*sensor) for sensor in data.sensors])
+        sensors = _masters(model.observation(data.sensors))
         part = np.sort(np.concatenate([dofs for dofs in model.blocks if np.isin(sensors, dofs).any()]))
         order = np.concatenate([sensors, np.setdiff1d(part, sensors)])
         self._K_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.K_terms)
@@ -127,6 +128,15 @@ class ModalResidual:
         slope = self._K_map.contract(theta, np.array([K_forms]))[0]
         slope = slope - self._M_map.contract(theta, np.array([M_forms]))[0]
         return self._terms(residual), -2.0 * (self.beta / self._scale**2)[:, None] * slope
+
+
+def _masters(rows: Any) -> NDArray[np.intp]:
+    """Return the degrees of freedom that the sensors are at, shape (n_sensors,)."""
+    if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
+        raise ValueError(
+            "sensors: to condense onto they must be degrees of freedom, without arms or signs"
+        )
+    return np.asarray(rows.indices, dtype=np.intp)
 
 
 class _Condensation:

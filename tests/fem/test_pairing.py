@@ -15,7 +15,7 @@ from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modal import frequency_hz
 from fmu.fem.model import BlockModel
 from fmu.fem.pairing import IndexPairing, RankPairing, ShapePairing, assign, reference_modes
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel, Term, selection
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 
@@ -92,7 +92,7 @@ def test_a_failed_block_does_not_hand_its_measured_modes_to_another(failing):
     stiffness = sp.csr_array(np.array([[2.0, -1, 0, 0], [-1, 2.0, 0, 0], [0, 0, 4.0, -1], [0, 0, -1, 4.0]]))
     model = BlockModel.full(SeparableModel([Term(stiffness, (0.0,))], masses))
     shapes = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
-    modes = ShapePairing(np.arange(4), shapes).bind(model)(np.array([[1.0], [-1.0]]))
+    modes = ShapePairing(selection(np.arange(4), 4), shapes).bind(model)(np.array([[1.0], [-1.0]]))
     assert_allclose(modes.eigenvalues[0], [1.0, 3.0], rtol=1e-14)
     assert np.isnan(modes.eigenvalues[1, failing])
 
@@ -146,7 +146,8 @@ def test_rank_in_the_weak_plane_is_the_assignment_by_shape(case):
     model = frame.separable(updates)
     full = BlockModel.full(model)
     sensors = np.array([model.dof(cantilever.SENSOR_NODE, "z")])
-    by_shape = reference_modes(full, np.array(start), sensors, model.translations, 5)
+    everywhere = selection(model.translations, model.n_dof)
+    by_shape = reference_modes(full, np.array(start), selection(sensors, model.n_dof), everywhere, 5)
     theta = np.random.default_rng(3).uniform(lower, upper, size=(40, len(start)))
     shape = by_shape.bind(full)(theta, gradient=True)
     weak = next(b for b, block in enumerate(full.blocks) if sensors[0] in block.dofs)
@@ -177,7 +178,8 @@ def test_shape_is_followed_through_a_crossing_inside_one_block():
     assert len(model.blocks) == 1
     full = BlockModel.full(model)
     reference = np.array([0.8 * 4e-8])
-    pairing = reference_modes(full, reference, model.translations, model.translations, 2)
+    everywhere = selection(model.translations, model.n_dof)
+    pairing = reference_modes(full, reference, everywhere, everywhere, 2)
     solve = pairing.bind(full)
     for quotient, ranks in ((0.7, [0, 1]), (0.95, [0, 1]), (1.05, [1, 0]), (1.4, [1, 0])):
         _, soft, stiff = turned_cantilever(quotient)
@@ -204,7 +206,8 @@ def test_gradient_of_pairing_by_shape_in_a_coupled_frame():
     )
     assert len(model.blocks) == 1
     full, start = BlockModel.full(model), np.array([2.1e11, 3e-3, 4e-6])
-    solve = reference_modes(full, start, model.translations, model.translations, 5).bind(full)
+    everywhere = selection(model.translations, model.n_dof)
+    solve = reference_modes(full, start, everywhere, everywhere, 5).bind(full)
     theta = start * [1.1, 0.9, 1.05]
     gradient = solve(theta[None], gradient=True).gradient[0]
     for j in range(3):
@@ -233,7 +236,8 @@ def test_numbers_of_modes(numbers):
 def test_constant_assignment_is_told_from_one_that_changes():
     model, *_ = turned_cantilever(1.0)
     full = BlockModel.full(model)
-    pairing = reference_modes(full, np.array([3.2e-8]), model.translations, model.translations, 2)
+    everywhere = selection(model.translations, model.n_dof)
+    pairing = reference_modes(full, np.array([3.2e-8]), everywhere, everywhere, 2)
 
     def at(quotients):
         theta = 4e-8 * np.array(quotients)[:, None]

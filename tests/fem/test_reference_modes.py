@@ -10,7 +10,7 @@ from fmu.cases import cantilever
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.model import BlockModel
 from fmu.fem.pairing import ShapePairing, reference_modes
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel, Term, selection
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 
@@ -20,8 +20,9 @@ def test_reference_modes_are_those_that_move_a_sensor(directions, planes):
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
     full = BlockModel.full(model)
     sensors = np.array([model.dof(30, d) for d in directions])
-    pairing = reference_modes(full, np.array([2.1e11]), sensors, model.translations, len(planes))
-    names = np.array([model.dofs[i][1] for i in pairing.dofs])
+    everywhere = selection(model.translations, model.n_dof)
+    pairing = reference_modes(full, np.array([2.1e11]), selection(sensors, model.n_dof), everywhere, len(planes))
+    names = np.array([model.dofs[i][1] for i in pairing.rows.indices])
     for k, plane in enumerate(planes):
         assert set(names[np.abs(pairing.shapes[:, k]) > 1e-12]) == {plane}
 
@@ -36,7 +37,8 @@ def test_torsion_moves_no_translation_in_any_orientation():
         group = ElementGroup("b", elements, section, STEEL, tuple(rotation[:, 1]))
         model = Frame(nodes, [group], {0: DIRECTIONS}).separable({"E": [("E", "b")]})
         full = BlockModel.full(model)
-        pairing = reference_modes(full, np.array([2.1e11]), model.translations, model.translations, 4)
+        everywhere = selection(model.translations, model.n_dof)
+        pairing = reference_modes(full, np.array([2.1e11]), everywhere, everywhere, 4)
         modes = pairing.bind(full)(np.array([[2.1e11]]))
         lam = full.spectrum(np.array([[2.1e11]]), 6).eigenvalues[0]
         # W1 S1 W2 T1 W3 …: the fourth one must be left out
@@ -48,7 +50,7 @@ def test_sensors_that_see_too_little():
     K, M = Term(sp.csr_array(stiffness), (1.0,)), Term(sp.csr_array(np.eye(4)), (0.0,))
     two_pairs = BlockModel.full(SeparableModel([K], [M]))
     with pytest.raises(ValueError, match=r"^sensors: must see the 3 measured modes \(they see 2\)$"):
-        reference_modes(two_pairs, np.array([2.0]), np.array([3]), np.arange(4), 3)
+        reference_modes(two_pairs, np.array([2.0]), selection([3], 4), selection(np.arange(4), 4), 3)
 
 
 def test_shapes_measured_at_few_sensors_pair_as_well():
@@ -61,7 +63,7 @@ def test_shapes_measured_at_few_sensors_pair_as_well():
     local = np.searchsorted(full.blocks[weak].dofs, dofs)
     lam, phi = full.blocks[weak].modes(theta, 3)
     measured = phi[0][local][:, [2, 0, 1]] * [-3.0, 0.1, 7.0]
-    modes = ShapePairing(dofs, measured).bind(full)(theta)
+    modes = ShapePairing(selection(dofs, model.n_dof), measured).bind(full)(theta)
     assert_array_equal(modes.rank[0], [2, 0, 1])
     assert_allclose(modes.eigenvalues[0], lam[0, [2, 0, 1]], rtol=1e-6)
 
@@ -74,7 +76,8 @@ def test_rigid_body_modes_of_a_free_structure_were_not_measured():
     model = Frame(nodes, [group]).separable({"E": [("E", "b")]})
     full, theta = BlockModel.full(model), np.array([2.1e11])
     sensors = np.array([model.dof(node, "z") for node in (0, 3, 8)])
-    modes = reference_modes(full, theta, sensors, model.translations, 2).bind(full)(theta[None])
+    everywhere = selection(model.translations, model.n_dof)
+    modes = reference_modes(full, theta, selection(sensors, model.n_dof), everywhere, 2).bind(full)(theta[None])
     elastic = full.spectrum(theta[None], 12).eigenvalues[0, 6:]
     plane = next(b for b, block in enumerate(full.blocks) if sensors[0] in block.dofs)
     bending = full.blocks[plane].eigenvalues(theta[None], 4)[0, 2:]

@@ -11,6 +11,7 @@ from fmu.fem.modal import frequency_hz
 from fmu.fem.model import BlockModel
 from fmu.fem.pairing import IndexPairing, RankPairing, ShapePairing, reference_modes
 from fmu.fem.reduced_basis import ReducedBlock
+from fmu.fem.separable import selection
 from fmu.fem.structure import PairedStructure
 from fmu.fem.training import EXACT_LIMIT, Training, box_points
 
@@ -62,7 +63,8 @@ def coupled_pair():
 
 
 def shape_rule(model, theta, n_modes):
-    return reference_modes(BlockModel.full(model), theta, model.translations, model.translations, n_modes)
+    everywhere = selection(model.translations, model.n_dof)
+    return reference_modes(BlockModel.full(model), theta, everywhere, everywhere, n_modes)
 
 
 def full_and_trained(model, rule, lower, upper, tolerance=1e-6, **options):

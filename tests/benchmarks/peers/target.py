@@ -132,7 +132,7 @@ class WholeBeam(SciPyLogProb):
         if self.by_number:
             picked = np.array(self.rule.numbers) - 1
         else:
-            seen, reference = phi[self.rule.dofs], self.rule.shapes
+            seen, reference = self.rule.rows @ phi, self.rule.shapes
             mac = (reference.T @ seen) ** 2 / np.outer(np.sum(reference**2, 0), np.sum(seen**2, 0))
             picked = linear_sum_assignment(mac, maximize=True)[1]
         return np.sqrt(lam[picked]) / (2.0 * np.pi)
