@@ -133,9 +133,7 @@ class ModalResidual:
 def _masters(rows: Any) -> NDArray[np.intp]:
     """Return the degrees of freedom that the sensors are at, shape (n_sensors,)."""
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
-        raise ValueError(
-            "sensors: to condense onto they must be degrees of freedom, without arms or signs"
-        )
+        raise ValueError("sensors: to condense onto they must be degrees of freedom, without arms or signs")
     return np.asarray(rows.indices, dtype=np.intp)
 
 
