@@ -1,7 +1,9 @@
-"""Ready problems."""
+"""Ready problems: each is a TOML file of this folder, as a user would write it."""
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -9,10 +11,9 @@ if TYPE_CHECKING:
 
     from fmu.posterior.problem import UpdatingProblem
 
-_CASES = {
-    "cantilever-young": "the paper's section 5.1: Young's moduli of five parts of a cantilever",
-    "cantilever-section": "the paper's section 5.2: second moments of area and areas of its two halves",
-}
+__all__ = ["describe", "load", "names", "path"]
+
+_FOLDER = Path(__file__).parent
 
 
 def names() -> tuple[str, ...]:
@@ -21,9 +22,9 @@ def names() -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        What `load` and `describe` take.
+        What `load`, `describe` and `path` take.
     """
-    return tuple(_CASES)
+    return tuple(sorted(file.stem for file in _FOLDER.glob("*.toml")))
 
 
 def describe(name: str) -> str:
@@ -43,22 +44,42 @@ def describe(name: str) -> str:
     ValueError
         If there is no such case.
     """
-    if name not in _CASES:
-        raise ValueError(f"case: must be one of {', '.join(_CASES)} (got {name!r})")
-    return _CASES[name]
+    return str(tomllib.loads(path(name).read_text(encoding="utf-8"))["description"])
 
 
-def load(name: str, pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingProblem:
+def path(name: str) -> Path:
+    """Return the file of a case, to read or to start one's own from.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    pathlib.Path
+
+    Raises
+    ------
+    ValueError
+        If there is no such case.
+    """
+    if name not in names():
+        raise ValueError(f"case: must be one of {', '.join(names())} (got {name!r})")
+    return _FOLDER / f"{name}.toml"
+
+
+def load(name: str, pairing: str | None = None, beta: ArrayLike | None = None) -> UpdatingProblem:
     """Return a built-in problem.
 
     Parameters
     ----------
     name : str
         One of `names`.
-    pairing : {"shape", "index"}
-        By MAC, or by number in the sorted spectrum as in the paper.
-    beta : float or array_like, shape (n_modes,)
-        Weight of a squared frequency error, 1/Hz²; 1 for every mode in the paper.
+    pairing : {"shape", "index"}, optional
+        By MAC, or by number in the sorted spectrum as in the paper; as its file says if not given.
+    beta : float or array_like, shape (n_modes,), optional
+        Weight of a squared frequency error, 1/Hz², instead of the trust in the data that the file gives.
 
     Returns
     -------
@@ -69,7 +90,6 @@ def load(name: str, pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingPr
     ValueError
         If there is no such case or pairing, or `beta` is not positive.
     """
-    describe(name)
-    from fmu.cases import cantilever
+    from fmu.config import load as load_file
 
-    return {"cantilever-young": cantilever.young, "cantilever-section": cantilever.section}[name](pairing, beta)
+    return load_file(path(name), pairing, beta)

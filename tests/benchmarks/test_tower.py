@@ -7,13 +7,13 @@ import time
 import numpy as np
 
 import fmu
-from fmu.cases import cantilever
 from fmu.fem.frame import ElementGroup, Frame
 from fmu.fem.modal import frequency_hz
 from fmu.fem.model import BlockModel
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.posterior.focus import plausible_points
 from fmu.posterior.parameters import Normal
+from tests import cantilever
 from tests.benchmarks.tower import tower_problem
 
 OFFLINE_SECONDS, OFFLINE_GIB = 180, 4

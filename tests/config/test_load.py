@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu import cases
-from fmu.cases import cantilever
 from fmu.config import load
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
 from fmu.fem.separable import Term
 from fmu.posterior.parameters import Normal, Parameter
+from tests import cantilever
 
 
 @pytest.mark.parametrize("pairing", ["shape", "index"])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from fmu.cases import cantilever
 from fmu.fem.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.separable import SeparableModel
+from tests import cantilever
 
 SVG = "{http://www.w3.org/2000/svg}"
 SECTION, STEEL = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6), Material(E=2.1e11, nu=0.3, rho=7850.0)

@@ -6,11 +6,11 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from fmu.cases import cantilever
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.model import BlockModel
 from fmu.fem.pairing import ShapePairing, reference_modes
 from fmu.fem.separable import SeparableModel, Term, selection
+from tests import cantilever
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.cases import cantilever
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.structure import PairedStructure
+from tests import cantilever
 
 LOWER = np.array([3.5e-9, 3.5e-9, 4.5e-4, 4.5e-4])
 UPPER = np.array([7.5e-9, 7.5e-9, 9e-4, 9e-4])

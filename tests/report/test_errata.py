@@ -8,12 +8,12 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.cases import cantilever
 from fmu.cases.published import EXPERIMENTS
 from fmu.report.paper import spectrum
 from fmu.report.paper.closing import separated_modes
 from fmu.report.paper.errata import computed_errata, errata_page
 from fmu.report.paper.recomputed import recompute, recomputed_page
+from tests import cantilever
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,6 @@
-"""The paper's cantilever: Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, section 5.
+"""The paper's cantilever in Python, to hold the built-in files against.
+
+Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, section 5.
 
 A steel beam of 500 mm × 60 mm × 10 mm, clamped at one end, with three accelerometers of 40 g each at 490 mm; 50
 Euler–Bernoulli elements with rotary inertia. The weak plane (bending across the 10 mm) is the plane in which the
