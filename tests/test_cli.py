@@ -214,7 +214,7 @@ def test_numbers_that_do_not_apply_are_dashes(invoke):
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["run", "bridge"], ["'bridge'", "cantilever-young, cantilever-section"]),
+        (["run", "bridge"], ["'bridge'", "cantilever-section, cantilever-young"]),
         (["run"], ["CASE"]),
         (
             ["run", "cantilever-young", "--sampler", "nuts"],
@@ -315,7 +315,7 @@ def test_directory_without_permission(invoke, monkeypatch, tmp_path):
     # The owner of the machine may write everywhere, so the permission is taken away in name only.
     out = tmp_path / "mine"
     out.mkdir()
-    monkeypatch.setattr(cli.os, "access", lambda path, mode: mode != os.W_OK)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     assert_one_line(
         invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite"), "no permission", str(out)
     )

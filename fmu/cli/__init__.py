@@ -1,0 +1,21 @@
+"""The shell's face of the package, a module a command: arguments, progress and files; the work is done elsewhere.
+
+Nothing heavy is imported before a command needs it.
+"""
+
+from __future__ import annotations
+
+import click
+
+from fmu.cli import cases, compare, paper, report, run
+from fmu.cli.errors import Commands
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fmu")
+def main() -> None:
+    """Bayesian finite-element model updating."""
+
+
+for _module in (cases, run, compare, report, paper):
+    main.add_command(_module.command)

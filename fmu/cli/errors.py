@@ -1,0 +1,40 @@
+"""A mistake of the user is a line on standard error and exit code 2."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+BAD_INPUT = 2
+
+
+class Commands(click.Group):
+    """Commands whose errors are one line."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run, and turn an error in what the user gave into a line, or one a mistake of a file, and code 2."""
+        try:
+            code = super().main(*args, **{**kwargs, "standalone_mode": False})
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(BAD_INPUT)
+        except click.ClickException as error:
+            _stop(error.format_message())
+        except click.Abort:
+            click.echo("Stopped.", err=True)
+            sys.exit(1)
+        except (ValueError, OSError) as error:
+            _stop(
+                str(error.args[0]) if hasattr(error, "mistakes") else str(error), *getattr(error, "mistakes", ())
+            )
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _stop(message: str, *mistakes: object) -> None:
+    """Print one line, and one more for each mistake in a file."""
+    for line in (f"Error: {message}", *(f"  {mistake}" for mistake in mistakes)):
+        indent = "  " if line.startswith("  ") else ""
+        click.echo(indent + " ".join(line.split()), err=True)
+    sys.exit(BAD_INPUT)
