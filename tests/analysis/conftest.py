@@ -13,32 +13,7 @@ from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Normal, Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.samplers.run import Draws, RunResult
-
-SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
-
-
-class LinearModel:
-    """f = f0 + A theta, which keeps every batch that it was asked for."""
-
-    n_parameters = 2
-    n_modes = 3
-
-    def __init__(self):
-        self.batches = []
-
-    def __repr__(self):
-        return "LinearModel()"
-
-    def frequencies(self, theta):
-        self.batches.append(np.array(theta))
-        return 100.0 + theta @ SLOPES.T
-
-    def frequencies_and_gradient(self, theta):
-        return self.frequencies(theta), np.broadcast_to(SLOPES, (len(theta), 3, 2))
-
-    @property
-    def asked(self):
-        return np.concatenate(self.batches)
+from tests.linear import LinearModel
 
 
 @pytest.fixture

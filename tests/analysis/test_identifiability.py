@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from conftest import SLOPES
 from scipy.stats import truncnorm
 
 import fmu
@@ -10,6 +9,7 @@ from fmu.analysis.identifiability import contraction, identifiability, kept_iden
 from fmu.analysis.search import find_map
 from fmu.analysis.trace import to_trace
 from fmu.posterior.parameters import Normal, Parameter
+from tests.linear import SLOPES
 
 BETA = np.array([0.5, 1.0, 2.0])
 

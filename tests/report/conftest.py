@@ -14,6 +14,7 @@ from fmu.report.html import write_pages
 from fmu.report.paper.experiment import compute
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import PAPER_SAMPLERS, Length, Plan
+from tests.linear import LinearModel
 from tests.report.parsed import IMAGE, SCRIPT
 
 EXPERIMENT = ("cantilever-section", "shape")
@@ -49,22 +50,6 @@ def result(plan, messages):
 @pytest.fixture(scope="session")
 def findings(result):
     return Findings.of(result)
-
-
-SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
-
-
-class LinearModel:
-    """f = 100 + A theta: frequencies and nothing else, neither shapes nor matrices."""
-
-    n_parameters = 2
-    n_modes = 3
-
-    def frequencies(self, theta):
-        return 100.0 + theta @ SLOPES.T
-
-    def frequencies_and_gradient(self, theta):
-        return self.frequencies(theta), np.broadcast_to(SLOPES, (len(theta), 3, 2))
 
 
 class Gaussian:
