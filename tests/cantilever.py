@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 LENGTH, WIDTH, THICKNESS = 0.5, 0.06, 0.01

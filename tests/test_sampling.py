@@ -8,7 +8,8 @@ import pytest
 import fmu
 from fmu import samplers
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.sampling import SAMPLERS
 from tests.linear import SLOPES, LinearModel

@@ -10,7 +10,8 @@ from pydantic import Field
 from fmu.config.fields import Name, Positive, Table
 from fmu.config.frame import Target
 from fmu.config.mistakes import Mistake, got
-from fmu.posterior.parameters import Normal, Parameter, Prior, Uniform
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal, Prior, Uniform
 
 
 class NormalTable(Table):

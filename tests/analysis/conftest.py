@@ -10,7 +10,8 @@ from fmu import cases
 from fmu.analysis.search import find_map
 from fmu.analysis.trace import to_trace
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.samplers.run import Draws, RunResult
 from tests.linear import LinearModel

@@ -8,7 +8,8 @@ import fmu
 from fmu.analysis.identifiability import contraction, identifiability, kept_identifiability, truncated_sd
 from fmu.analysis.search import find_map
 from fmu.analysis.trace import to_trace
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from tests.linear import SLOPES
 
 BETA = np.array([0.5, 1.0, 2.0])

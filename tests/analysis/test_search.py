@@ -10,7 +10,8 @@ from fmu.analysis.mass import LocalQuadratic, masses
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.search import find_map
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 

@@ -12,7 +12,7 @@ from fmu.fem.modal import frequency_hz
 from fmu.fem.model import BlockModel
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.posterior.focus import plausible_points
-from fmu.posterior.parameters import Normal
+from fmu.posterior.priors import Normal
 from tests import cantilever
 from tests.benchmarks.tower import tower_problem
 

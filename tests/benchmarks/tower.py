@@ -8,7 +8,7 @@ import numpy as np
 
 import fmu
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Material, Section
-from fmu.posterior.parameters import Normal
+from fmu.posterior.priors import Normal
 
 STOREYS, ZONES = 70, 4
 X_AXES, Y_AXES = np.arange(6) * 6.0, np.arange(4) * 5.0

@@ -7,7 +7,8 @@ from scipy.optimize import lsq_linear
 
 from fmu.posterior.ascent import GaussNewton, ascend, decrement
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 

@@ -12,7 +12,8 @@ from fmu.fem.structure import PairedStructure
 from fmu.posterior import focus
 from fmu.posterior.focus import LOG_PROB_TOLERANCE, plausible_points
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 CASES = [(case, pairing) for case in ("cantilever-young", "cantilever-section") for pairing in ("shape", "index")]

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.posterior.focus import PLAUSIBLE, plausible_points
 from fmu.posterior.maxima import STARTS, local_maxima
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 

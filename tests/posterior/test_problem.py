@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter, Uniform
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal, Uniform
 from fmu.posterior.problem import UpdatingProblem
 
 BOUNDED = (

@@ -8,7 +8,8 @@ from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modal import frequency_hz
 from fmu.fem.reduction import guyan
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.residual import ModalResidual
 

@@ -8,7 +8,8 @@ import pytest
 
 import fmu
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.parameters import Normal, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report.html import write_pages
 from fmu.report.paper.experiment import compute

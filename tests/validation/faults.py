@@ -245,10 +245,10 @@ IN_THE_POSTERIOR = (
     ),
     Fault(
         "prior: drawn from one tail where the centre is above the bounds",
-        "fmu/posterior/parameters.py",
+        "fmu/posterior/priors.py",
         "self.mean + self.sd * (-z if flip else z)",
         "self.mean + self.sd * z",
-        ("tests/posterior/test_parameters.py",),
+        ("tests/posterior/test_priors.py",),
     ),
 )
 IN_THE_STRUCTURE = (
