@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
@@ -11,7 +11,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from numpy.typing import NDArray
 
-from fmu.fem.separable import CoefficientMap, SeparableModel, Term, weighted_sum
+from fmu.fem.separable import CoefficientMap, SeparableModel, Term, coefficient_gradients, weighted_sum
+from fmu.fem.shape_derivatives import by_bordered_system
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -123,6 +124,23 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     return np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0)
 
 
+class Seen(NamedTuple):
+    """Modes of one block as sensors see them.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray, shape (n, m), (rad/s)²
+    shapes : ndarray, shape (n, n_sensors, m), mass-normalised, of either sign
+    eigenvalue_slopes : ndarray, shape (n, m, n_parameters), or None
+    shape_slopes : ndarray, shape (n, n_sensors, m, n_parameters), or None
+    """
+
+    eigenvalues: FloatArray
+    shapes: FloatArray
+    eigenvalue_slopes: FloatArray | None = None
+    shape_slopes: FloatArray | None = None
+
+
 class FullBlock:
     """One decoupled part of a structure, solved as it stands, a theta at a time.
 
@@ -173,6 +191,38 @@ class FullBlock:
         """
         gradient = self._K_map.contract(theta, _quadratic_forms(self.K_terms, phi))
         return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))
+
+    def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
+        """Return the lowest modes as sensors see them, derivatives by a bordered system a mode."""
+        lam, phi = self.modes(theta, count)
+        shapes = np.stack([rows @ shape for shape in phi]) if len(phi) else np.empty((0, rows.shape[0], count))
+        if not gradient:
+            return Seen(lam, shapes)
+        lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
+        shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
+        for i, point in enumerate(theta):
+            if not np.all(np.isfinite(phi[i])):
+                continue
+            K, dK = self._with_slopes(self.K_terms, self._K_map, point)
+            M, dM = self._with_slopes(self.M_terms, self._M_map, point)
+            for k in range(count):
+                slope, lam_slopes[i, k] = by_bordered_system(
+                    K, M, lam[i, k], phi[i, :, k], dK(phi[i, :, k]), dM(phi[i, :, k])
+                )
+                shape_slopes[i, :, k] = rows @ slope
+        return Seen(lam, shapes, lam_slopes, shape_slopes)
+
+    @staticmethod
+    def _with_slopes(
+        terms: tuple[Term, ...], coefficient: CoefficientMap, theta: FloatArray
+    ) -> tuple[Any, Callable[[FloatArray], FloatArray]]:
+        """Return a matrix at theta, and what multiplies its derivatives with a shape, (size,) to (size, p)."""
+        slopes = coefficient_gradients(terms, theta[None])[0]
+
+        def times(phi: FloatArray) -> FloatArray:
+            return np.stack([term.matrix @ phi for term in terms], axis=1) @ slopes
+
+        return weighted_sum(terms, coefficient(theta[None])[0]), times
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return what takes shapes (n, size, m) to the coordinates `rows`, and the references as they are."""

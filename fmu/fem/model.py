@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.modal import FullBlock
+from fmu.fem.modal import FullBlock, Seen
 from fmu.fem.separable import SeparableModel
 
 FloatArray = NDArray[np.float64]
@@ -63,6 +63,10 @@ class Block(Protocol):
         compared, and `reference` (q, n_modes): the mapped shapes have the norms that the shapes have in those
         coordinates, and the same products with the references.
         """
+        ...
+
+    def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
+        """Return the lowest modes as the sensors of sparse `rows` (n_sensors, size) see them."""
         ...
 
 

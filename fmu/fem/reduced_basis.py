@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.modal import RIGID, FullBlock, frequency_hz
+from fmu.fem.modal import RIGID, FullBlock, Seen, frequency_hz
 from fmu.fem.separable import CoefficientMap, Term, coefficients, weighted_sum
+from fmu.fem.shape_derivatives import by_all_modes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -88,6 +89,33 @@ class ReducedBlock:
         if not self.constant_mass:
             gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
         return gradient
+
+    def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
+        """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
+        sensors = rows @ self.basis
+        if not gradient:
+            lam, phi = self.modes(theta, count)
+            return Seen(lam, sensors @ phi)
+        lam, phi = self.modes(theta, self.size)
+        dK, dM = (
+            self._slopes(theta, coefficient, matrices, phi, count)
+            for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
+        )
+        i = np.arange(count)
+        slopes = by_all_modes(lam, phi, dK, dM, count)
+        n, r, _, p = slopes.shape
+        seen = (sensors @ slopes.reshape(n, r, -1)).reshape(n, len(sensors), count, p)
+        lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
+        return Seen(lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, seen)
+
+    def _slopes(
+        self, theta: FloatArray, coefficient: CoefficientMap, rows: FloatArray, phi: FloatArray, count: int
+    ) -> FloatArray:
+        """Return φ_kᵀ ∂K φ_i for all k and the lowest i, shape (n, r, count, n_parameters)."""
+        n, r, _ = phi.shape
+        products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)
+        forms = np.swapaxes(phi, 1, 2)[:, None] @ products
+        return coefficient.contract(theta, forms.reshape(n, forms.shape[1], -1)).reshape(n, r, count, -1)
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel, Modes
+from fmu.fem.observed import Observed, SensorView
 from fmu.fem.pairing import IndexPairing, Pairing, ShapePairing, reference_modes
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel, selection
@@ -86,6 +87,8 @@ class PairedStructure:
                 self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes)
         self.pairing: Pairing = self.rule
         self._solve_full = self.rule.bind(self.full)
+        self._sensors = model.observation(sensors)
+        self._see_full = SensorView(self.full, self.rule, self._sensors)
 
     def __repr__(self) -> str:
         reduced = "not reduced"
@@ -176,6 +179,24 @@ class PairedStructure:
                 shapes[np.ix_(self.full.blocks[b].dofs, columns)] = phi[0][:, ranks]
         return shapes
 
+    def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        with single_thread():
+            if self.reduced is None:
+                return self._see_full(theta, gradient)
+            inside = np.all((theta >= self._lower) & (theta <= self._upper), axis=1)
+            seen = self._see_reduced(np.where(inside[:, None], theta, self._lower), gradient)
+            rows = ~inside | np.isnan(seen.frequencies).any(axis=1)
+            if not rows.any():
+                return seen
+            self.full_solves += int(np.sum(rows))
+            return seen.with_rows(rows, self._see_full(theta[rows], gradient))
+
+    def full_observed(self, theta: FloatArray) -> Observed:
+        """Return frequencies and shapes at the sensors by the full model, paired by the rule itself."""
+        with single_thread():
+            return self._see_full(theta)
+
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
         return frequency_hz(self.modes(theta).eigenvalues)
@@ -216,6 +237,7 @@ class PairedStructure:
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
+        self._see_reduced = SensorView(trained.model, trained.pairing, self._sensors)
         self.full_solves = 0
 
     def _repaired(self, theta: FloatArray, modes: Modes, rows: NDArray[np.bool_]) -> Modes:

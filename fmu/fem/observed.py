@@ -1,0 +1,107 @@
+"""The paired modes of a structure as its sensors see them, with their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.modal import Seen, frequency_gradient, frequency_hz
+from fmu.fem.model import BlockModel
+from fmu.fem.pairing import Pairing, RankPairing
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What a modal test would have given at n parameter vectors, if the model were right.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n, n_modes), Hz; NaN where a solve failed
+    shapes : ndarray, shape (n, n_sensors, n_modes)
+        Mass-normalised at the sensors, of either sign.
+    frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
+    shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
+    """
+
+    frequencies: FloatArray
+    shapes: FloatArray
+    frequency_slopes: FloatArray | None = None
+    shape_slopes: FloatArray | None = None
+
+    def with_rows(self, rows: BoolArray, other: Observed) -> Observed:
+        """Return these observations with those of `other` in the rows given."""
+        return Observed(
+            *(
+                None if mine is None or theirs is None else _replaced(mine, rows, theirs)
+                for mine, theirs in zip(_parts(self), _parts(other), strict=True)
+            )  # type: ignore[arg-type]
+        )
+
+
+class SensorView:
+    """A model, full or reduced, with its pairing and the sensors that look at it.
+
+    Parameters
+    ----------
+    model : BlockModel
+    pairing : Pairing
+    sensors : scipy.sparse.csr_array, shape (n_sensors, n_dof)
+        See `fmu.fem.separable.SeparableModel.observation`.
+    """
+
+    def __init__(self, model: BlockModel, pairing: Pairing, sensors: Any) -> None:
+        self.model, self.pairing = model, pairing
+        self._solve = pairing.bind(model)
+        self._rows = [sensors[:, block.dofs] for block in model.blocks]
+        self._n_sensors = sensors.shape[0]
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> Observed:
+        """Return what the sensors see at theta (n, n_parameters)."""
+        block, rank = self._paired(theta)
+        n, m = block.shape
+        p = self.model.n_parameters
+        seen = Seen(np.full((n, m), np.nan), np.full((n, self._n_sensors, m), np.nan))
+        if gradient:
+            slopes = np.full((n, m, p), np.nan), np.full((n, self._n_sensors, m, p), np.nan)
+            seen = seen._replace(eigenvalue_slopes=slopes[0], shape_slopes=slopes[1])
+        for b in np.unique(block[block >= 0]):
+            row, column = np.nonzero(block == b)
+            ranks = rank[row, column]
+            found = self.model.blocks[b].seen(theta, int(ranks.max()) + 1, self._rows[b], gradient)
+            seen.eigenvalues[row, column] = found.eigenvalues[row, ranks]
+            seen.shapes[row, :, column] = found.shapes[row, :, ranks]
+            if gradient:
+                seen.eigenvalue_slopes[row, column] = found.eigenvalue_slopes[row, ranks]  # type: ignore[index]
+                seen.shape_slopes[row, :, column] = found.shape_slopes[row, :, ranks]  # type: ignore[index]
+        frequencies = frequency_hz(seen.eigenvalues)
+        if not gradient:
+            return Observed(frequencies, seen.shapes)
+        assert seen.eigenvalue_slopes is not None  # narrowed for the type checker: asked for above
+        slopes_hz = frequency_gradient(frequencies, seen.eigenvalue_slopes)
+        return Observed(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
+
+    def _paired(self, theta: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return block and rank of the paired modes, shape (n, n_modes); −1 in rows where a solve failed."""
+        if isinstance(self.pairing, RankPairing):
+            block, rank = np.array(self.pairing.block), np.array(self.pairing.rank)
+            return np.tile(block, (len(theta), 1)), np.tile(rank, (len(theta), 1))
+        modes = self._solve(theta)
+        failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
+        return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank)
+
+
+def _parts(observed: Observed) -> tuple[FloatArray | None, ...]:
+    return observed.frequencies, observed.shapes, observed.frequency_slopes, observed.shape_slopes
+
+
+def _replaced(array: FloatArray, rows: BoolArray, values: FloatArray) -> FloatArray:
+    array = array.copy()
+    array[rows] = values
+    return array

@@ -1,0 +1,75 @@
+"""How mode shapes move with the parameters.
+
+For a simple eigenvalue of K φ = λ M φ with φᵀMφ = 1,
+
+    (K − λM) ∂φ − ∂λ Mφ = −(∂K − λ ∂M) φ,      φᵀM ∂φ = −½ φᵀ ∂M φ.
+
+Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 1968); where they are not, the two
+lines together are one regular system for ∂φ and ∂λ, which Nelson (1976, *AIAA Journal* 14, 1201–1205) arrives at by
+fixing one component. Shapes of repeated eigenvalues have no derivative: any rotation of them is as good. Between
+eigenvalues closer than `REPEATED` the rotation is left out; near them it is large, as it truly is: the closer two
+modes are, the faster their shapes turn into each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as ssl
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+REPEATED = 1e-9
+"""Two eigenvalues are one if they differ by less than this share of the larger."""
+
+
+def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int) -> FloatArray:
+    """Return ∂φ of the lowest `count` modes as sums over all modes.
+
+    Parameters
+    ----------
+    lam : ndarray, shape (n, r)
+    phi : ndarray, shape (n, r, r)
+        All modes, φᵀMφ = 1.
+    dK, dM : ndarray, shape (n, r, count, n_parameters)
+        φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i.
+
+    Returns
+    -------
+    ndarray, shape (n, r, count, n_parameters)
+    """
+    own = lam[:, None, :count, None]
+    gap = own - lam[:, :, None, None]
+    size = np.maximum(np.abs(own), np.abs(lam[:, :, None, None]))
+    apart = np.abs(gap) > REPEATED * size
+    weight = np.divide(dK - own * dM, gap, out=np.zeros_like(dK), where=np.broadcast_to(apart, dK.shape))
+    i = np.arange(count)
+    weight[:, i, i] = -0.5 * dM[:, i, i]
+    n, r = lam.shape
+    return (phi @ weight.reshape(n, r, -1)).reshape(dK.shape)
+
+
+def by_bordered_system(
+    K: Any, M: Any, lam: float, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ∂φ, shape (size, n_parameters), and ∂λ, shape (n_parameters,), of one mode.
+
+    Parameters
+    ----------
+    K, M : sparse arrays, shape (size, size)
+    lam : float
+    phi : ndarray, shape (size,)
+    dK_phi, dM_phi : ndarray, shape (size, n_parameters)
+        ∂K φ and ∂M φ.
+    """
+    M_phi = M @ phi
+    # the border in the size of K, so that the factorisation is of one scale
+    scale = np.max(np.abs(K.diagonal())) / np.max(np.abs(M_phi))
+    border = sp.csc_array((scale * M_phi)[:, None])
+    system = sp.block_array([[K - lam * M, -border], [border.T, None]], format="csc")
+    below = -0.5 * scale * (phi @ dM_phi)
+    solution = ssl.splu(system).solve(np.concatenate([-(dK_phi - lam * dM_phi), below[None]]))
+    return solution[:-1], scale * solution[-1]

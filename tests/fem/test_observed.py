@@ -1,0 +1,145 @@
+"""Modes as sensors see them: derivatives against differences, full against reduced, rows against a batch."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.separable import RigidArm
+from fmu.fem.structure import PairedStructure
+
+START = np.array([2.1e11, 2.0e11, 8e-4])
+SENSORS = ((4, "x"), (8, "-z"), ("skin", "y"), ("skin", "z"))
+
+
+def bracket():
+    """An L of two different members in space, so that every plane is coupled with every other."""
+    steel, section = Material(2.1e11, 0.3, 7850.0), Section(A=8e-4, Iy=6e-8, Iz=9e-8, J=1e-7)
+    nodes = [(0.2 * k, 0, 0) for k in range(5)] + [(0.8, 0.15 * k, 0.05 * k) for k in range(1, 5)]
+    elements = [(k, k + 1) for k in range(8)]
+    groups = [
+        ElementGroup("arm", elements[:4], section, steel),
+        ElementGroup("tip", elements[4:], section, steel, y_direction=(0.3, 0.0, 1.0)),
+    ]
+    return Frame(
+        np.array(nodes, dtype=float),
+        groups,
+        {0: DIRECTIONS},
+        [PointMass(6, 0.5)],
+        arms={"skin": RigidArm(8, (0.0, 0.02, 0.05))},
+    )
+
+
+def paired(pairing, **options):
+    model = bracket().separable({"E arm": [("E", "arm")], "E tip": [("E", "tip")], "A tip": [("A", "tip")]})
+    return PairedStructure(
+        model, pairing=pairing, numbers=(1, 2, 3, 4), sensors=SENSORS, reference=START, **options
+    )
+
+
+@pytest.fixture(scope="module", params=["shape", "index"])
+def full(request):
+    return paired(request.param)
+
+
+@pytest.fixture(scope="module", params=["shape", "index"])
+def trained(request):
+    structure = paired(request.param)
+    structure.train(0.8 * START, 1.2 * START, tolerance=1e-9)
+    return structure
+
+
+def points(n):
+    return START * np.random.default_rng(5).uniform(0.85, 1.15, (n, 3))
+
+
+def aligned(shapes, reference):
+    """Shapes (n, q, m) with the signs of a reference."""
+    return shapes * np.where(np.sum(shapes * reference, axis=1, keepdims=True) < 0, -1.0, 1.0)
+
+
+def check_derivatives(structure):
+    theta = points(3)
+    here = structure.observed(theta, gradient=True)
+    for k in range(3):
+        h = 1e-3 * START[k] * np.eye(3)[k]
+        around = {step: structure.observed(theta + step * h) for step in (-2, -1, 1, 2)}
+        shapes = {step: aligned(seen.shapes, here.shapes) for step, seen in around.items()}
+        slope = five_points(shapes) / h[k]
+        assert_allclose(here.shape_slopes[..., k], slope, rtol=0, atol=1e-6 * np.abs(slope).max())
+        slope_hz = five_points({step: seen.frequencies for step, seen in around.items()}) / h[k]
+        assert_allclose(here.frequency_slopes[..., k], slope_hz, rtol=0, atol=1e-6 * np.abs(slope_hz).max())
+
+
+def five_points(values):
+    """The derivative by values at steps of −2, −1, 1 and 2; its error is of fourth order in the step."""
+    return (8 * (values[1] - values[-1]) - (values[2] - values[-2])) / 12
+
+
+def test_derivatives_of_the_full_model(full):
+    check_derivatives(full)
+
+
+def test_derivatives_of_the_reduced_model(trained):
+    check_derivatives(trained)
+
+
+def test_frequencies_are_those_of_the_model(full, trained):
+    theta = points(3)
+    for structure in (full, trained):
+        assert_allclose(structure.observed(theta).frequencies, structure.frequencies(theta), rtol=1e-9)
+
+
+def test_reduced_shapes_are_close_to_the_full_ones(trained):
+    theta = points(10)
+    seen, exact = trained.observed(theta, gradient=True), trained.full_observed(theta)
+    reference = trained._see_full(theta, gradient=True)
+    size = np.abs(exact.shapes).max()
+    assert_allclose(aligned(seen.shapes, exact.shapes), exact.shapes, rtol=0, atol=1e-4 * size)
+    sign = np.sign(np.sum(seen.shapes * exact.shapes, axis=1))[:, None, :, None]
+    for k in range(3):
+        slopes, exact_slopes = sign[..., 0] * seen.shape_slopes[..., k], reference.shape_slopes[..., k]
+        assert_allclose(slopes, exact_slopes, rtol=0, atol=5e-3 * np.abs(exact_slopes).max())
+
+
+def test_beyond_the_trained_box_the_full_model_answers(trained):
+    theta = np.stack([START, 1.5 * START])
+    before = trained.full_solves
+    seen, exact = trained.observed(theta, gradient=True), trained._see_full(theta, gradient=True)
+    assert trained.full_solves == before + 1
+    assert_array_equal(seen.shapes[1], exact.shapes[1])
+    assert_array_equal(seen.shape_slopes[1], exact.shape_slopes[1])
+    assert not np.array_equal(seen.shapes[0], exact.shapes[0])
+
+
+def test_rows_do_not_depend_on_their_batch(trained):
+    theta = points(7)
+    together = trained.observed(theta, gradient=True)
+    for i in range(7):
+        alone = trained.observed(theta[i : i + 1], gradient=True)
+        for name in ("frequencies", "shapes", "frequency_slopes", "shape_slopes"):
+            assert_array_equal(getattr(alone, name)[0], getattr(together, name)[i], err_msg=name)
+
+
+def test_arms_and_signs():
+    """A rigid-body rotation moves a sensor on an arm by θ × r; a minus before a direction counts the other way."""
+    model = bracket().separable({})
+    rotation, about = np.array([0.3, -0.2, 0.5]), np.zeros(3)
+    nodes = model.geometry.nodes
+    motion = np.array(
+        [
+            (np.cross(rotation, nodes[node] - about) if d in "xyz" else rotation)[DIRECTIONS.index(d) % 3]
+            for node, d in model.dofs
+        ]
+    )
+    place = nodes[8] + [0.0, 0.02, 0.05]
+    seen = model.observation(
+        [("skin", "x"), ("skin", "y"), ("skin", "z"), ("skin", "-z"), (8, "-x"), ("skin", "ry")]
+    )
+    moved = np.cross(rotation, place)
+    expected = [*moved, -moved[2], -np.cross(rotation, nodes[8])[0], rotation[1]]
+    assert_allclose(seen @ motion, expected, rtol=1e-12)
+    assert model.sees(("skin", "z"))
+    assert not model.sees((0, "z"))
+    with pytest.raises(ValueError, match=r"no free degree of freedom \(got node 0, 'z'\)"):
+        model.observation([(0, "z")])
