@@ -28,8 +28,14 @@ if TYPE_CHECKING:
     from fmu.fem.frame import Frame as Frame
     from fmu.fem.separable import SeparableModel as SeparableModel
     from fmu.posterior.measurement import ModalData as ModalData
+    from fmu.posterior.one_sided_priors import HalfNormal as HalfNormal
+    from fmu.posterior.one_sided_priors import LogNormal as LogNormal
     from fmu.posterior.parameters import Parameter as Parameter
+    from fmu.posterior.priors import Normal as Normal
+    from fmu.posterior.priors import Uniform as Uniform
     from fmu.posterior.problem import UpdatingProblem as UpdatingProblem
+    from fmu.posterior.scipy_priors import ScaledBeta as ScaledBeta
+    from fmu.posterior.scipy_priors import ScipyPrior as ScipyPrior
     from fmu.report.html import write_report as write_report
     from fmu.samplers.ensemble import Ensemble as Ensemble
     from fmu.samplers.hamiltonian import HamiltonianMonteCarlo as HamiltonianMonteCarlo
@@ -43,13 +49,19 @@ if TYPE_CHECKING:
 _HOME = {
     "Ensemble": "fmu.samplers.ensemble",
     "Frame": "fmu.fem.frame",
+    "HalfNormal": "fmu.posterior.one_sided_priors",
     "HamiltonianMonteCarlo": "fmu.samplers.hamiltonian",
+    "LogNormal": "fmu.posterior.one_sided_priors",
     "MetropolisHastings": "fmu.samplers.metropolis",
     "ModalData": "fmu.posterior.measurement",
+    "Normal": "fmu.posterior.priors",
     "Parameter": "fmu.posterior.parameters",
     "RandomWalk": "fmu.samplers.proposals",
+    "ScaledBeta": "fmu.posterior.scipy_priors",
+    "ScipyPrior": "fmu.posterior.scipy_priors",
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
+    "Uniform": "fmu.posterior.priors",
     "UpdatingProblem": "fmu.posterior.problem",
     "compare": "fmu.analysis.comparison",
     "diagnose": "fmu.analysis.diagnosis",
@@ -66,13 +78,19 @@ _HOME = {
 __all__ = [
     "Ensemble",
     "Frame",
+    "HalfNormal",
     "HamiltonianMonteCarlo",
+    "LogNormal",
     "MetropolisHastings",
     "ModalData",
+    "Normal",
     "Parameter",
     "RandomWalk",
+    "ScaledBeta",
+    "ScipyPrior",
     "SeparableModel",
     "Slice",
+    "Uniform",
     "UpdatingProblem",
     "__version__",
     "cases",

@@ -23,7 +23,7 @@ class Parameter:
     start : float
         Where the model stands before updating, in `unit`.
     lower, upper : float
-        Bounds; they truncate the prior.
+        Bounds; they truncate the prior. Where the prior itself ends before them, its ends are the bounds.
     prior : Prior
         `Uniform` by default, which needs finite bounds.
     unit : str
@@ -50,6 +50,12 @@ class Parameter:
             raise ValueError(f"name: must not be empty or contain '/' (got {self.name!r})")
         if not self.lower < self.upper:
             raise ValueError(f"{self.name}.upper: must exceed lower {self.lower:g} (got {self.upper:g})")
+        low, high = self.prior.support
+        object.__setattr__(self, "lower", max(self.lower, low))
+        object.__setattr__(self, "upper", min(self.upper, high))
+        no_mass = f"{self.name}.prior: must have probability between the bounds (got none)"
+        if not self.lower < self.upper:
+            raise ValueError(no_mass)
         if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
             bounds = f"[{self.lower:g}, {self.upper:g}]"
             raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {self.start:g})")
@@ -58,7 +64,24 @@ class Parameter:
                 f"{self.name}.prior: a uniform prior needs finite bounds (got [{self.lower}, {self.upper}])"
             )
         if not np.isfinite(self.prior.log_mass(self.lower, self.upper)):
-            raise ValueError(f"{self.name}.prior: must have probability between the bounds (got none)")
+            raise ValueError(no_mass)
+        if not self._has_density(self.start):
+            raise ValueError(f"{self.name}.start: must be where the prior has a density (got {self.start:g})")
+
+    @property
+    def lowest(self) -> float:
+        """The least value with a density: `lower`, or the next number above where the prior vanishes there."""
+        ends = not np.isfinite(self.lower) or self._has_density(self.lower)
+        return self.lower if ends else float(np.nextafter(self.lower, np.inf))
+
+    @property
+    def highest(self) -> float:
+        """The greatest value with a density: `upper`, or the next number below where the prior vanishes there."""
+        ends = not np.isfinite(self.upper) or self._has_density(self.upper)
+        return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
+
+    def _has_density(self, x: float) -> bool:
+        return bool(np.isfinite(self.prior.log_pdf(np.array([x]))[0]))
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:

@@ -1,4 +1,7 @@
-"""Priors: what was known of one parameter before the measurement, cut off by its bounds."""
+"""Priors: what was known of one parameter before the measurement, cut off by its bounds.
+
+Others are in `fmu.posterior.one_sided_priors` and `fmu.posterior.scipy_priors`.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,29 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri_exp
+from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 FloatArray = NDArray[np.float64]
+
+UNBOUNDED = (-np.inf, np.inf)
+_CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
+_ENDS = ndtr(np.array([-4.0, 4.0]))
 
 
 class Prior(Protocol):
     """A one-dimensional distribution, before the bounds truncate it."""
 
+    @property
+    def support(self) -> tuple[float, float]:
+        """The interval outside which the density is zero."""
+        ...
+
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return the normalised log-density."""
+        """Return the normalised log-density; ``-inf`` outside the support, and where the density is infinite."""
         ...
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return its derivative."""
+        """Return its derivative; NaN where the log-density is ``-inf``."""
         ...
 
     def log_mass(self, lower: float, upper: float) -> float:
@@ -60,17 +72,19 @@ class Normal:
     mean: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.sd) and self.sd > 0):
-            raise ValueError(f"sd: must be positive and finite (got {self.sd})")
-        if not np.isfinite(self.mean):
-            raise ValueError(f"mean: must be finite (got {self.mean})")
+        positive("sd", self.sd)
+        finite("mean", self.mean)
 
     @classmethod
     def from_alpha(cls, alpha: float, mean: float = 0.0) -> Normal:
         """Return the prior with the paper's coefficient α = 1/sd²."""
-        if not (np.isfinite(alpha) and alpha > 0):
-            raise ValueError(f"alpha: must be positive and finite (got {alpha})")
+        positive("alpha", alpha)
         return cls(sd=float(alpha) ** -0.5, mean=mean)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """All numbers."""
+        return UNBOUNDED
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return the normalised log-density, eq. (6) with (7)."""
@@ -93,11 +107,18 @@ class Normal:
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
         """Draw by inversion of the truncated distribution function."""
+        return self._inverted(rng.uniform(size=n), lower, upper)
+
+    def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        return self._inverted(1.0 - p if lower > self.mean else p, lower, upper)
+
+    def _inverted(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return quantiles, counted from the tail that the bounds lie in where they are above the mean."""
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         flip = a > 0
         if flip:
             a, b = -b, -a
-        u = rng.uniform(size=n)
         with np.errstate(divide="ignore"):
             z = ndtri_exp(np.logaddexp(log_ndtr(a) + np.log1p(-u), log_ndtr(b) + np.log(u)))
         return np.clip(self.mean + self.sd * (-z if flip else z), lower, upper)
@@ -121,6 +142,11 @@ class Normal:
 @dataclass(frozen=True)
 class Uniform:
     """Constant between the bounds, which must both be finite."""
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """All numbers: the bounds alone limit it."""
+        return UNBOUNDED
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return 0: `log_mass` carries the normalisation."""
@@ -149,3 +175,46 @@ class Uniform:
     def as_dict(self) -> dict[str, Any]:
         """Return the name."""
         return {"distribution": "uniform"}
+
+
+class QuantilePrior:
+    """What follows from the quantiles of a truncated distribution, where its shape says no more."""
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density."""
+        raise NotImplementedError
+
+    def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        raise NotImplementedError
+
+    def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
+        """Draw by inversion of the truncated distribution function."""
+        return self.quantile(rng.uniform(size=n), lower, upper)
+
+    def scale(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the median, and half the interval from the 16th to the 84th percentile, within the bounds."""
+        left, median, right = self.quantile(_CENTRAL, lower, upper).tolist()
+        return median, 0.5 * (right - left)
+
+    def box(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the interval that all but 6e-5 of the probability lies in, as of four standard deviations.
+
+        It reaches to a bound where the density is not about to vanish there: a posterior may lean on that.
+        """
+        inner, bounds = self.quantile(_ENDS, lower, upper), np.array([lower, upper])
+        dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)
+        left, right = np.where(dense, bounds, inner).tolist()
+        return left, right
+
+
+def positive(name: str, value: float) -> None:
+    """Raise ValueError unless a setting is positive and finite."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: must be positive and finite (got {value})")
+
+
+def finite(name: str, value: float) -> None:
+    """Raise ValueError unless a setting is finite."""
+    if not np.isfinite(value):
+        raise ValueError(f"{name}: must be finite (got {value})")

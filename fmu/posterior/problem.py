@@ -87,8 +87,9 @@ class UpdatingProblem:
         self.units = tuple(p.unit for p in self.parameters)
         self.lower = np.array([p.lower for p in self.parameters], dtype=float)
         self.upper = np.array([p.upper for p in self.parameters], dtype=float)
-        # as rows, like one theta, which spares it NumPy's broadcasting
-        self._lowest, self._highest = self.lower[None], self.upper[None]
+        # as rows, like one theta, which spares it NumPy's broadcasting; open where the prior vanishes at a bound
+        self._lowest = np.array([[p.lowest for p in self.parameters]])
+        self._highest = np.array([[p.highest for p in self.parameters]])
         self.start = np.array([p.start for p in self.parameters], dtype=float)
         scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
         self.offset = np.array([offset for offset, _ in scales])
@@ -174,7 +175,8 @@ class UpdatingProblem:
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors from the truncated prior, shape (n, ndim)."""
-        return np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
+        draws = np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
+        return np.clip(draws, self._lowest, self._highest)
 
     def simulate_data(self, rng: np.random.Generator, frequencies: FloatArray) -> FloatArray:
         """Return computed frequencies (Hz) with measurement noise added.
