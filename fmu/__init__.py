@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fmu.config import load as load
     from fmu.fem.frame import Frame as Frame
     from fmu.fem.separable import SeparableModel as SeparableModel
+    from fmu.fem.separable import Term as Term
     from fmu.posterior.measurement import ModalData as ModalData
     from fmu.posterior.one_sided_priors import HalfNormal as HalfNormal
     from fmu.posterior.one_sided_priors import LogNormal as LogNormal
@@ -61,6 +62,7 @@ _HOME = {
     "ScipyPrior": "fmu.posterior.scipy_priors",
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
+    "Term": "fmu.fem.separable",
     "Uniform": "fmu.posterior.priors",
     "UpdatingProblem": "fmu.posterior.problem",
     "compare": "fmu.analysis.comparison",
@@ -90,6 +92,7 @@ __all__ = [
     "ScipyPrior",
     "SeparableModel",
     "Slice",
+    "Term",
     "Uniform",
     "UpdatingProblem",
     "__version__",

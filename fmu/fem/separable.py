@@ -27,14 +27,24 @@ class Term:
 
     Attributes
     ----------
-    matrix : scipy.sparse array, shape (n_dof, n_dof)
-        Symmetric; holds the constant factor of the coefficient.
-    powers : tuple of int or float, length n_parameters
+    matrix : array_like or sparse, shape (n_dof, n_dof)
+        Symmetric; holds the constant factor of the coefficient. Kept as a csr_array of float.
+    powers : sequence of int or float, length n_parameters
         All zero for a term that no parameter changes.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is no real matrix.
     """
 
     matrix: Any
     powers: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.matrix, sp.csr_array) and self.matrix.dtype == np.float64):
+            object.__setattr__(self, "matrix", _as_csr(self.matrix))
+        object.__setattr__(self, "powers", tuple(self.powers))
 
     @property
     def constant(self) -> bool:
@@ -98,6 +108,11 @@ class SeparableModel:
     arms : mapping of hashable to RigidArm, optional
         Places beside the nodes at which sensors may sit, by name.
 
+    Attributes
+    ----------
+    names : tuple of str or None
+        The parameters, where they were named; see `from_terms`.
+
     Raises
     ------
     ValueError
@@ -121,7 +136,50 @@ class SeparableModel:
         self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
         self.geometry = geometry
         self.arms = dict(arms or {})
+        self.names: tuple[str, ...] | None = None
         _check_terms(self)
+
+    @classmethod
+    def from_terms(
+        cls,
+        parameters: Sequence[str],
+        stiffness: Sequence[Any],
+        mass: Sequence[Any],
+        dofs: Sequence[tuple[Any, str]] | None = None,
+        geometry: Geometry | None = None,
+    ) -> SeparableModel:
+        """Return the model of matrices with the parameters that multiply them, by name.
+
+        ``SeparableModel.from_terms(["k1", "t"], stiffness=[K0, (K1, "k1"), (K2, {"t": 3})], mass=[M])`` has
+        K = K0 + k1 K1 + t³ K2.
+
+        Parameters
+        ----------
+        parameters : sequence of str
+            In the order of theta; an `UpdatingProblem` of the model wants the same.
+        stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
+            A matrix alone is constant; with a name it is multiplied by that parameter; with powers by name, by
+            their product.
+        dofs, geometry : optional
+            See the class.
+
+        Returns
+        -------
+        SeparableModel
+
+        Raises
+        ------
+        ValueError
+            If a term names no parameter of the model, and whatever the class raises.
+        """
+        names = tuple(parameters)
+        K_terms, M_terms = (
+            [_named_term(term, names, f"{key}.{k}") for k, term in enumerate(given)]
+            for key, given in (("stiffness", stiffness), ("mass", mass))
+        )
+        model = cls(K_terms, M_terms, dofs, geometry)
+        model.names = names
+        return model
 
     def __repr__(self) -> str:
         return (
@@ -230,6 +288,29 @@ class SeparableModel:
     @cached_property
     def _dof_index(self) -> dict[tuple[Any, str], int]:
         return {name: i for i, name in enumerate(self.dofs)}
+
+
+def _as_csr(matrix: Any) -> Any:
+    if not sp.issparse(matrix):
+        matrix = np.asarray(matrix)
+    if matrix.ndim != 2 or matrix.dtype.kind not in "fiub":
+        raise ValueError(f"matrix: must be a real matrix (got {matrix.dtype} of shape {matrix.shape})")
+    return sp.csr_array(matrix, dtype=float)
+
+
+def _named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
+    if isinstance(given, Term):
+        return given
+    paired = isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], str | Mapping)
+    matrix, powers = given if paired else (given, {})
+    by_name = {powers: 1} if isinstance(powers, str) else dict(powers)
+    unknown = sorted(set(by_name) - set(names))
+    if unknown:
+        raise ValueError(f"{where}: must name parameters among {', '.join(names)} (got {', '.join(unknown)})")
+    try:
+        return Term(matrix, tuple(by_name.get(name, 0) for name in names))
+    except ValueError as error:
+        raise ValueError(f"{where}.{error}") from error
 
 
 def selection(dofs: ArrayLike, n_dof: int) -> Any:

@@ -162,3 +162,37 @@ def test_sensor_off_the_model():
     assert model.dof(7, "rz") == 1
     with pytest.raises(ValueError, match=r"^sensor: the model has no free degree of freedom \(got node 7, 'y'\)$"):
         model.dof(7, "y")
+
+
+def test_a_dense_matrix_is_a_term_too():
+    rows = [[2, -1], [-1, 2]]
+    for given_as in (rows, np.array(rows), sp.coo_array(np.array(rows, dtype=np.float32))):
+        term = Term(given_as, [1, 0])
+        assert isinstance(term.matrix, sp.csr_array)
+        assert term.matrix.dtype == np.float64
+        assert_array_equal(term.matrix.toarray(), rows)
+        assert term.powers == (1, 0)
+
+
+@pytest.mark.parametrize("wrong", [[1.0, 2.0], [[1j, 0.0], [0.0, 1.0]], [["a"]]])
+def test_a_term_that_is_no_real_matrix(wrong):
+    with pytest.raises(ValueError, match=r"matrix: must be a real matrix \(got "):
+        Term(wrong, (0,))
+
+
+def test_terms_by_the_names_of_the_parameters():
+    K0, K1, K2, M = ([[a, -1.0], [-1.0, a]] for a in (2.0, 3.0, 4.0, 5.0))
+    model = SeparableModel.from_terms(["k1", "t"], stiffness=[K0, (K1, "k1"), (K2, {"t": 3, "k1": 1})], mass=[M])
+    assert model.names == ("k1", "t")
+    theta = np.array([1.5, 0.5])
+    expected = np.array(K0) + 1.5 * np.array(K1) + 1.5 * 0.5**3 * np.array(K2)
+    assert_allclose(model.K(theta).toarray(), expected, rtol=1e-15)
+    assert_array_equal(model.M(theta).toarray(), M)
+
+
+def test_terms_by_names_that_are_wrong():
+    M = np.eye(2)
+    with pytest.raises(ValueError, match=r"^stiffness.1: must name parameters among k1 \(got k2\)$"):
+        SeparableModel.from_terms(["k1"], [(M, "k1"), (M, {"k2": 1})], [M])
+    with pytest.raises(ValueError, match=r"^mass.0.matrix: must be a real matrix"):
+        SeparableModel.from_terms(["k1"], [(M, "k1")], [[1.0, 2.0]])

@@ -1,0 +1,89 @@
+"""Matrices in HDF5, MATLAB's version 7.3 among it.
+
+A matrix is a dataset of two dimensions, or a group with the arrays of a sparse one: ``data``, ``indices``,
+``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
+``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrix_files import chosen, fitting
+
+_COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
+_FORMAT = ("format", "encoding-type", "h5sparse_format")
+
+
+def read(path: Path, variable: str | None) -> Any:
+    """Return a matrix of a file.
+
+    Parameters
+    ----------
+    path : Path
+    variable : str, optional
+        Its path in the file; not needed if there is one alone.
+
+    Raises
+    ------
+    Exception
+        Whatever h5py and SciPy make of a broken file.
+    """
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        found: dict[str, Any] = {"/": file} if _is_sparse(file) else {}
+
+        def look(name: str, member: Any) -> None:
+            inside = name.rpartition("/")[0] in found or "/" in found or name.startswith("#")
+            if not inside and (_is_sparse(member) if isinstance(member, h5py.Group) else _is_dense(member)):
+                found[name] = member
+
+        file.visititems(look)
+        member = found[chosen(list(found), variable)]
+        if isinstance(member, h5py.Group):
+            return _sparse(member)
+        fitting(member.nbytes)
+        matrix = np.asarray(member)
+        return matrix.T if "MATLAB_class" in member.attrs else matrix
+
+
+def write_sparse(path: Path, matrix: Any, variable: str) -> None:
+    """Write a csr_array as a group of its arrays."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        group = file.create_group(variable)
+        group.attrs["format"] = "csr"
+        for name in ("data", "indices", "indptr", "shape"):
+            group[name] = np.asarray(getattr(matrix, name))
+
+
+def _is_sparse(group: Any) -> bool:
+    names = set(group)
+    return "MATLAB_sparse" in group.attrs or names >= _COMPRESSED or names >= _COORDINATE
+
+
+def _is_dense(dataset: Any) -> bool:
+    return dataset.ndim == 2 and dataset.dtype.kind in "fiubc" and max(dataset.shape) > 1
+
+
+def _sparse(group: Any) -> Any:
+    fitting(sum(group[name].nbytes for name in group))
+    arrays = {name: np.asarray(group[name]) for name in group}
+    if "MATLAB_sparse" in group.attrs:
+        n_rows = int(group.attrs["MATLAB_sparse"])
+        data = arrays.get("data", np.zeros(0))
+        return sp.csc_array((data, arrays.get("ir", np.zeros(0, int)), arrays["jc"]),
+                            shape=(n_rows, len(arrays["jc"]) - 1))  # fmt: skip
+    shape = arrays.get("shape", group.attrs.get("shape"))
+    size = None if shape is None else tuple(int(n) for n in np.ravel(shape))
+    if "row" in arrays:
+        return sp.coo_array((arrays["data"], (arrays["row"], arrays["col"])), shape=size)
+    said = next((str(group.attrs[name]) for name in _FORMAT if name in group.attrs), "csr")
+    kind = sp.csc_array if "csc" in said.lower() else sp.csr_array
+    return kind((arrays["data"], arrays["indices"], arrays["indptr"]), shape=size)
