@@ -35,7 +35,7 @@ _SENTENCES = 3
 class Identifiability:
     """Which directions of the parameter space the measurement informs, linearised at one parameter vector.
 
-    With S = Σ^(−½) (∂f/∂θ) D, where Σ holds the variances of the measurement and D the standard deviations of the
+    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the covariance of the measurement and D the standard deviations of the
     prior within its bounds, SᵀS is the Fisher information in prior standard deviations. Its singular value
     decomposition orders directions by what the data add: along a direction of singular value s, a posterior with
     a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse Problems 30,
@@ -52,7 +52,8 @@ class Identifiability:
     prior_sd : ndarray, shape (ndim,), SI units
         Diagonal of D.
     sensitivity : ndarray, shape (n_modes, ndim)
-        S: by how many standard deviations of its measurement each frequency changes for one of the prior's.
+        S: by how many standard deviations of its measurement each frequency changes for one of the prior's. Where
+        the errors are correlated, by how many of what the modes before it leave open.
     """
 
     names: tuple[str, ...]
@@ -164,9 +165,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):
         raise ValueError(f"theta: must be {problem.ndim} numbers within the bounds (got {point.tolist()})")
-    slopes = problem.model.frequencies_and_gradient(point[None])[1][0]
+    slopes = problem.model.frequencies_and_gradient(point[None])[1]
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters])
-    sensitivity = slopes * prior_sd / likelihood.error.sd[:, None]
+    sensitivity = likelihood.error.whitened(slopes * prior_sd)[0]
     if not np.all(np.isfinite(sensitivity)):
         raise ValueError(f"theta: the frequencies must have finite derivatives (got none at {point.tolist()})")
     labels = tuple(map(str, problem.data.labels))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.diagnostics import interval_columns, parameter_draws, walkers_of
 from fmu.analysis.effective import ess_bulk, mcse_mean
-from fmu.analysis.trace import check_trace
+from fmu.analysis.trace import GIVEN_OTHERS, check_trace
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,7 +145,9 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     check_trace(trace)
     if "log_likelihood" not in trace.children:
         raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
-    name = str(next(iter(trace["log_likelihood"].data_vars)))
+    kept = list(map(str, trace["log_likelihood"].data_vars))
+    # correlated errors: the terms that sum to the joint do not say what each mode is like, given the others
+    name = GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0]
     terms = trace["log_likelihood"][name].transpose("chain", "draw", "mode").to_numpy()
     walkers = walkers_of(trace)
     n = terms.shape[0] * terms.shape[1]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.provenance import attributes
 from fmu.analysis.replay import DistinctDraws
+from fmu.posterior.correlated import CorrelatedFrequencyError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from fmu.samplers.kernel import LogDensity
     from fmu.samplers.run import Draws, RunResult
 
+GIVEN_OTHERS = "frequency_given_others"
 PRIOR_DRAWS = 2000
 PRIOR_STREAM, NOISE_STREAM = 0, 1
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see _generator
@@ -50,10 +52,11 @@ def to_trace(
     xarray.DataTree
         Groups ``posterior`` and ``warmup_posterior`` (one variable a parameter, SI units), ``sample_stats`` and
         ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, or ``residual`` under the modal residual; one
-        term a mode), ``posterior_predictive`` (eq. (10) of the paper: ``frequency`` with measurement noise, which
-        the modal residual has none of, ``model_frequency`` without it, Hz),
-        ``prior`` (draws from the prior inside the bounds), ``observed_data`` (``frequency``) and ``constant_data``
-        (``lower``, ``upper``, ``start``, ``beta``). The attributes say how the draws came about.
+        term a mode, and where errors are correlated also ``frequency_given_others``), ``posterior_predictive``
+        (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
+        ``model_frequency`` without it, Hz), ``prior`` (draws from the prior inside the bounds),
+        ``observed_data`` (``frequency``) and ``constant_data`` (``lower``, ``upper``, ``start``, ``beta``, and
+        ``covariance_hz2`` where errors are correlated). The attributes say how the draws came about.
     """
     import xarray as xr
 
@@ -186,6 +189,10 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
     if hasattr(density, "likelihood"):
         variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
+        error = getattr(density.likelihood, "error", None)
+        if isinstance(error, CorrelatedFrequencyError):
+            variables["covariance_hz2"] = (("mode", "other_mode"), error.covariance_hz2)
+            coordinates["other_mode"] = coordinates["mode"]
     return xr.Dataset(variables, coords=coordinates)
 
 
@@ -200,7 +207,10 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     hertz = {"units": "Hz"}
     predicted = {"model_frequency": (dims, frequency, hertz)}
     if hasattr(problem.likelihood, "error"):
-        terms = {"frequency": (dims, problem.likelihood.error.log_prob_terms(frequency))}
+        error = problem.likelihood.error
+        terms = {"frequency": (dims, error.log_prob_terms(frequency))}
+        if isinstance(error, CorrelatedFrequencyError):
+            terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
         noise = _generator(result.seed, NOISE_STREAM)
         replicate = problem.simulate_data(noise, frequency.reshape(-1, frequency.shape[-1]))
         predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}

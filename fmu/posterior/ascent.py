@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.posterior.likelihood import FrequencyLikelihood
+
 if TYPE_CHECKING:
     from fmu.posterior.parameters import Parameter
     from fmu.posterior.problem import UpdatingProblem
@@ -34,14 +36,18 @@ class Ascent:
 class GaussNewton:
     """V = −log P of a problem under the frequency likelihood, in the coordinates u = (θ − offset)/scale.
 
-    With residuals r_i = √(2β_i) (f_i − f_i^m) and their slopes J, ∇²V is taken for JᵀJ plus the curvature of the
-    prior: the term r_i ∇²f_i is left out (Nocedal & Wright 2006, section 10.3).
+    With residuals r = L⁻¹(f − f^m), where LLᵀ is the covariance of the errors (r_i = √(2β_i) (f_i − f_i^m) where
+    they are independent), and their slopes J, ∇²V is taken for JᵀJ plus the curvature of the prior: the term
+    r_i ∇²f_i is left out (Nocedal & Wright 2006, section 10.3).
     """
 
     def __init__(self, problem: UpdatingProblem) -> None:
         self.problem = problem
         self.scale, self.offset = problem.scale, problem.offset
-        self.root = np.sqrt(2.0 * problem.likelihood.beta)
+        likelihood = problem.likelihood
+        if not isinstance(likelihood, FrequencyLikelihood):
+            raise ValueError("problem: must have errors in the frequencies")
+        self.error = likelihood.error
         self.measured = np.asarray(problem.data.frequencies_hz)
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -49,8 +55,8 @@ class GaussNewton:
         p = self.problem
         theta = np.clip(self.offset + self.scale * u, p.lower, p.upper)
         f, slopes = p.model.frequencies_and_gradient(theta)
-        J = self.root[:, None] * slopes * self.scale
-        r = self.root * (f - self.measured)
+        J = self.error.whitened(slopes) * self.scale
+        r = self.error.whitened(f - self.measured)
         value = 0.5 * np.sum(r**2, axis=1) - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = self._prior(theta)
         gradient = np.einsum("nm,nmk->nk", r, J) - prior_slope

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.basis_cache import load_basis, store_basis
 from fmu.fem.structure import PairedStructure
+from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.likelihood import FrequencyLikelihood
 from fmu.posterior.maxima import local_maxima
 
@@ -99,7 +100,7 @@ def _laplace_directions(
 ) -> FloatArray:
     """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
     _, slopes = problem.model.frequencies_and_gradient(theta[None])
-    J = slopes[0] * problem.scale * np.sqrt(2.0 * problem.likelihood.beta)[:, None]
+    J = GaussNewton(problem).error.whitened(slopes * problem.scale)[0]
     precision = J.T @ J + np.eye(problem.ndim)
     z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
     z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))

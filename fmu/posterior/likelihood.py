@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.model import ModalModel
+from fmu.posterior.correlated import CorrelatedFrequencyError
+from fmu.posterior.measurement import ModalData
 
 FloatArray = NDArray[np.float64]
 
@@ -53,8 +55,13 @@ class FrequencyError:
         """Standard deviation σ_i of the measurement error, Hz."""
         return 1.0 / np.sqrt(2.0 * np.asarray(self.beta))
 
+    def whitened(self, x: FloatArray) -> FloatArray:
+        """Return `x` (n, n_modes, …) in Hz along the modes, in units of the standard errors: √(2β_i) x_i."""
+        root = np.sqrt(2.0 * np.asarray(self.beta))
+        return np.asarray(root.reshape(-1, *(1,) * (x.ndim - 2)) * x)
+
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each mode, shape (n, n_modes), for frequencies of that shape in Hz."""
+        """Return the log-likelihood of each mode, shape (…, n_modes), for frequencies of that shape in Hz."""
         normaliser, beta, measured = self._rows
         # in C order, in which the terms of a row are summed in the same order whatever the batch
         error = np.ascontiguousarray(frequencies) - measured
@@ -62,8 +69,12 @@ class FrequencyError:
             return normaliser - beta * error**2
 
     def gradient(self, frequencies: FloatArray) -> FloatArray:
-        """Return the derivative of each mode's term with respect to its frequency, shape (n, n_modes)."""
+        """Return the derivative of the log-likelihood with respect to each frequency, shape (n, n_modes)."""
         return -2.0 * np.asarray(self.beta) * (frequencies - self.measured)
+
+    def terms_gradient(self, frequencies: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return the derivatives of the terms, given those of the frequencies: both (n, n_modes, ndim)."""
+        return self.gradient(frequencies)[..., None] * slopes
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray) -> FloatArray:
         """Return `frequencies` with measurement noise added."""
@@ -74,6 +85,31 @@ class FrequencyError:
         return {"error": "frequency", "beta": np.asarray(self.beta).tolist()}
 
 
+def frequency_error(data: ModalData, beta: ArrayLike | None = None) -> FrequencyError | CorrelatedFrequencyError:
+    """Return the error model of measured frequencies.
+
+    Parameters
+    ----------
+    data : ModalData
+    beta : float or array_like, shape (n_modes,), optional
+        1/Hz². If not given, the data's own uncertainty holds, and where they have none β = 1, the paper's.
+
+    Raises
+    ------
+    ValueError
+        If `beta` is given and the data have an uncertainty of their own, or it is not positive and finite.
+    """
+    measured = np.asarray(data.frequencies_hz)
+    if beta is None:
+        if data.covariance_hz2 is not None:
+            return CorrelatedFrequencyError(measured, np.asarray(data.covariance_hz2))
+        return FrequencyError(measured, 1.0 if data.sd_hz is None else 0.5 / np.asarray(data.sd_hz) ** 2)
+    if data.sd_hz is not None or data.covariance_hz2 is not None:
+        own = "sd_hz" if data.covariance_hz2 is None else "covariance_hz2"
+        raise ValueError(f"beta: must not be given, as the data have {own} (got {beta})")
+    return FrequencyError(measured, beta)
+
+
 @dataclass(frozen=True, eq=False)
 class FrequencyLikelihood:
     """A model's frequencies under an error model: the likelihood as a function of theta.
@@ -81,15 +117,15 @@ class FrequencyLikelihood:
     Attributes
     ----------
     model : ModalModel
-    error : FrequencyError
+    error : FrequencyError or CorrelatedFrequencyError
     """
 
     model: ModalModel
-    error: FrequencyError
+    error: FrequencyError | CorrelatedFrequencyError
 
     @property
     def beta(self) -> FloatArray:
-        """Coefficient β_i of each mode, 1/Hz²."""
+        """Coefficient β_i = 1/(2σ_i²) of each mode by itself, 1/Hz²."""
         return np.asarray(self.error.beta)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -99,7 +135,7 @@ class FrequencyLikelihood:
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_modes, ndim)."""
         frequencies, slopes = self.model.frequencies_and_gradient(theta)
-        return self.error.log_prob_terms(frequencies), self.error.gradient(frequencies)[..., None] * slopes
+        return self.error.log_prob_terms(frequencies), self.error.terms_gradient(frequencies, slopes)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""

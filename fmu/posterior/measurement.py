@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from fmu.posterior.correlated import checked_covariance
+from fmu.posterior.repeated import mean_frequencies, mean_shapes
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class ModalData:
-    """What a modal test gave.
+    """What a modal test gave, and how far it can be trusted.
 
     Attributes
     ----------
@@ -28,11 +31,19 @@ class ModalData:
         Measured mode shapes at the sensors, in any scale.
     labels : tuple of str
         Names of the modes, ``"1"``, ``"2"``, … by default.
+    sd_hz : ndarray, shape (n_modes,), optional
+        Standard deviations of independent errors of the frequencies; a scalar stands for all modes.
+    covariance_hz2 : ndarray, shape (n_modes, n_modes), optional
+        Covariance of errors that depend on each other, instead of `sd_hz`.
+    shapes_sd : ndarray, shape (n_sensors, n_modes), optional
+        Standard deviation of the shapes' errors, in units of a shape that has unit length at the sensors. A scalar
+        stands for everything, one number a mode for all sensors.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive and finite, a shape is not finite or zero, or the lengths differ.
+        If a frequency is not positive and finite, a shape is not finite or zero, the lengths differ, a standard
+        deviation is not positive or a covariance not positive definite.
     """
 
     frequencies_hz: ArrayLike
@@ -40,6 +51,9 @@ class ModalData:
     sensors: tuple[tuple[Any, str], ...] = ()
     labels: tuple[str, ...] = ()
     shapes: ArrayLike | None = None
+    sd_hz: ArrayLike | None = None
+    covariance_hz2: ArrayLike | None = None
+    shapes_sd: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
@@ -70,6 +84,55 @@ class ModalData:
                 raise ValueError("shapes: must be finite, and no mode zero at every sensor")
             shapes.flags.writeable = False
             object.__setattr__(self, "shapes", shapes)
+        self._check_uncertainty(n)
+
+    def _check_uncertainty(self, n: int) -> None:
+        if self.sd_hz is not None and self.covariance_hz2 is not None:
+            raise ValueError("sd_hz: must not be given beside covariance_hz2")
+        if self.sd_hz is not None:
+            object.__setattr__(self, "sd_hz", _spread(self.sd_hz, "sd_hz", (n,), "one a mode"))
+        if self.covariance_hz2 is not None:
+            object.__setattr__(self, "covariance_hz2", checked_covariance(self.covariance_hz2, n))
+        if self.shapes_sd is not None:
+            if self.shapes is None:
+                raise ValueError("shapes_sd: must not be given without shapes")
+            full = (len(self.sensors), n)
+            object.__setattr__(self, "shapes_sd", _spread(self.shapes_sd, "shapes_sd", full, "sensors x modes"))
+
+    @classmethod
+    def from_tests(
+        cls,
+        frequencies: ArrayLike,
+        shapes: ArrayLike | None = None,
+        *,
+        scatter: str = "each",
+        numbers: tuple[int, ...] = (),
+        sensors: tuple[tuple[Any, str], ...] = (),
+        labels: tuple[str, ...] = (),
+    ) -> Self:
+        """Return the mean of several tests, with the uncertainty that their scatter tells.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n_tests, n_modes), Hz
+            NaN where a test missed a mode; every mode needs two values.
+        shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
+            In any scale and sign, all NaN where a test missed a mode; see `fmu.posterior.repeated.mean_shapes`.
+        scatter : {"each", "pooled", "joint"}
+            Independent modes, each with the scatter of its own values; independent, and the same relative scatter
+            in all, for few tests; or a full covariance, for at least three tests more than modes. In all three
+            the spread is widened for how little few tests say of it: `fmu.posterior.repeated.mean_frequencies`.
+        numbers, sensors, labels
+            As of the class.
+
+        Raises
+        ------
+        ValueError
+            If a mode has too few values, they do not scatter, or two tests' shapes are of different modes.
+        """
+        mean, sd, covariance = mean_frequencies(frequencies, scatter)
+        average = None if shapes is None else mean_shapes(shapes)
+        return cls(mean, numbers, sensors, labels, average, sd, covariance)
 
     @property
     def n_modes(self) -> int:
@@ -78,14 +141,28 @@ class ModalData:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the data in plain Python types."""
-        shapes = {} if self.shapes is None else {"shapes": np.asarray(self.shapes).tolist()}
+        optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
+        given = {name: getattr(self, name) for name in optional if getattr(self, name) is not None}
         return {
             "frequencies_hz": np.asarray(self.frequencies_hz).tolist(),
             "numbers": [int(number) for number in self.numbers],
             "sensors": [[_plain(part) for part in sensor] for sensor in self.sensors],
             "labels": list(self.labels),
-            **shapes,
+            **{name: value.tolist() for name, value in given.items()},
         }
+
+
+def _spread(value: ArrayLike, name: str, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return standard deviations of the given shape, read-only."""
+    given = np.array(value, dtype=float)
+    if given.shape not in ((), shape[-1:], shape):
+        raise ValueError(f"{name}: must be a number or have shape {shape}, {what} (got {given.shape})")
+    spread = np.broadcast_to(given, shape).copy()
+    wrong = ~(np.isfinite(spread) & (spread > 0))
+    if wrong.any():
+        raise ValueError(f"{name}: must be positive and finite (got {spread[wrong][0]})")
+    spread.flags.writeable = False
+    return spread
 
 
 def _plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ from fmu.fem.model import ModalModel
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
 from fmu.posterior.focus import reduce_model
-from fmu.posterior.likelihood import FrequencyError, FrequencyLikelihood
+from fmu.posterior.likelihood import FrequencyLikelihood, frequency_error
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.residual import ModalResidual
@@ -37,8 +37,10 @@ class UpdatingProblem:
         the modes of the model before updating, or by number in the sorted spectrum.
     reduction : bool
         Whether a SeparableModel is answered by a certified reduced model inside the bounds.
-    beta : float or array_like, shape (n_modes,)
-        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual.
+    beta : float or array_like, shape (n_modes,), optional
+        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. For
+        frequencies the uncertainty of `data` holds if they have one, and then `beta` must not be given; otherwise
+        it is 1, the paper's.
     error : {"frequency", "modal-residual"}
         ε = f − f^m in Hz, or the residual of eq. (2) at the sensors, a pseudo-likelihood
         (`fmu.posterior.residual`) that needs measured shapes and a SeparableModel.
@@ -73,7 +75,7 @@ class UpdatingProblem:
         *,
         pairing: str = "shape",
         reduction: bool = True,
-        beta: ArrayLike = 1.0,
+        beta: ArrayLike | None = None,
         error: str = "frequency",
         name: str = "problem",
     ) -> None:
@@ -100,11 +102,9 @@ class UpdatingProblem:
         self._check()
         self.likelihood: FrequencyLikelihood | ModalResidual
         if error == "frequency":
-            self.likelihood = FrequencyLikelihood(
-                self.model, FrequencyError(np.asarray(data.frequencies_hz), beta)
-            )
+            self.likelihood = FrequencyLikelihood(self.model, frequency_error(data, beta))
         elif isinstance(model, SeparableModel):
-            self.likelihood = ModalResidual(model, data, self.start, beta)
+            self.likelihood = ModalResidual(model, data, self.start, 1.0 if beta is None else beta)
         else:
             raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
         if reduction and isinstance(self.model, PairedStructure):

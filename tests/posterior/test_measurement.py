@@ -81,3 +81,38 @@ def test_measured_shapes():
 def test_wrong_data(arguments, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         ModalData(**arguments)
+
+
+def test_uncertainty_is_kept_and_described():
+    data = ModalData([31.9, 197.9], sensors=((3, "z"),), shapes=[[1.0, 2.0]], sd_hz=0.1, shapes_sd=[0.01, 0.02])
+    assert_array_equal(data.sd_hz, [0.1, 0.1])
+    assert_array_equal(data.shapes_sd, [[0.01, 0.02]])
+    described = json.loads(json.dumps(data.as_dict()))
+    assert described["sd_hz"] == [0.1, 0.1]
+    assert described["shapes_sd"] == [[0.01, 0.02]]
+    assert "covariance_hz2" not in described
+    covariance = [[0.01, 0.001], [0.001, 0.04]]
+    assert ModalData([31.9, 197.9], covariance_hz2=covariance).as_dict()["covariance_hz2"] == covariance
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"sd_hz": [0.1]}, r"sd_hz: must be a number or have shape \(2,\), one a mode \(got \(1,\)\)"),
+        ({"sd_hz": [0.1, 0.0]}, r"sd_hz: must be positive and finite \(got 0\.0\)"),
+        ({"sd_hz": np.nan}, r"sd_hz: must be positive and finite \(got nan\)"),
+        ({"sd_hz": 0.1, "covariance_hz2": np.eye(2)}, r"sd_hz: must not be given beside covariance_hz2"),
+        ({"shapes_sd": 0.1}, r"shapes_sd: must not be given without shapes"),
+        (
+            {"shapes_sd": [[0.1]], "shapes": [[1.0, 2.0], [1.0, 1.0]], "sensors": ((1, "x"), (2, "x"))},
+            r"shapes_sd: must be a number or have shape \(2, 2\), sensors x modes \(got \(1, 1\)\)",
+        ),
+        (
+            {"shapes_sd": -1.0, "shapes": [[1.0, 2.0], [1.0, 1.0]], "sensors": ((1, "x"), (2, "x"))},
+            r"shapes_sd: must be positive and finite \(got -1\.0\)",
+        ),
+    ],
+)
+def test_wrong_uncertainty(arguments, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        ModalData([31.9, 197.9], **arguments)

@@ -1,0 +1,150 @@
+"""Several tests of one structure: the mean of what they measured, and how well they determine it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+SCATTERS = ("each", "pooled", "joint")
+LEAST_MAC = 0.5
+"""Of a test's shape with the mean of all: below it, it is another mode."""
+_SHARE = 0.95
+
+
+class MeanFrequencies(NamedTuple):
+    """Means (n_modes,), and either their standard deviations (n_modes,), Hz, or covariance (n_modes, n_modes)."""
+
+    frequencies_hz: FloatArray
+    sd_hz: FloatArray | None
+    covariance_hz2: FloatArray | None
+
+
+def mean_frequencies(frequencies: ArrayLike, scatter: str = "each") -> MeanFrequencies:
+    """Return the mean over tests, and what its error is by the scatter between them.
+
+    With n_i tests of mode i, s_i their sample standard deviation and ν degrees of freedom the error of the mean,
+    over s_i/√n_i, has Student's distribution, as ν tests tell s_i only so well. The Gaussian taken for it has the
+    same central 95 %: its standard deviation is s_i/√n_i · t_0.975(ν)/1.96 (the expanded uncertainty of JCGM
+    100:2008, GUM, annex G.3, over the normal's factor). That is 6.5 s_i/√n_i for two tests, 2.2 for three, 1.4
+    for five, 1.05 for twenty-five.
+
+    Parameters
+    ----------
+    frequencies : array_like, shape (n_tests, n_modes), Hz
+        NaN where a test missed a mode; every mode needs two values.
+    scatter : {"each", "pooled", "joint"}
+        "each": modes are independent, each with the scatter of its own values, ν = n_i − 1. Nothing is assumed
+        that tests could deny, but by accident few tests may agree far better than they should, and such a mode
+        then weighs too much. "pooled": independent, and all of one *relative* scatter, s_i = c f_i with
+        c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: of use for two to four tests. "joint": a full covariance, for
+        modes that move together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a
+        multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section 3.6);
+        its covariance is taken, S (n − 1)/(n (n − n_modes − 2)) with the sample covariance S, which exists for
+        n ≥ n_modes + 3 tests, none with a mode missing. With fewer, S is singular or as good as.
+
+    Raises
+    ------
+    ValueError
+        If a frequency is not positive, a mode has too few values or they do not scatter at all.
+
+    Notes
+    -----
+    This is repeatability alone. What all tests share (the mass of the sensors, the weather of that day, a bias of
+    the identification, the error of the model) does not average out and is not in it.
+    """
+    values = np.array(frequencies, dtype=float)
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"frequencies: must have shape (n_tests, n_modes) (got {values.shape})")
+    if scatter not in SCATTERS:
+        raise ValueError(f"scatter: must be one of {SCATTERS} (got {scatter!r})")
+    wrong = ~np.isnan(values) & ~(np.isfinite(values) & (values > 0))
+    if wrong.any():
+        i, j = map(int, np.unravel_index(np.argmax(wrong), wrong.shape))
+        raise ValueError(f"frequencies.{i}.{j}: must be positive and finite, or NaN (got {values[i, j]} Hz)")
+    n = np.sum(~np.isnan(values), axis=0)
+    if n.min() < 2:
+        at = int(np.argmin(n))
+        raise ValueError(f"frequencies: every mode must have at least 2 values (got {n[at]} of mode {at + 1})")
+    if scatter == "joint":
+        return _joint(values)
+    mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
+    nu = n - 1
+    if scatter == "pooled":
+        s = mean * np.sqrt(np.sum(nu * (s / mean) ** 2) / np.sum(nu))
+        nu = np.full(len(n), np.sum(nu))
+    if not np.all(s > 0):
+        raise ValueError(
+            "frequencies: the values of a mode must differ between tests, or their scatter says nothing "
+            f"(got {mean[np.argmin(s)]} Hz only, of mode {np.argmin(s) + 1})"
+        )
+    return MeanFrequencies(mean, s / np.sqrt(n) * _student(nu), None)
+
+
+def _student(nu: NDArray[np.int64]) -> FloatArray:
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 * (1.0 + _SHARE)
+    return np.asarray(stdtrit(nu, tail) / ndtri(tail))
+
+
+def _joint(values: FloatArray) -> MeanFrequencies:
+    n, n_modes = values.shape
+    if np.isnan(values).any():
+        raise ValueError('frequencies: must have no NaN where scatter is "joint"')
+    if n < n_modes + 3:
+        raise ValueError(
+            f'frequencies: must be of at least {n_modes + 3} tests, 3 more than modes, where scatter is "joint" '
+            f"(got {n})"
+        )
+    centred = values - values.mean(axis=0)
+    return MeanFrequencies(values.mean(axis=0), None, centred.T @ centred / (n * (n - n_modes - 2)))
+
+
+def mean_shapes(shapes: ArrayLike) -> FloatArray:
+    """Return the mean over tests of shapes brought to one scale and sign, shape (n_sensors, n_modes).
+
+    Each is scaled to unit length, and turned to the side of the direction that all of them have most in common
+    (the first eigenvector of Σ φφᵀ); their mean has unit length again, and the sign of the first test.
+
+    Parameters
+    ----------
+    shapes : array_like, shape (n_tests, n_sensors, n_modes)
+        All NaN where a test missed a mode.
+
+    Raises
+    ------
+    ValueError
+        If a shape is zero or not finite, a mode has none at all, or a test's shape has a MAC below 0.5 with the
+        mean: then it is another mode.
+    """
+    values = np.array(shapes, dtype=float)
+    if values.ndim != 3 or values.size == 0:
+        raise ValueError(f"shapes: must have shape (n_tests, n_sensors, n_modes) (got {values.shape})")
+    return np.stack([_mean_shape(values[:, :, k], k + 1) for k in range(values.shape[2])], axis=1)
+
+
+def _mean_shape(shapes: FloatArray, mode: int) -> FloatArray:
+    """Return the mean of `shapes` (n_tests, n_sensors)."""
+    tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
+    if not len(tests):
+        raise ValueError(f"shapes: every mode must be in a test (got none of mode {mode})")
+    length = np.linalg.norm(shapes[tests], axis=1)
+    if not np.all(np.isfinite(length) & (length > 0)):
+        at = tests[np.argmin(np.isfinite(length) & (length > 0))]
+        raise ValueError(f"shapes.{at}: mode {mode} must be finite and not zero, or NaN at every sensor")
+    unit = shapes[tests] / length[:, None]
+    common = np.linalg.svd(unit)[2][0]
+    turned = unit * np.where(unit @ common < 0, -1.0, 1.0)[:, None]
+    mean = turned.mean(axis=0) / np.linalg.norm(turned.mean(axis=0))
+    mac = (unit @ mean) ** 2
+    if mac.min() < LEAST_MAC:
+        at = tests[np.argmin(mac)]
+        raise ValueError(
+            f"shapes.{at}: mode {mode} must have a MAC of at least {LEAST_MAC} with the mean of all tests "
+            f"(got {mac.min():.2f}): is it the same mode?"
+        )
+    return mean if unit[0] @ mean > 0 else -mean
