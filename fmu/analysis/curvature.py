@@ -56,7 +56,11 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
     """Return the symmetric part of the gradient's differences over ± `step` (ndim,), in scaled coordinates."""
     h = np.diag(step * problem.scale)
-    ahead, behind = np.minimum(theta + h, problem.upper), np.maximum(theta - h, problem.lower)
+    # a bound at which the prior vanishes has no gradient: halfway there
+    vanish_below, vanish_above = np.array([(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]).T
+    lower = np.where(vanish_below, 0.5 * (problem.lower + theta), problem.lower)
+    upper = np.where(vanish_above, 0.5 * (problem.upper + theta), problem.upper)
+    ahead, behind = np.minimum(theta + h, upper), np.maximum(theta - h, lower)
     slopes = [problem.log_prob_and_grad(points)[1] * problem.scale for points in (ahead, behind)]
     hessian = (slopes[1] - slopes[0]) / (np.diag(ahead - behind) / problem.scale)[:, None]
     return 0.5 * (hessian + hessian.T)

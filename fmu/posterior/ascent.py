@@ -78,7 +78,9 @@ class GaussNewton:
 def _prior_in_one(parameter: Parameter, x: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
     """Return slope and curvature of one parameter's log-prior, the curvature by differences of the slope."""
     h = 1e-4 * scale
-    ahead, behind = (parameter.prior.log_pdf_gradient(x + step) for step in (h, -h))
+    low, high = parameter.prior.support
+    near = np.clip(x, low + 2.0 * h, high - 2.0 * h)
+    ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
     curvature = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale**2
     return parameter.prior.log_pdf_gradient(x) * scale, curvature
 
