@@ -105,7 +105,7 @@ def _shape_variables(problem: UpdatingProblem, shapes: FloatArray) -> dict[str, 
         return variables
     nodes = np.asarray(structure.geometry.nodes)
     moved = np.zeros((len(shapes), shapes.shape[2], len(nodes), 3))
-    for i, (node, direction) in enumerate(structure.dofs):
+    for (node, direction), i in structure.dof_of.items():
         if direction in _AXES:
             moved[:, :, node, _AXES.index(direction)] = shapes[:, i]
     size = np.max(np.linalg.norm(moved, axis=3), axis=2)[..., None, None]

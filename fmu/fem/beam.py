@@ -107,6 +107,26 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
+def horizontal(axis: ArrayLike) -> FloatArray:
+    """Return the direction of local y that elements have unless they are given one.
+
+    Parameters
+    ----------
+    axis : array_like, shape (n, 3)
+        Vectors from node i to node j.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Horizontal and normal to the element, global z being up; global y for elements less than a thousandth off
+        the vertical, whose horizontal normal is left to rounding.
+    """
+    vector = np.asarray(axis, dtype=float)
+    direction = np.stack([-vector[:, 1], vector[:, 0], np.zeros(len(vector))], axis=1)
+    vertical = np.linalg.norm(direction, axis=1) <= 1e-3 * np.linalg.norm(vector, axis=1)
+    return np.where(vertical[:, None], [0.0, 1.0, 0.0], direction)
+
+
 def to_global(matrices: FloatArray, axes: FloatArray) -> FloatArray:
     """Rotate element matrices from local to global axes: ``Tᵀ K T``.
 

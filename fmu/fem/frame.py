@@ -1,4 +1,4 @@
-"""Frames of beam elements: nodes, groups of elements, supports and point masses -> a SeparableModel."""
+"""Frames of beam elements: nodes, groups of elements, supports, masses and springs -> a SeparableModel."""
 
 from __future__ import annotations
 
@@ -11,68 +11,22 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem import beam
+from fmu.fem.joints import DIRECTIONS as DIRECTIONS
+from fmu.fem.joints import JointSpring as JointSpring
+from fmu.fem.joints import PointMass as PointMass
+from fmu.fem.numbering import Numbering, require_node
+from fmu.fem.section import Material as Material
+from fmu.fem.section import Section as Section
 from fmu.fem.separable import Geometry, RigidArm, SeparableModel, Term, merge_terms
+from fmu.fem.updates import PROPERTIES as PROPERTIES
+from fmu.fem.updates import Factor as Factor
+from fmu.fem.updates import Ownership, Quantity, Target, ownership
 
 FloatArray = NDArray[np.float64]
-
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
-PROPERTIES = ("E", "rho", "A", "Iy", "Iz", "J")
 
 # What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
 _STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("E", "J")}
 _MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
-
-
-@dataclass(frozen=True)
-class Section:
-    """Cross-section constants.
-
-    Attributes
-    ----------
-    A : float
-        Area, m².
-    Iy, Iz : float
-        Second moments of area ∫z² dA and ∫y² dA about the local axes, m⁴.
-    J : float
-        St-Venant torsion constant, m⁴.
-    """
-
-    A: float
-    Iy: float
-    Iz: float
-    J: float
-
-    def __post_init__(self) -> None:
-        for name in ("A", "Iy", "Iz", "J"):
-            _require_positive(name, getattr(self, name))
-
-    @classmethod
-    def rectangle(cls, width: float, height: float) -> Section:
-        """Return the section of a rectangle, `width` along local y and `height` along local z, in m.
-
-        The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b
-        (Timoshenko & Goodier 1970, §109, the series cut after its leading terms).
-        """
-        _require_positive("width", width)
-        _require_positive("height", height)
-        b, t = max(width, height), min(width, height)
-        J = b * t**3 / 3 * (1 - 0.63 * t / b + 0.052 * (t / b) ** 5)
-        return cls(A=width * height, Iy=width * height**3 / 12, Iz=height * width**3 / 12, J=J)
-
-
-@dataclass(frozen=True)
-class Material:
-    """Isotropic material: Young's modulus E (N/m²), Poisson's ratio nu, density rho (kg/m³)."""
-
-    E: float
-    nu: float
-    rho: float
-
-    def __post_init__(self) -> None:
-        _require_positive("E", self.E)
-        _require_positive("rho", self.rho)
-        if not -1.0 < self.nu <= 0.5:
-            raise ValueError(f"nu: must lie in (-1, 0.5] (got {self.nu})")
 
 
 @dataclass(frozen=True)
@@ -86,28 +40,21 @@ class ElementGroup:
         Node numbers (from 0) of both ends.
     section : Section
     material : Material
-    y_direction : tuple of float, length 3
-        A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean.
+    y_direction : tuple of float, length 3, optional
+        A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean. Without it local y is
+        horizontal, so that Iy resists bending in the vertical plane, global z being up; of vertical elements
+        it is global y.
     """
 
     name: str
     elements: ArrayLike
     section: Section
     material: Material
-    y_direction: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    y_direction: tuple[float, float, float] | None = None
 
     def value(self, name: str) -> float:
         """Return the initial value of a property of `PROPERTIES`."""
         return float(getattr(self.material if name in ("E", "rho") else self.section, name))
-
-
-@dataclass(frozen=True)
-class PointMass:
-    """A mass (kg) on the three translations of a node, and rotary inertias (kg·m²) about its global axes."""
-
-    node: int
-    mass: float
-    inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -124,6 +71,8 @@ class Frame:
     masses : sequence of PointMass
     arms : mapping of hashable to RigidArm
         Places beside the nodes at which sensors may sit, by name.
+    springs : sequence of JointSpring
+        To the ground and between nodes, and ties.
     """
 
     nodes: ArrayLike
@@ -131,67 +80,71 @@ class Frame:
     supports: Mapping[int, Sequence[str]] = field(default_factory=dict)
     masses: Sequence[PointMass] = ()
     arms: Mapping[Any, RigidArm] = field(default_factory=dict)
+    springs: Sequence[JointSpring] = ()
 
-    def separable(self, updates: Mapping[str, Sequence[tuple[str, str]]] | None = None) -> SeparableModel:
+    def separable(self, updates: Mapping[str, Sequence[Target] | Factor] | None = None) -> SeparableModel:
         """Assemble K(theta) and M(theta).
 
         Parameters
         ----------
-        updates : mapping of parameter name to sequence of (property, group)
-            What each parameter stands for, in the order of theta: the value of a property (one of ``"E"``,
-            ``"rho"``, ``"A"``, ``"Iy"``, ``"Iz"``, ``"J"``, SI units) in a group of elements. E acts on
-            bending, axial and, through G = E/(2(1+ν)), torsional stiffness; Iy and Iz act on bending
-            stiffness, rotary inertia and torsional inertia; A on axial stiffness and translational mass.
+        updates : mapping of parameter name to sequence of targets, or to Factor
+            What each parameter stands for, in the order of theta. A target is
+
+            - ``(property, group)``: ``"E"``, ``"rho"``, ``"A"``, ``"Iy"``, ``"Iz"`` or ``"J"`` of a group of
+              elements. E acts on bending, axial and, through G = E/(2(1+ν)), torsional stiffness; Iy and Iz act
+              on bending stiffness, rotary inertia and torsional inertia; A on axial stiffness and
+              translational mass;
+            - ``("mass", name)``, ``("inertia", name)`` or ``("inertia", name, direction)`` of a point mass;
+            - ``("stiffness", name)`` or ``("stiffness", name, direction)`` of a spring;
+
+            without a direction all that it has, without a name those of all: ``("E",)``. The parameter is the
+            value of all its targets, in SI units; as ``Factor(targets)`` it multiplies the value that each of
+            them has in the frame.
+
+        Returns
+        -------
+        SeparableModel
 
         Raises
         ------
         ValueError
-            For an unknown property or group, two groups of one name, a property updated twice, an element,
-            support or mass at a node that does not exist, or a free node without an element.
+            For a target that does not exist or is updated twice, two groups, masses or springs of one name, an
+            element, support, mass, spring or arm at a node that does not exist, tied nodes at different places,
+            or a free node with neither element nor mass.
         """
-        owner = self._owners(updates or {})
-        coordinates = self._coordinates()
-        n_parameters = len(updates or {})
-        free, dofs = self._free_dofs(len(coordinates))
+        owned = ownership(updates or {}, self.groups, self.masses, self.springs)
+        nodes = self._coordinates()
+        numbering = Numbering.of(len(nodes), self.supports, self.springs)
+        self._check(nodes, numbering)
         K_terms: list[Term] = []
         M_terms: list[Term] = []
-        for group in self.groups:
+        for index, group in enumerate(self.groups):
             ends = np.asarray(group.elements, dtype=int)
-            axis = coordinates[ends[:, 1]] - coordinates[ends[:, 0]]
+            axis = nodes[ends[:, 1]] - nodes[ends[:, 0]]
             length = np.linalg.norm(axis, axis=1)
-            axes = beam.local_axes(axis, group.y_direction)
+            y_direction = beam.horizontal(axis) if group.y_direction is None else group.y_direction
+            axes = beam.local_axes(axis, y_direction)
             for recipe, unit, terms in (
                 (_STIFFNESS, beam.stiffness_terms(length), K_terms),
                 (_MASS, beam.mass_terms(length), M_terms),
             ):
                 for name, properties in recipe.items():
-                    scale, powers = _coefficient(group, properties, owner, n_parameters)
+                    scale, powers = owned.coefficient((Quantity(p, index), group.value(p)) for p in properties)
                     if name == "GJ":
                         scale /= 2 * (1 + group.material.nu)
-                    matrix = _assemble(beam.to_global(unit[name], axes) * scale, ends, len(coordinates))
-                    terms.append(Term(matrix[free][:, free], powers))
-        if self.masses:
-            lumped = self._lumped_mass(len(coordinates))
-            M_terms.append(Term(sp.csr_array(sp.diags_array(lumped[free])), (0.0,) * n_parameters))
+                    matrix = _assemble(beam.to_global(unit[name], axes) * scale, ends, len(nodes))
+                    terms.append(Term(numbering.restricted(matrix), powers))
+        K_terms += [Term(numbering.restricted(m), powers) for m, powers in self._spring_matrices(nodes, owned)]
+        M_terms += [Term(numbering.restricted(m), powers) for m, powers in self._mass_matrices(len(nodes), owned)]
         elements = np.concatenate([np.asarray(group.elements, dtype=np.int64) for group in self.groups])
-        geometry = Geometry(coordinates, elements)
-        return SeparableModel(merge_terms(K_terms), merge_terms(M_terms), dofs, geometry, self.arms)
-
-    def _owners(self, updates: Mapping[str, Sequence[tuple[str, str]]]) -> dict[tuple[str, str], int]:
-        groups = {group.name for group in self.groups}
-        if len(groups) < len(self.groups):
-            raise ValueError(f"groups: names must be distinct (got {[group.name for group in self.groups]})")
-        owner: dict[tuple[str, str], int] = {}
-        for j, (parameter, targets) in enumerate(updates.items()):
-            for name, group in targets:
-                if name not in PROPERTIES:
-                    raise ValueError(f"{parameter}: property must be one of {PROPERTIES} (got {name!r})")
-                if group not in groups:
-                    raise ValueError(f"{parameter}: group must be one of {sorted(groups)} (got {group!r})")
-                if (name, group) in owner:
-                    raise ValueError(f"{parameter}: {name} of group {group!r} is updated already")
-                owner[name, group] = j
-        return owner
+        return SeparableModel(
+            merge_terms(K_terms),
+            merge_terms(M_terms),
+            numbering.names,
+            Geometry(nodes, elements),
+            self.arms,
+            numbering.ties,
+        )
 
     def _coordinates(self) -> FloatArray:
         nodes = np.asarray(self.nodes, dtype=float)
@@ -199,53 +152,55 @@ class Frame:
             raise ValueError(f"nodes: must be finite x, y, z of every node (got shape {nodes.shape})")
         return nodes
 
-    def _free_dofs(self, n_nodes: int) -> tuple[NDArray[np.int64], list[tuple[int, str]]]:
-        fixed: set[tuple[int, str]] = set()
-        for node, directions in self.supports.items():
-            _require_node("supports", node, n_nodes)
-            for direction in directions:
-                if direction not in DIRECTIONS:
-                    raise ValueError(f"supports: direction must be one of {DIRECTIONS} (got {direction!r})")
-                fixed.add((node, direction))
-        used: set[int] = set()
+    def _check(self, nodes: FloatArray, numbering: Numbering) -> None:
+        n_nodes = len(nodes)
+        has_mass = np.zeros(6 * n_nodes, dtype=bool)
         for group in self.groups:
             ends = np.asarray(group.elements)
             if ends.ndim != 2 or ends.shape[1] != 2 or not np.issubdtype(ends.dtype, np.integer):
                 received = f"shape {ends.shape} of {ends.dtype}"
                 raise ValueError(f"group {group.name!r}: elements must be pairs of node numbers (got {received})")
             for node in map(int, ends.ravel()):
-                _require_node(f"group {group.name!r}", node, n_nodes)
-                used.add(node)
-        # Nothing holds such a node: it would make the mass matrix singular.
-        loose = [n for n in range(n_nodes) if n not in used and any((n, d) not in fixed for d in DIRECTIONS)]
-        if loose:
-            raise ValueError(f"nodes: a node without an element must be fixed (got nodes {loose})")
-        names = [(node, direction) for node in range(n_nodes) for direction in DIRECTIONS]
-        free = [i for i, name in enumerate(names) if name not in fixed]
-        if not free:
-            raise ValueError(f"supports: must leave a degree of freedom free (got all {len(names)} fixed)")
-        return np.array(free, dtype=np.int64), [names[i] for i in free]
-
-    def _lumped_mass(self, n_nodes: int) -> FloatArray:
-        lumped = np.zeros(6 * n_nodes)
+                require_node(f"group {group.name!r}", node, n_nodes)
+                has_mass[6 * node : 6 * node + 6] = True
         for mass in self.masses:
-            _require_node("masses", mass.node, n_nodes)
+            require_node("masses", mass.node, n_nodes)
             if not all(0.0 <= value < np.inf for value in (mass.mass, *mass.inertia)):
                 raise ValueError(f"masses: mass and inertia must be finite and not negative (got {mass})")
-            lumped[6 * mass.node : 6 * mass.node + 6] += (*(mass.mass,) * 3, *mass.inertia)
-        return lumped
+            has_mass[6 * mass.node : 6 * mass.node + 6] |= [mass.value(d) > 0.0 for d in DIRECTIONS]
+        for place, arm in self.arms.items():
+            require_node(f"arm {place!r}", arm.node, n_nodes)
+        for spring in self.springs:
+            spring.require_coincident(nodes)
+        carried = np.zeros(6 * n_nodes, dtype=bool)
+        carried[numbering.owner[has_mass]] = True
+        # It would make the mass matrix singular.
+        loose = np.unique(numbering.free[~carried[numbering.free]] // 6).tolist()
+        if loose:
+            raise ValueError(
+                f"nodes: a node without an element must be fixed, tied or have mass (got nodes {loose})"
+            )
 
+    def _mass_matrices(self, n_nodes: int, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
+        lumped: dict[tuple[float, ...], FloatArray] = {}
+        for index, mass in enumerate(self.masses):
+            for k, direction in enumerate(DIRECTIONS):
+                quantity = Quantity("mass", index) if k < 3 else Quantity("inertia", index, direction)
+                scale, powers = owned.coefficient([(quantity, mass.value(direction))])
+                lumped.setdefault(powers, np.zeros(6 * n_nodes))[6 * mass.node + k] += scale
+        return [(sp.csr_array(sp.diags_array(diagonal)), powers) for powers, diagonal in lumped.items()]
 
-def _coefficient(
-    group: ElementGroup, properties: Sequence[str], owner: Mapping[tuple[str, str], int], n_parameters: int
-) -> tuple[float, tuple[float, ...]]:
-    scale, powers = 1.0, [0.0] * n_parameters
-    for name in properties:
-        if (name, group.name) in owner:
-            powers[owner[name, group.name]] += 1.0
-        else:
-            scale *= group.value(name)
-    return scale, tuple(powers)
+    def _spring_matrices(self, nodes: FloatArray, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
+        found = []
+        for index, spring in enumerate(self.springs):
+            for direction, value in spring.stiffness.items():
+                scale, powers = owned.coefficient([(Quantity("stiffness", index, direction), value)])
+                weights = spring.elongation(direction, nodes)
+                column = sp.csr_array(
+                    (list(weights.values()), (list(weights), [0] * len(weights))), shape=(6 * len(nodes), 1)
+                )
+                found.append((sp.csr_array(scale * column @ column.T), powers))
+        return found
 
 
 def _assemble(matrices: FloatArray, ends: NDArray[np.int64], n_nodes: int) -> sp.csr_array:
@@ -255,13 +210,3 @@ def _assemble(matrices: FloatArray, ends: NDArray[np.int64], n_nodes: int) -> sp
     matrix = sp.coo_array((matrices.ravel(), (rows, columns)), shape=(6 * n_nodes,) * 2).tocsr()
     matrix.eliminate_zeros()
     return matrix
-
-
-def _require_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: must be positive and finite (got {value})")
-
-
-def _require_node(where: str, node: int, n_nodes: int) -> None:
-    if not 0 <= node < n_nodes:
-        raise ValueError(f"{where}: node must lie in 0..{n_nodes - 1} (got {node})")

@@ -21,6 +21,9 @@ IntArray = NDArray[np.int64]
 DENSE_LIMIT = 400
 # An eigenvalue this small beside the highest of interest is zero but for rounding: a rigid-body mode.
 RIGID = 1e-9
+# Below zero by more than this, beside the largest of a set of eigenvalues, is no rounding. The set is that of the
+# measured modes, far below the highest of the structure, to which rounding is relative.
+NEGATIVE = 1e-6
 
 
 class SingularMassError(ValueError):
@@ -28,8 +31,18 @@ class SingularMassError(ValueError):
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
-    """Return √λ / 2π. A λ that rounding left just below zero (a rigid-body mode) counts as zero."""
-    return np.sqrt(np.maximum(eigenvalue, 0.0)) / (2.0 * np.pi)
+    """Return √λ / 2π, NaN for a clearly negative λ: the structure has no such vibration.
+
+    Parameters
+    ----------
+    eigenvalue : ndarray, shape (..., m), (rad/s)²
+        Modes of one structure along the last axis. A λ below zero by less than 1e-6 of the largest |λ| beside it
+        is a rigid-body mode that rounding left there, and counts as zero.
+    """
+    if np.count_nonzero(eigenvalue < 0.0):
+        scale = np.fmax.reduce(np.abs(eigenvalue), axis=-1, keepdims=True)
+        eigenvalue = np.where(eigenvalue < -NEGATIVE * scale, np.nan, np.maximum(eigenvalue, 0.0))
+    return np.sqrt(eigenvalue) / (2.0 * np.pi)
 
 
 def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -> FloatArray:
@@ -75,7 +88,7 @@ def eigen(K: Any, M: Any, count: int, definite: bool = False) -> tuple[FloatArra
         if n <= DENSE_LIMIT or count >= n - 1:
             lam, phi = sl.eigh(_dense(K), _dense(M), subset_by_index=[0, count - 1], check_finite=False)
         else:
-            if not definite and not np.all(_factor(M).U.diagonal() > 0.0):
+            if not definite and not np.all(symmetric_factor(M).U.diagonal() > 0.0):
                 # by Sylvester's law of inertia; Lanczos itself does not notice
                 raise SingularMassError(f"eigenproblem of {n} DOF: the mass matrix is not positive definite")
             lam, phi = _lanczos(K, M, count)
@@ -91,7 +104,7 @@ def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
     # that a repeated solve repeats its bits; the shifted matrix is definite, so that no pivoting is needed.
     n = K.shape[0]
     shift = -1e-6 * K.diagonal().sum() / M.diagonal().sum()
-    factor = _factor(K - shift * M)
+    factor = symmetric_factor(K - shift * M)
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)
     lam, phi = ssl.eigsh(K, count, M, sigma=shift, OPinv=inverse, v0=start, tol=1e-12)
@@ -99,7 +112,8 @@ def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
     return lam[order], phi[:, order]
 
 
-def _factor(matrix: Any) -> Any:
+def symmetric_factor(matrix: Any) -> Any:
+    """Return the sparse LU factors of a symmetric matrix without pivoting: the diagonal of U has its inertia."""
     return ssl.splu(
         sp.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )

@@ -107,6 +107,8 @@ class SeparableModel:
         For drawings of the structure and its mode shapes.
     arms : mapping of hashable to RigidArm, optional
         Places beside the nodes at which sensors may sit, by name.
+    ties : mapping of tuple to tuple, optional
+        Further names (node, direction) of degrees of freedom: of what moves as one of `dofs`.
 
     Attributes
     ----------
@@ -126,6 +128,7 @@ class SeparableModel:
         dofs: Sequence[tuple[Any, str]] | None = None,
         geometry: Geometry | None = None,
         arms: Mapping[Any, RigidArm] | None = None,
+        ties: Mapping[tuple[Any, str], tuple[Any, str]] | None = None,
     ) -> None:
         if not K_terms or not M_terms:
             raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
@@ -136,6 +139,7 @@ class SeparableModel:
         self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
         self.geometry = geometry
         self.arms = dict(arms or {})
+        self.ties = dict(ties or {})
         self.names: tuple[str, ...] | None = None
         _check_terms(self)
 
@@ -233,7 +237,7 @@ class SeparableModel:
             If the model has no such free degree of freedom.
         """
         try:
-            return self._dof_index[(node, direction)]
+            return self.dof_of[(node, direction)]
         except KeyError:
             raise ValueError(
                 f"sensor: the model has no free degree of freedom (got node {node!r}, {direction!r})"
@@ -277,17 +281,19 @@ class SeparableModel:
             return {self.dof(place, direction): sign}
         arm = self.arms[place]
         seen = {
-            self._dof_index[arm.node, d]: sign * weight
+            self.dof_of[arm.node, d]: sign * weight
             for d, weight in arm.motion(direction).items()
-            if weight and (arm.node, d) in self._dof_index
+            if weight and (arm.node, d) in self.dof_of
         }
         if not seen:
             raise ValueError(f"sensor: sees no free degree of freedom (got {place!r}, {direction!r})")
         return seen
 
     @cached_property
-    def _dof_index(self) -> dict[tuple[Any, str], int]:
-        return {name: i for i, name in enumerate(self.dofs)}
+    def dof_of(self) -> dict[tuple[Any, str], int]:
+        """Index of the degree of freedom of every name (node, direction), those of `ties` among them."""
+        index = {name: i for i, name in enumerate(self.dofs)}
+        return index | {name: index[other] for name, other in self.ties.items()}
 
 
 def _as_csr(matrix: Any) -> Any:

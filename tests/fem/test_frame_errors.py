@@ -50,7 +50,7 @@ FRAMES = {
     "no length": ({"elements": [(1, 1), (0, 1)]}, r"length: must be positive \(got 0\.0 m\)"),
     "loose node": (
         {"nodes": [[0.0, 0, 0], [1.0, 0, 0], [5.0, 5.0, 5.0]]},
-        r"nodes: a node without an element must be fixed \(got nodes \[2\]\)",
+        r"nodes: a node without an element must be fixed, tied or have mass \(got nodes \[2\]\)",
     ),
     "flat nodes": (
         {"nodes": [[0.0, 0], [1.0, 0]]},
