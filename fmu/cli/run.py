@@ -27,7 +27,7 @@ if TYPE_CHECKING:
               show_default=True, help="May be given several times.")  # fmt: skip
 @click.option("--pairing", type=click.Choice(("shape", "index")),
               help="Pair computed with measured modes by shape, or by number in the spectrum.  [default: what the "
-              "file says; shape]")  # fmt: skip
+              "file says]")  # fmt: skip
 @click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Steps kept.")
 @click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
 @click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")
@@ -57,8 +57,8 @@ def command(
     Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, and pages to
     read (report/index.html).
     """
-    load, name, pairing = source(case, pairing)
-    with claimed(out or Path("runs") / f"{name}-{pairing}", overwrite) as directory:
+    given = source(case, pairing)
+    with claimed(out or Path("runs") / f"{given.stem}-{given.pairing}", overwrite) as directory:
         from fmu.analysis.comparison import side_by_side
         from fmu.analysis.diagnosis import diagnose_all
         from fmu.analysis.diagnostics import summary
@@ -66,7 +66,7 @@ def command(
         from fmu.analysis.trace import save_trace
         from fmu.sampling import sample
 
-        problem = load(pairing=pairing)
+        problem = given.load()
         maxima = steps["maxima"] = find_map(problem)
         traces, summaries = {}, {}
         with progress_bars() as report:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -13,17 +12,52 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 
-def source(case: str, pairing: str | None) -> tuple[Callable[..., UpdatingProblem], str, str]:
-    """Return what loads a problem, what its directory is called after, and how its modes are paired."""
+class Source(NamedTuple):
+    """A file with a problem.
+
+    Attributes
+    ----------
+    path : Path
+    stem : str
+        What directories are called after.
+    pairing : str
+        How its modes are paired: as asked for, or as the file says.
+    load : callable
+        Returns the problem.
+    """
+
+    path: Path
+    stem: str
+    pairing: str
+    load: Callable[[], UpdatingProblem]
+
+
+def source(case: str, pairing: str | None) -> Source:
+    """Return the file of a built-in case or of a user, read but not built.
+
+    Raises
+    ------
+    click.BadParameter
+        If `case` is neither.
+    ConfigurationError
+        If the file is broken.
+    FileNotFoundError
+        If there is no such file.
+    """
     if case.endswith(".toml"):
         from fmu import config
 
         path = Path(case)
         described = config.read(path)
-        return partial(described.build, path.name, path.parent), path.stem, pairing or described.pairing
+        by = pairing or described.pairing
+        return Source(path, path.stem, by, lambda: described.build(path.name, path.parent, by))
     from fmu import cases as builtin
 
     if case not in builtin.names():
         known = ", ".join(builtin.names())
         raise click.BadParameter(f"{case!r} is neither one of {known} nor a .toml file.", param_hint="'CASE'")
-    return partial(builtin.load, case), case, pairing or "shape"
+    from fmu import config
+
+    path = builtin.path(case)
+    by = pairing or config.read(path).pairing
+    return Source(path, case, by, lambda: builtin.load(case, pairing=by))

@@ -1,0 +1,183 @@
+"""A problem looked at before a sampler is started: its model, its modes, its gradient, what its data can tell."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fmu.analysis.description import model_in_words, parameter_table, structure_drawing
+from fmu.analysis.gradient_check import GradientCheck, check_gradient
+from fmu.analysis.identifiability import Identifiability, identifiability
+from fmu.analysis.initial_modes import InitialModes, initial_modes
+from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
+from fmu.posterior.likelihood import FrequencyLikelihood
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmu.posterior.problem import UpdatingProblem
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """What `check` found.
+
+    Attributes
+    ----------
+    name : str
+        Of the problem.
+    model : tuple of str
+        What the model is, a sentence each.
+    parameters : pandas.DataFrame
+        One row a parameter, SI units: ``unit``, ``start``, ``lower``, ``upper``, ``prior``, ``changes``.
+    modes : InitialModes
+        Computed modes at the start beside the measured ones.
+    gradient : GradientCheck
+    identifiability : Identifiability or None
+        None where errors are not those of frequencies.
+    prior : PriorPrediction
+        What the prior predicts for the measurement.
+    drawing : str
+        The structure as SVG; empty where there is none to draw.
+    colours : tuple of (str or None)
+        Of the elements that each parameter changes, in the drawing.
+    """
+
+    name: str
+    model: tuple[str, ...]
+    parameters: pd.DataFrame
+    modes: InitialModes
+    gradient: GradientCheck
+    identifiability: Identifiability | None
+    prior: PriorPrediction
+    drawing: str = ""
+    colours: tuple[str | None, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What to look into before sampling, a sentence each; empty if there is nothing."""
+        found = list(self.modes.doubts)
+        if not self.gradient.agrees:
+            found.append(self.gradient.sentence())
+        if self.prior.failed or self.prior.is_far.any():
+            found += self.prior.sentences()
+        return tuple(found)
+
+    def sentences(self) -> list[str]:
+        """Say in words: the model, the pairing, the gradient, what the data tell, what the prior expects."""
+        said = [*self.model, *self.modes.notes, *self.modes.doubts, self.gradient.sentence()]
+        if self.identifiability is not None:
+            said += self.identifiability.sentences()
+        return said + self.prior.sentences()
+
+    def mode_table(self) -> pd.DataFrame:
+        """Return the computed modes as text, ready to print: numbers rounded, dashes where nothing applies."""
+        table = self.modes.table()
+        shown = table[["number", "computed_hz", "mode", "measured_hz", "error_percent"]].copy()
+        shown.columns = ["number", "computed, Hz", "measured mode", "measured, Hz", "error, %"]
+        shown["computed, Hz"] = [f"{f:.4g}" if f < 1000 else f"{f:.1f}" for f in table["computed_hz"]]
+        shown["measured, Hz"] = [_or_dash(f, ".6g") for f in table["measured_hz"]]
+        shown["error, %"] = [_or_dash(e, "+.2f") for e in table["error_percent"]]
+        shown["measured mode"] = [
+            mode or ("not measured" if seen else "moves no sensor")
+            for mode, seen in zip(table["mode"], table["seen"], strict=True)
+        ]
+        if self.modes.mac is not None:
+            shown["MAC"] = [_or_dash(value, ".2f") for value in table["mac"]]
+        if any(table["moves"]):
+            shown["moves"] = table["moves"]
+        return shown if table["number"].notna().all() else shown.drop(columns="number")
+
+    def prior_table(self) -> pd.DataFrame:
+        """Return prior predictions beside the measurement as text, ready to print."""
+        table = self.prior.table()
+        shown = table[["measured"]].map("{:.6g}".format)
+        shown["prior predicts"] = [f"{m:.4g} ± {s:.2g}" for m, s in zip(table["mean"], table["sd"], strict=True)]
+        shown["distance, sd"] = table["distance"].map("{:+.2f}".format)
+        return shown
+
+    def __str__(self) -> str:
+        parts = [
+            "\n".join(self.model),
+            f"Parameters\n{self.parameters.rename_axis(None).to_string(float_format=lambda x: f'{x:.4g}')}",
+            f"Modes at the start\n{self.mode_table().to_string(index=False)}",
+            *self.modes.notes,
+            f"Gradient\n{self.gradient.sentence()}",
+        ]
+        if self.identifiability is not None:
+            parts.append("What the data can tell\n" + "\n".join(self.identifiability.sentences()))
+        parts.append(f"What the prior predicts, Hz\n{self.prior_table().rename_axis(None).to_string()}")
+        parts.append("\n".join(self.prior.sentences()))
+        return "\n\n".join([*parts, self.verdict()])
+
+    def verdict(self) -> str:
+        """Return what is doubtful as a list, or that nothing is."""
+        if not self.doubts:
+            return "Nothing doubtful was found."
+        return "Doubtful\n" + "\n".join(f"  - {doubt}" for doubt in self.doubts)
+
+    def _repr_html_(self) -> str:
+        def words(title: str, *sentences: str) -> str:
+            return f"<h4>{title}</h4>" + "".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences)
+
+        parts = [
+            words(html.escape(self.name), *self.model),
+            self.drawing,
+            self.parameters.to_html(float_format=lambda x: f"{x:.4g}"),
+            words("Modes at the start", *self.modes.notes),
+            self.mode_table().to_html(index=False),
+            words("Gradient", self.gradient.sentence()),
+        ]
+        if self.identifiability is not None:
+            parts.append(words("What the data can tell", *self.identifiability.sentences()))
+        parts += [words("What the prior predicts, Hz", *self.prior.sentences()), self.prior_table().to_html()]
+        doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
+        parts.append(words("Doubtful") + f"<ul>{doubts}</ul>" if doubts else words("Nothing doubtful was found."))
+        return f'<div class="fmu-check">{"".join(parts)}</div>'
+
+
+def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
+    """Look at a problem before a sampler is started.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    draws : int
+        Draws from the prior at which the model is solved, at least 2; fewer where a solve is slow.
+    seed : int
+        Chooses them, and the points at which the gradient is checked.
+
+    Returns
+    -------
+    Check
+        Prints itself as text, and shows itself in a notebook.
+
+    Raises
+    ------
+    ValueError
+        If `problem` is no updating problem, `draws` is less than 2, or the model has no frequencies at the start.
+    """
+    import numpy as np
+
+    if not (hasattr(problem, "parameters") and hasattr(problem, "likelihood")):
+        raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
+    if not np.all(np.isfinite(problem.frequencies(problem.start))):
+        raise ValueError(f"start: the model must have frequencies there (got {problem.start.tolist()})")
+    informed = isinstance(problem.likelihood, FrequencyLikelihood)
+    drawing, colours = structure_drawing(problem)
+    return Check(
+        name=problem.name,
+        model=tuple(model_in_words(problem)),
+        parameters=parameter_table(problem),
+        modes=initial_modes(problem),
+        gradient=check_gradient(problem, seed),
+        identifiability=identifiability(problem) if informed else None,
+        prior=prior_prediction(problem, draws, seed),
+        drawing=drawing,
+        colours=tuple(colours),
+    )
+
+
+def _or_dash(value: float, style: str) -> str:
+    return "–" if value != value else format(value, style)

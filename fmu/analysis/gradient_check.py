@@ -1,0 +1,121 @@
+"""The exact gradient of a log-probability against differences of the log-probability itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.samplers.scaled import ScaledDensity
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+AGREE = 1e-4
+"""Largest relative difference at which the gradient counts as right."""
+_STEPS = (1e-3, 1e-4, 1e-5)
+_RANDOM = 2
+
+
+@dataclass(frozen=True, eq=False)
+class GradientCheck:
+    """A gradient beside central differences, in coordinates in which the parameters are of order one.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the parameters.
+    points : tuple of str
+        What the points are.
+    theta : ndarray, shape (n, ndim), SI units
+    exact, difference : ndarray, shape (n, ndim)
+        ∂log P/∂u with u = (θ − offset)/scale; the differences by the step that comes nearest.
+    """
+
+    names: tuple[str, ...]
+    points: tuple[str, ...]
+    theta: FloatArray
+    exact: FloatArray
+    difference: FloatArray
+
+    @property
+    def relative_error(self) -> FloatArray:
+        """Difference of each component over the largest component at its point, shape (n, ndim)."""
+        size = np.maximum(np.max(np.abs(self.exact), axis=1), np.finfo(float).tiny)
+        return np.abs(self.exact - self.difference) / size[:, None]
+
+    @property
+    def largest(self) -> float:
+        """The largest relative error, NaN if one could not be computed."""
+        return float(np.max(self.relative_error))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the largest relative error is at most `AGREE`."""
+        return self.largest <= AGREE
+
+    def sentence(self) -> str:
+        """Say in words how well they agree, and where they do so least."""
+        errors = self.relative_error
+        if not np.all(np.isfinite(errors)):
+            i, j = np.argwhere(~np.isfinite(errors))[0]
+            return f"The gradient is not finite for {self.names[j]} at {self.points[i]}."
+        i, j = np.unravel_index(np.argmax(errors), errors.shape)
+        where = f"for {self.names[j]} at {self.points[i]}"
+        if self.agrees:
+            return (
+                f"The gradient agrees with central differences: to {self.largest:.1e} of its size, least {where}."
+            )
+        return (
+            f"The gradient differs from central differences by {self.largest:.1e} of its size {where}: it is "
+            "wrong, or the model is not smooth there."
+        )
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a point and parameter: ``exact``, ``difference``, ``relative_error``."""
+        import pandas as pd
+
+        index = pd.MultiIndex.from_product([self.points, self.names], names=["point", "parameter"])
+        columns = {"exact": self.exact, "difference": self.difference, "relative_error": self.relative_error}
+        return pd.DataFrame({name: values.ravel() for name, values in columns.items()}, index=index)
+
+
+def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
+    """Compare the gradient with central differences at the start and at two random points of the prior.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    seed : int
+        Chooses the random points.
+
+    Returns
+    -------
+    GradientCheck
+        Of three steps the differences are those that come nearest at each point: a long one errs by the curvature,
+        a short one by rounding.
+    """
+    density = ScaledDensity(problem)
+    theta = np.vstack([problem.start, problem.sample_prior(np.random.default_rng(seed), _RANDOM)])
+    # so far from the bounds that a step to both sides stays within them
+    u = np.clip(density.to_scaled(theta), density.lower + max(_STEPS), density.upper - max(_STEPS))
+    exact = np.asarray(density.log_prob_and_grad(u)[1])
+    n, ndim = u.shape
+    tried = []
+    for h in _STEPS:
+        shift = h * np.eye(ndim)
+        ends = np.concatenate([(u[:, None] + shift).reshape(-1, ndim), (u[:, None] - shift).reshape(-1, ndim)])
+        above, below = np.asarray(density.log_prob(ends)).reshape(2, n, ndim)
+        with np.errstate(invalid="ignore"):  # −inf on both sides, where the model has failed
+            tried.append((above - below) / (2.0 * h))
+    error = np.max(np.abs(np.array(tried) - exact), axis=2)
+    nearest = np.argmin(np.where(np.isfinite(error), error, np.inf), axis=0)
+    difference = np.array(tried)[nearest, np.arange(n)]
+    points = ("the start", *(f"random point {i + 1}" for i in range(_RANDOM)))
+    return GradientCheck(problem.names, points, density.to_theta(u), exact, difference)

@@ -1,0 +1,136 @@
+"""What the prior predicts for the measurement, before the measurement is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+FAR = 2.0
+"""Standard deviations beyond which a measurement is far from what the prior predicts."""
+INTERVAL = 0.9
+DRAWS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class PriorPrediction:
+    """Frequencies at draws from the prior beside the measured ones, Hz.
+
+    Attributes
+    ----------
+    labels : tuple of str
+    measured : ndarray, shape (n_modes,)
+    frequencies : ndarray, shape (n, n_modes)
+        Of the model at the draws, those where it failed left out.
+    noise_sd : ndarray, shape (n_modes,)
+        Standard deviation of the measurement error; NaN where the error model has none.
+    failed : int
+        Draws at which the model gave no finite frequencies.
+    """
+
+    labels: tuple[str, ...]
+    measured: FloatArray
+    frequencies: FloatArray
+    noise_sd: FloatArray
+    failed: int
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean prediction, shape (n_modes,)."""
+        return np.asarray(self.frequencies.mean(axis=0))
+
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviation of a predicted measurement, noise included, shape (n_modes,)."""
+        return np.asarray(np.hypot(self.frequencies.std(axis=0, ddof=1), np.nan_to_num(self.noise_sd)))
+
+    @property
+    def interval(self) -> FloatArray:
+        """Ends of the 90 % interval of the model's frequencies, shape (2, n_modes)."""
+        return np.asarray(np.quantile(self.frequencies, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
+
+    @property
+    def distance(self) -> FloatArray:
+        """How many standard deviations the measured frequency lies above the mean prediction, shape (n_modes,)."""
+        return np.asarray((self.measured - self.mean) / self.sd)
+
+    @property
+    def is_far(self) -> NDArray[np.bool_]:
+        """Which measured frequencies the prior hardly expects, shape (n_modes,)."""
+        return np.asarray(~(np.abs(self.distance) <= FAR))
+
+    def sentences(self) -> list[str]:
+        """Say in words which measured frequencies the prior does not expect."""
+        said = []
+        if self.failed:
+            said.append(
+                f"At {self.failed} of {self.failed + len(self.frequencies)} draws from the prior the model failed."
+            )
+        if len(self.frequencies) < 2:
+            return said
+        for k in np.flatnonzero(self.is_far):
+            side = "above" if self.distance[k] > 0 else "below"
+            said.append(
+                f"Mode {self.labels[k]}: measured at {self.measured[k]:.4g} Hz, {abs(self.distance[k]):.1f} sd "
+                f"{side} what the prior predicts ({self.mean[k]:.4g} ± {self.sd[k]:.2g} Hz): another mode, bounds "
+                "too narrow, or a model that lacks something."
+            )
+        if not np.any(self.is_far):
+            far = int(np.argmax(np.abs(self.distance)))
+            said.append(
+                "The prior expects the measured frequencies: each lies within "
+                f"{abs(self.distance[far]):.1f} sd of its predictions (mode {self.labels[far]} the farthest)."
+            )
+        return said
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a mode: ``measured``, ``mean``, ``sd``, the interval's ends, Hz, and ``distance``."""
+        import pandas as pd
+
+        lower, upper = self.interval
+        columns = {
+            "measured": self.measured,
+            "mean": self.mean,
+            "sd": self.sd,
+            "eti90_lb": lower,
+            "eti90_ub": upper,
+        }
+        return pd.DataFrame(columns | {"distance": self.distance}, index=pd.Index(self.labels, name="mode"))
+
+
+def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> PriorPrediction:
+    """Solve a model at draws from its prior.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    draws : int
+        At least 2.
+    seed : int
+
+    Returns
+    -------
+    PriorPrediction
+
+    Raises
+    ------
+    ValueError
+        If `draws` is less than 2.
+    """
+    if draws < 2:
+        raise ValueError(f"draws: must be at least 2 (got {draws})")
+    frequencies = problem.frequencies(problem.sample_prior(np.random.default_rng(seed), draws))
+    finite = np.all(np.isfinite(frequencies), axis=1)
+    measured = np.asarray(problem.data.frequencies_hz, dtype=float)
+    noise = getattr(getattr(problem.likelihood, "error", None), "sd", np.full(len(measured), np.nan))
+    labels = tuple(map(str, problem.data.labels))
+    return PriorPrediction(labels, measured, frequencies[finite], np.asarray(noise), int(np.sum(~finite)))

@@ -1,0 +1,205 @@
+"""The page of a problem that was looked at before a sampler is started."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from markupsafe import Markup
+
+from fmu.analysis.check import Check
+from fmu.fem.drawing import UNCHANGED
+from fmu.report.document import Details, Items, Page, Part, Picture, Pictures, Section, Table, Text, Verdict
+from fmu.report.files import OutputDirectory
+from fmu.report.html import render
+from fmu.report.markdown import MISSING
+from fmu.report.numbers import fixed, percent, significant
+from fmu.report.pages import INDEX
+from fmu.report.svg import picture
+
+_DRAWN = 560
+
+
+def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
+    """Write what was found about a problem as a page.
+
+    Parameters
+    ----------
+    found : Check
+    directory : path-like
+        Made if it does not exist.
+
+    Returns
+    -------
+    Path
+        ``index.html`` in that directory; it holds all that it shows.
+
+    Raises
+    ------
+    ValueError
+        If a file of other origin stands in its place.
+    """
+    output = OutputDirectory(directory)
+    name = f"{INDEX}.html"
+    output.check([name])
+    with output.staged() as stage:
+        (stage / name).write_text(render(check_page(found)), encoding="utf-8")
+    return output.root / name
+
+
+def check_page(found: Check) -> Page:
+    """Return the page: verdicts, the structure, its modes, what data and prior say, the gradient."""
+    sections = [_model(found), _modes(found), _prior(found)]
+    if found.identifiability is not None:
+        sections.append(_informed(found))
+    sections.append(_gradient(found))
+    lead = f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes; before any sampling."
+    footer = "Written by fmu check: the model at the start values, nothing is updated yet."
+    return Page(found.name, lead, _verdicts(found), tuple(sections), (), footer)
+
+
+def _verdicts(found: Check) -> tuple[Verdict, ...]:
+    doubts = found.modes.doubts
+    answer = "Nothing doubtful" if not doubts else f"{len(doubts)} doubt{'s' if len(doubts) > 1 else ''}"
+    verdicts = [Verdict("Which mode is which?", answer, not doubts, "What is doubtful in the pairing", doubts)]
+    far = int(found.prior.is_far.sum())
+    expected = not far and not found.prior.failed
+    answer = "Yes" if expected else f"Not {far} of {len(found.prior.labels)}" if far else "The model fails"
+    reasons = () if expected else tuple(found.prior.sentences())
+    verdicts.append(
+        Verdict("Does the prior expect the data?", answer, expected, "What the prior does not expect", reasons)
+    )
+    if found.identifiability is not None:
+        n, k = len(found.identifiability.names), found.identifiability.n_informed
+        answer = f"{k} of {n} directions"
+        verdicts.append(Verdict("What can the data tell?", answer, True if k == n else None, "", ()))
+    agrees = found.gradient.agrees
+    reasons = () if agrees else (found.gradient.sentence(),)
+    answer = "Yes" if agrees else "No"
+    verdicts.append(Verdict("Is the gradient right?", answer, agrees, "What is wrong with the gradient", reasons))
+    return tuple(verdicts)
+
+
+def _model(found: Check) -> Section:
+    parts: list[Part] = [Items(found.model)]
+    if found.drawing:
+        caption = "Squares: supports. Arrows: sensors and their directions; a dot points at the reader."
+        drawing = Markup(found.drawing) + _legend(found)  # fmu.fem.drawing escapes what it writes
+        parts.append(Pictures((Picture(drawing, caption, _DRAWN),)))
+    rows = tuple(
+        (
+            str(name),
+            row.unit or MISSING,
+            *(significant(value, 4) for value in (row.start, row.lower, row.upper)),
+            row.prior,
+            row.changes or MISSING,
+        )
+        for name, row in found.parameters.iterrows()
+    )
+    header = ("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds", "changes")
+    parts.append(Table("Parameters, in the units of the file.", header, rows, words=(1, 5, 6)))
+    return Section("model", "The model", tuple(parts))
+
+
+def _legend(found: Check) -> Markup:
+    """Return which colour belongs to which parameters."""
+    names: dict[str, list[str]] = {}
+    for name, colour in zip(found.parameters.index, found.colours, strict=True):
+        if colour is not None:
+            names.setdefault(colour, []).append(str(name))
+    entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
+    entries = [entry.format(colour, ", ".join(those)) for colour, those in names.items()]
+    if UNCHANGED in found.drawing:
+        entries.append(entry.format(UNCHANGED, "no parameter"))
+    return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entries))
+
+
+def _modes(found: Check) -> Section:
+    modes = found.modes
+    table = found.mode_table()
+    rows = tuple(tuple(map(_signed, map(str, row))) for row in table.itertuples(index=False))
+    words = tuple(i for i, name in enumerate(table.columns) if name in ("measured mode", "moves"))
+    caption = "The lowest modes of the model at the start, and the measured ones that they answer to."
+    if "moves" in table.columns:
+        caption += " Moves: the directions that hold most of a mode's kinetic energy."
+    parts: list[Part] = [Text(_largest_error(found)), Table(caption, tuple(table.columns), rows, words)]
+    if modes.notes:
+        parts.append(Items(modes.notes))
+    return Section("modes", "Modes at the start", tuple(parts))
+
+
+def _largest_error(found: Check) -> str:
+    errors = [found.modes.error_percent(k) for k in range(len(found.modes.labels))]
+    k = max(range(len(errors)), key=lambda i: abs(errors[i]))
+    return f"Before updating, mode {found.modes.labels[k]} is farthest off: {percent(errors[k])}."
+
+
+def _prior(found: Check) -> Section:
+    from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
+    from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
+
+    prior, labels = found.prior, found.prior.labels
+    parts: list[Part] = [Items(tuple(prior.sentences()))]
+    start = [found.modes.of(k).frequency_hz for k in range(len(labels))]
+    if len(prior.frequencies) > 1:
+        series = (
+            Frequencies("at the start", start, GREY, filled=False),
+            Frequencies("prior: mean, 90 % interval", prior.mean, COLOURS["hmc"], interval_hz=prior.interval),
+        )
+        axes = plot_frequency_errors(
+            prior.measured, series, [literal(label) for label in labels], new_figure(NARROW, 4.2)
+        )
+        said = "; ".join(
+            f"mode {label} measured {m:.4g}, at the start {f:.4g}, expected {mean:.4g} ± {sd:.2g} Hz"
+            for label, m, f, mean, sd in zip(labels, prior.measured, start, prior.mean, prior.sd, strict=True)
+        )
+        alt = f"Frequencies of the model beside the measured ones: {said}."
+        caption = "How far the model is from the measurement before updating, and how far the prior lets it go."
+        parts.append(Pictures((picture(axes, "prior", alt, caption),)))
+        table = found.prior_table()
+        rows = tuple((label, *map(_signed, row)) for label, row in zip(labels, table.to_numpy(), strict=True))
+        noise = "Of a measurement: its error is in the sd." if prior.noise_sd.all() else ""
+        header = ("mode", "measured, Hz", "the prior predicts, Hz", "distance, sd")
+        parts.append(Table(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
+    return Section("prior", "What the prior predicts", tuple(parts))
+
+
+def _informed(found: Check) -> Section:
+    informed = found.identifiability
+    if informed is None:
+        raise ValueError("found: must know what the data tell (got nothing)")
+    rows = tuple(
+        (
+            str(k),
+            significant(s),
+            significant(1.0 / (1.0 + s * s) ** 0.5),
+            *(fixed(float(x), 2) for x in direction),
+        )
+        for k, (s, direction) in enumerate(zip(informed.singular_values, informed.directions, strict=True), 1)
+    )
+    caption = (
+        "Linearised at the start. Orthonormal directions in units of the prior's standard deviations; along each, "
+        "the data leave the given part of the prior's standard deviation."
+    )
+    header = ("direction", "singular value", "sd left", *informed.names)
+    table = Details("The directions and their singular values", (Table(caption, header, rows),))
+    return Section("informed", "What the data can tell", (Items(tuple(informed.sentences())), table))
+
+
+def _gradient(found: Check) -> Section:
+    gradient = found.gradient
+    rows = tuple(
+        (name, *(significant(float(error), 2) for error in errors))
+        for name, errors in zip(gradient.names, gradient.relative_error.T, strict=True)
+    )
+    caption = (
+        "Exact gradient of the log-probability against central differences: their difference over the largest "
+        "component at the point, in coordinates in which the parameters are of order one."
+    )
+    table = Details("Parameter by parameter", (Table(caption, ("parameter", *gradient.points), rows),))
+    return Section("gradient", "Gradient", (Text(gradient.sentence()), table))
+
+
+def _signed(cell: str) -> str:
+    """Write the minus of mathematics before a number."""
+    return f"−{cell[1:]}" if cell.startswith("-") else cell

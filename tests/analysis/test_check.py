@@ -1,0 +1,212 @@
+"""A problem looked at before sampling: what is right is called right, and what may be wrong is found."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+import fmu
+from fmu.analysis.check import check
+from fmu.analysis.gradient_check import check_gradient
+from fmu.analysis.initial_modes import initial_modes
+from fmu.analysis.prior_prediction import prior_prediction
+from fmu.fem.separable import SeparableModel, Term
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.problem import UpdatingProblem
+from tests.linear import LinearModel
+
+K1 = np.diag([1.0, 0.0, 0.0])
+K2 = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+K3 = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, -1.0], [0.0, -1.0, 1.0]])
+M = np.eye(3)
+SENSORS = ((0, "x"), (1, "x"), (2, "x"))
+EXACT = np.sqrt(scipy.linalg.eigh(1e4 * (K1 + K2 + K3), M)[0]) / (2 * np.pi)
+SHAPES = scipy.linalg.eigh(1e4 * (K1 + K2 + K3), M)[1]
+
+
+def storeys(frequencies=EXACT[:2], shapes=None, sensors=(), pairing="shape", stiffness=(K1, K2 + K3), **settings):
+    """Three masses in a row on springs of 10 kN/m."""
+    n = len(stiffness)
+    K_terms = [Term(sp.csr_array(K), tuple(float(i == j) for j in range(n))) for i, K in enumerate(stiffness)]
+    model = SeparableModel(K_terms, [Term(sp.csr_array(M), (0.0,) * n)])
+    parameters = [Parameter(f"k{i + 1}", 1e4, 5e3, 2e4, unit="N/m") for i in range(n)]
+    data = ModalData(frequencies, sensors=sensors, shapes=shapes, **settings)
+    return UpdatingProblem(model, data, parameters, reduction=False, pairing=pairing, beta=200.0)
+
+
+def linear(measured=(103.0, 101.0, 107.0), model=None):
+    parameters = [Parameter("a", 1.0, 0.0, 2.0), Parameter("b", 1.0, 0.0, 2.0)]
+    return UpdatingProblem(model or LinearModel(), ModalData(measured), parameters)
+
+
+def test_the_spectrum_is_that_of_the_matrices_and_each_mode_says_what_it_answers_to():
+    problem = fmu.cases.load("cantilever-section", pairing="shape")
+    found = initial_modes(problem)
+    structure = problem.model.structure
+    K, mass = (A.toarray() for A in (structure.K(problem.start), structure.M(problem.start)))
+    exact = np.sqrt(scipy.linalg.eigh(K, mass, eigvals_only=True)[: len(found.modes)]) / (2 * np.pi)
+    np.testing.assert_allclose([mode.frequency_hz for mode in found.modes], exact, rtol=1e-8)
+    assert [found.of(k).number for k in range(5)] == [1, 3, 5, 7, 9]
+    np.testing.assert_allclose([found.of(k).frequency_hz for k in range(5)], problem.frequencies(problem.start))
+    # section 5.2 of the paper, table 4
+    np.testing.assert_allclose([found.error_percent(k) for k in range(5)], [0.32, 2.58, 4.1, 5.04, 6.06], atol=0.3)
+    assert {mode.moves for mode in found.modes if mode.measured is not None} == {"z 100 %"}
+    assert [mode.seen for mode in found.modes] == [mode.measured is not None for mode in found.modes]
+    assert found.doubts == ()
+    assert "Computed modes 2, 4, 6, 8 move no sensor." in found.notes
+
+
+def test_all_is_well_where_the_measured_shapes_are_those_of_the_model():
+    found = initial_modes(storeys(shapes=-3.0 * SHAPES[:, :2], sensors=SENSORS))
+    assert found.doubts == found.notes == ()
+    np.testing.assert_allclose(np.diag(found.mac), 1.0)
+    table = found.table()
+    np.testing.assert_allclose(table["mac"][:2], 1.0)
+    np.testing.assert_allclose(table["error_percent"][:2], 0.0, atol=1e-9)
+    assert list(table["mode"]) == ["1", "2", ""]
+
+
+def test_a_shape_that_no_mode_has():
+    found = initial_modes(storeys(shapes=np.array([[0.3, 1.0, 0.4], SHAPES[:, 1]]).T, sensors=SENSORS))
+    alike = (np.array([0.3, 1.0, 0.4]) @ SHAPES[:, 0]) ** 2 / 1.25
+    assert 0.5 < alike < 0.8
+    assert f"Mode 1: MAC {alike:.2f} with computed mode 1, below 0.8." in found.doubts
+
+
+def test_sensors_that_do_not_tell_modes_apart():
+    """One sensor sees no shape at all: every mode is as like the measured one."""
+    found = initial_modes(storeys(EXACT[:1], np.ones((1, 1)), SENSORS[2:]))
+    assert len(found.doubts) == 1
+    assert found.doubts[0].startswith("Mode 1: the sensors hardly tell computed mode 1 (MAC 1.00) from ")
+
+
+def test_modes_in_another_order_than_measured():
+    found = initial_modes(storeys(EXACT[:2], SHAPES[:, [1, 0]], SENSORS))
+    assert [found.of(k).number for k in (0, 1)] == [2, 1]
+    assert any("different orders: 1 is computed mode 2, 2 is computed mode 1" in doubt for doubt in found.doubts)
+
+
+@pytest.mark.parametrize("pairing", ["index", "shape"])
+def test_modes_that_are_hardly_apart(pairing):
+    """Two equal masses on springs that hardly differ; by shape the pairing needs a sensor that sees both."""
+    springs = (np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 1.005, 9.0]))
+    one, two = SENSORS[:1], SENSORS[:2]
+    close = "Mode 1: computed modes 1 and 2 are 0.25 % apart"
+    first = storeys(EXACT[:1], sensors=one, pairing=pairing, stiffness=springs)
+    assert any(doubt.startswith(close) for doubt in initial_modes(first).doubts) == (pairing == "index")
+    both = storeys(EXACT[:1], sensors=two, pairing=pairing, stiffness=springs)
+    assert any(doubt.startswith(close) for doubt in initial_modes(both).doubts)
+
+
+def test_a_mode_that_was_not_measured_though_a_sensor_moves():
+    found = initial_modes(storeys(EXACT[[0, 2]], SHAPES[:, [0, 2]], SENSORS))
+    assert found.notes == ("Computed mode 2 moves a sensor, but was not measured.",)
+    assert [mode.measured for mode in found.modes] == [0, None, 1]
+
+
+def test_the_gradient_is_right_to_rounding():
+    found = check_gradient(fmu.cases.load("cantilever-young"))
+    assert found.agrees
+    assert found.largest < 1e-6
+    assert found.sentence().startswith("The gradient agrees with central differences")
+    assert found.table().shape == (15, 3)
+
+
+class Wrong(LinearModel):
+    """Its second slope is a hundredth too large."""
+
+    def frequencies_and_gradient(self, theta):
+        frequencies, slopes = super().frequencies_and_gradient(theta)
+        return frequencies, slopes * [1.0, 1.01]
+
+
+def test_a_wrong_gradient_is_found_out():
+    found = check_gradient(linear(model=Wrong()))
+    assert not found.agrees
+    assert found.largest == pytest.approx(0.01, rel=0.02)
+    assert "differs from central differences" in found.sentence()
+    assert "for b at" in found.sentence()
+    assert check_gradient(linear()).largest < 1e-8
+    assert found.sentence() in check(linear(model=Wrong())).doubts
+
+
+class Holey(LinearModel):
+    """It has no gradient, and fails where a > 1.5."""
+
+    def frequencies(self, theta):
+        return np.where(theta[:, :1] > 1.5, np.nan, super().frequencies(theta))
+
+    def frequencies_and_gradient(self, theta):
+        return self.frequencies(theta), np.full((len(theta), 3, 2), np.nan)
+
+
+def test_a_gradient_that_is_no_number():
+    found = check_gradient(linear(model=Holey()))
+    assert not found.agrees
+    assert found.sentence() == "The gradient is not finite for a at the start."
+
+
+def test_the_prior_expects_what_its_draws_surround():
+    problem = linear()
+    found = prior_prediction(problem, draws=4000)
+    # uniform on [0, 2]: mean 1, variance 1/3; beta = 1 is a noise of variance 1/2
+    slopes = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])
+    np.testing.assert_allclose(found.mean, 100.0 + slopes.sum(axis=1), atol=0.1)
+    np.testing.assert_allclose(found.sd, np.sqrt((slopes**2).sum(axis=1) / 3 + 0.5), rtol=0.03)
+    assert not found.is_far.any()
+    assert "mode 2 the farthest" in found.sentences()[0]
+
+
+def test_a_measurement_that_the_prior_does_not_expect():
+    found = prior_prediction(linear(measured=(103.0, 99.5, 120.0)))
+    assert found.is_far.tolist() == [False, False, True]
+    assert found.sentences()[0].startswith("Mode 3: measured at 120 Hz, ")
+    assert "sd above what the prior predicts" in found.sentences()[0]
+
+
+def test_draws_at_which_the_model_fails_are_counted():
+    problem = linear(model=Holey())
+    found = prior_prediction(problem, draws=40)
+    failed = int(np.sum(problem.sample_prior(np.random.default_rng(1), 40)[:, 0] > 1.5))
+    assert 0 < failed == found.failed
+    assert found.sentences()[0] == f"At {failed} of 40 draws from the prior the model failed."
+    with pytest.raises(ValueError, match=r"draws: must be at least 2 \(got 1\)"):
+        prior_prediction(problem, draws=1)
+
+
+def test_all_of_it_in_words():
+    found = check(fmu.cases.load("cantilever-young"))
+    text = str(found)
+    assert "300 free degrees of freedom, in 4 decoupled blocks of 50, 100, 100 and 50." in text
+    assert "a mass of about 2.44 kg moves" in text  # 0.5 × 0.06 × 0.01 × 7850 + 0.12, less what the clamp carries
+    assert list(found.parameters["changes"]) == ["stiffness of 10 of 50 elements"] * 5
+    assert "moves no sensor" in text
+    assert "Nothing doubtful was found." in text
+    assert found.sentences()[0] in text
+    assert found.drawing.startswith("<svg")
+    assert len(set(found.colours)) == 5
+    assert "<svg" in found._repr_html_()
+
+
+def test_a_model_without_matrices_and_a_name_that_is_html():
+    problem = linear(measured=(103.0, 99.5, 120.0))
+    problem.name = "<b>bold</b>"
+    found = check(problem)
+    assert found.drawing == ""
+    assert [mode.number for mode in found.modes.modes] == [None] * 3
+    assert len(found.doubts) == 1
+    assert "Doubtful\n  - Mode 3: measured at 120 Hz" in str(found)
+    assert "number" not in found.mode_table()
+    page = found._repr_html_()
+    assert "&lt;b&gt;bold" in page
+    assert "<b>" not in page
+
+
+def test_what_is_no_problem():
+    with pytest.raises(ValueError, match=r"problem: must be an UpdatingProblem \(got int\)"):
+        check(3)
+    problem = linear(model=Holey())
+    problem.start = np.array([1.8, 1.0])
+    with pytest.raises(ValueError, match=r"start: the model must have frequencies there \(got \[1.8, 1.0\]\)"):
+        check(problem)
