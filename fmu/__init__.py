@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fmu import cases as cases
+    from fmu.analysis.check import check as check
     from fmu.analysis.comparison import compare as compare
     from fmu.analysis.diagnosis import diagnose as diagnose
     from fmu.analysis.diagnostics import summary as summary
@@ -65,6 +66,7 @@ _HOME = {
     "Term": "fmu.fem.separable",
     "Uniform": "fmu.posterior.priors",
     "UpdatingProblem": "fmu.posterior.problem",
+    "check": "fmu.analysis.check",
     "compare": "fmu.analysis.comparison",
     "diagnose": "fmu.analysis.diagnosis",
     "expectation": "fmu.analysis.prediction",
@@ -97,6 +99,7 @@ __all__ = [
     "UpdatingProblem",
     "__version__",
     "cases",
+    "check",
     "compare",
     "diagnose",
     "expectation",
