@@ -1,0 +1,106 @@
+"""How large errors are: known, inferred with the parameters, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.posterior.parameters import Parameter
+
+FloatArray = NDArray[np.float64]
+
+NoiseIndex = Callable[[Parameter], int]
+"""Gives an inferred standard deviation its place among those of the problem."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Variances V = fixed² + Σ_k (noise_k · size_k)², independent errors adding up.
+
+    Attributes
+    ----------
+    fixed : ndarray, any shape
+        Known standard deviations.
+    sizes : mapping of int to ndarray of the same shape
+        What the inferred standard deviation number k is multiplied by.
+    """
+
+    fixed: FloatArray
+    sizes: Mapping[int, FloatArray]
+
+    def variance(self, noise: FloatArray) -> FloatArray:
+        """Return V, shape (n, *shape), for inferred standard deviations (n, n_noise)."""
+        value = np.broadcast_to(self.fixed**2, (len(noise), *self.fixed.shape))
+        for k, size in self.sizes.items():
+            value = value + (_column(noise, k, size.ndim) * size) ** 2
+        return np.asarray(value)
+
+    def slopes(self, noise: FloatArray) -> dict[int, FloatArray]:
+        """Return ∂V/∂noise_k, shape (n, *shape), for each inferred one."""
+        return {k: 2.0 * _column(noise, k, size.ndim) * size**2 for k, size in self.sizes.items()}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers in plain Python types."""
+        return {
+            "fixed": self.fixed.tolist(),
+            "inferred": {str(k): size.tolist() for k, size in self.sizes.items()},
+        }
+
+
+def spread(
+    name: str,
+    sd: ArrayLike | Parameter | None,
+    discrepancy: Parameter | None,
+    size: FloatArray,
+    index: NoiseIndex,
+) -> Spread:
+    """Return the spread of errors of a kind.
+
+    Parameters
+    ----------
+    name : str
+        Of the errors, for messages.
+    sd : float, array_like or Parameter or None
+        Standard deviations in units of `size`: known, inferred (one number for all), or none but the discrepancy.
+    discrepancy : Parameter, optional
+        A further standard deviation to be inferred, in units of `size`.
+    size : ndarray
+        What one unit is for each error.
+    index : NoiseIndex
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation is not positive and finite, does not have the errors' shape, can be negative, or
+        there is none.
+    """
+    inferred = [p for p in (sd, discrepancy) if isinstance(p, Parameter)]
+    for parameter in inferred:
+        if parameter.lower < 0:
+            raise ValueError(
+                f"{name}: {parameter.name} must have a lower bound of at least 0, as a standard deviation "
+                f"(got {parameter.lower:g})"
+            )
+    fixed = np.zeros(size.shape)
+    if sd is not None and not isinstance(sd, Parameter):
+        given = np.asarray(sd, dtype=float)
+        if not np.all(np.isfinite(given) & (given > 0)):
+            raise ValueError(f"{name}: sd must be positive and finite (got {given.tolist()})")
+        try:
+            fixed = np.broadcast_to(given, size.shape) * size
+        except ValueError:
+            raise ValueError(f"{name}: sd must be a number or of shape {size.shape} (got {given.shape})") from None
+    elif not inferred:
+        raise ValueError(f"{name}: needs sd, a number or a Parameter, as the data have none (got None)")
+    sizes: dict[int, FloatArray] = {}
+    for parameter in inferred:
+        sizes[index(parameter)] = size
+    return Spread(fixed, sizes)
+
+
+def _column(noise: FloatArray, k: int, ndim: int) -> FloatArray:
+    return noise[:, k].reshape(-1, *(1,) * ndim)
