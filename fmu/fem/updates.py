@@ -31,7 +31,7 @@ class Factor:
 
 
 class Quantity(NamedTuple):
-    """One number of a frame: a property of the group, mass or spring with that number, in a direction if it has."""
+    """One value of a frame: a property of a group, mass or spring by its number, perhaps in a direction."""
 
     property: str
     number: int
