@@ -142,7 +142,7 @@ class FrameTable(Table):
         for i, table in enumerate(parameters):
             if table.property is None:
                 found.append(Mistake(f"parameters.{i}.property", f"is missing: one of {', '.join(PROPERTIES)}"))
-            if table.lower is None or table.lower <= 0:
+            if not table.is_positive():
                 rule = got("must be positive, as the property is", table.lower)
                 found.append(Mistake(f"parameters.{i}.lower", rule))
             if not table.groups:

@@ -60,13 +60,14 @@ def of_validation(error: ValidationError) -> list[Mistake]:
 
 
 def _of_one(error: dict[str, Any]) -> Mistake:
-    # pydantic puts the tag of a union into the place; the file has none there
-    where = ".".join(str(part) for part in error["loc"] if str(part) not in _TAGS)
+    where = ".".join(str(part) for part in _in_the_file(error["loc"]))
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
         return Mistake(where, "is no known key")
     if kind == "missing":
         return Mistake(where, "is missing")
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        return _of_tag(where, error)
     if kind == "value_error":
         return Mistake(where, str(error["ctx"]["error"]))
     return Mistake(where, got(_as_rule(error["msg"]), value))
@@ -78,4 +79,20 @@ def _as_rule(message: str) -> str:
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 
 
-_TAGS = frozenset({"frame", "matrices"})
+def _of_tag(where: str, error: dict[str, Any]) -> Mistake:
+    """Return what is wrong with the key that says which kind of table it is."""
+    context = error["ctx"]
+    where = f"{where}.{context['discriminator'].strip("'")}"
+    if "tag" not in context:
+        return Mistake(where, "is missing")
+    known = ", ".join(tag.strip("'") for tag in context["expected_tags"].split(", "))
+    return Mistake(where, got(f"must be one of {known}", context["tag"]))
+
+
+def _in_the_file(place: tuple[int | str, ...]) -> list[int | str]:
+    """Return a place without the kinds of tables, which pydantic puts after ``model`` and ``prior``."""
+    parts = list(place)
+    for kind, parent in ((1, ["model"]), (3, ["parameters", *parts[1:2], "prior"])):
+        if parts[:kind] == parent:
+            return parts[:kind] + parts[kind + 1 :]
+    return parts

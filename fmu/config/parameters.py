@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
-
 import numpy as np
-from pydantic import Field
 
-from fmu.config.fields import Name, Positive, Table
+from fmu.config.fields import Name
 from fmu.config.frame import Target
 from fmu.config.mistakes import Mistake, got
+from fmu.config.priors import PriorTable, UniformTable
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal, Prior, Uniform
-
-
-class NormalTable(Table):
-    """Gaussian, cut off at the bounds: eq. (6) of the paper with α = 1/sd²."""
-
-    distribution: Literal["normal"]
-    sd: Positive
-    mean: float = 0.0
-
-    def build(self) -> Prior:
-        """Return the prior."""
-        return Normal(self.sd, self.mean)
-
-
-class UniformTable(Table):
-    """Constant between the bounds."""
-
-    distribution: Literal["uniform"]
-
-    def build(self) -> Prior:
-        """Return the prior."""
-        return Uniform()
-
-
-PriorTable = Annotated[NormalTable | UniformTable, Field(discriminator="distribution")]
 
 
 class ParameterTable(Target):
@@ -57,9 +29,18 @@ class ParameterTable(Target):
         ValueError
             If bounds, start and prior do not fit each other.
         """
+        if self.prior.distribution == "truncated-normal" and self.lower is None and self.upper is None:
+            raise ValueError("prior: a truncated normal needs lower or upper")
         lower = -np.inf if self.lower is None else self.lower
         upper = np.inf if self.upper is None else self.upper
         return Parameter(self.name, self.start, lower, upper, self.prior.build(), self.unit)
+
+    def is_positive(self) -> bool:
+        """Say whether all values that the parameter can have are positive, by its bounds or by its prior."""
+        try:
+            return self.build().lowest > 0.0
+        except ValueError:  # which is a mistake of its own
+            return self.lower is not None and self.lower > 0.0
 
 
 def built(tables: list[ParameterTable]) -> tuple[list[Parameter], list[Mistake]]:

@@ -84,8 +84,8 @@ FRAME = [
     ("lower = 5000.0", "lower = 0.0", "parameters.1.lower: must be positive, as the property is (got 0.0)"),
     ("lower = 5000.0\n", "", "parameters.1.lower: must be positive, as the property is (got None)"),
     ("upper = 2.5e11\n", "", "parameters.0: prior: a uniform prior needs finite bounds"),
-    ("sd = 500.0", "sd = 0.0", "parameters.1.prior.normal.sd: must be greater than 0 (got 0.0)"),
-    ('distribution = "normal", mean', 'distribution = "beta", mean', "parameters.1.prior"),
+    ("sd = 500.0", "sd = 0.0", "parameters.1.prior.sd: must be greater than 0 (got 0.0)"),
+    ('distribution = "normal", mean', 'distribution = "beta", mean', "parameters.1.prior.low: is missing"),
     ('groups = ["beam"]', 'groups = ["roof"]', "parameters.1.groups: must be among beam, legs (got 'roof')"),
     ('groups = ["beam"]\n', "", "parameters.1.groups: must name a group"),
     ('property = "rho"\n', "", "parameters.1.property: is missing: one of E, rho, A, Iy, Iz, J"),
@@ -95,7 +95,7 @@ FRAME = [
         "parameters.1.groups: E of legs is updated by E legs already",
     ),
     ('pairing = "index"', 'pairing = "ear"', "pairing: must be 'shape' or 'index' (got 'ear')"),
-    ('type = "frame"', 'type = "shell"', "model: "),
+    ('type = "frame"', 'type = "shell"', "model.type: must be one of frame, matrices (got 'shell')"),
     ('name = "portal"\n', "", "name: is missing"),
     ("[measurement]", "[measurement", "is no TOML"),
 ]
@@ -176,7 +176,7 @@ def test_every_mistake_at_once(frame_text, tmp_path):
     assert [line.split(":")[0].strip() for line in lines[1:]] == [
         "model.materials.steel.nu",
         "model.masses.0.mass",
-        "parameters.1.prior.normal.sd",
+        "parameters.1.prior.sd",
     ]
 
 

@@ -43,7 +43,7 @@ def test_a_line_a_mistake(invoke, frame_text, folder):
     assert result.stderr.splitlines() == [
         "Error: portal.toml: 2 mistakes",
         "  model.materials.steel.nu: must be less than or equal to 0.5 (got 3.0)",
-        "  parameters.1.prior.normal.sd: must be greater than 0 (got 0.0)",
+        "  parameters.1.prior.sd: must be greater than 0 (got 0.0)",
     ]
     assert not (folder / "runs").exists()
 
