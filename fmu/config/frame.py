@@ -4,85 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from fmu.config.fields import Name, NotNegative, Positive, Table, Vector
+from fmu.config.fields import Name, Table, Vector
+from fmu.config.joints import Direction, MassTable, OffsetTable, SpringTable
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built
-from fmu.fem.frame import PROPERTIES, ElementGroup, Frame, Material, PointMass, Section
+from fmu.config.sections import MaterialTable, SectionTable
+from fmu.config.targets import Target as Target
+from fmu.config.targets import target_mistakes
+from fmu.fem.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass
+from fmu.fem.separable import RigidArm
+from fmu.fem.stability import require_stable
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
 
 MOST_ELEMENTS = 100_000
 
-Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
-
-
-class MaterialTable(Table):
-    """E in N/m², Poisson's ratio nu, density rho in kg/m³."""
-
-    E: Positive
-    nu: Annotated[float, Field(gt=-1, le=0.5)]
-    rho: Positive
-
-
-class Rectangle(Table):
-    """`width` along local y, `height` along local z, m."""
-
-    width: Positive
-    height: Positive
-
-
-class Tube(Table):
-    """A circular tube: outer `diameter`, wall `thickness`, m."""
-
-    diameter: Positive
-    thickness: Positive
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.thickness > self.diameter / 2:
-            raise ValueError(got(f"thickness must not exceed half the diameter {self.diameter:g}", self.thickness))
-        return self
-
-
-class SectionTable(Table):
-    """A cross-section: ``rectangle``, ``tube``, or the constants A (m²), Iy, Iz, J (m⁴) themselves."""
-
-    rectangle: Rectangle | None = None
-    tube: Tube | None = None
-    A: Positive | None = None
-    Iy: Positive | None = None
-    Iz: Positive | None = None
-    J: Positive | None = None
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        constants = [self.A, self.Iy, self.Iz, self.J]
-        ways = [self.rectangle is not None, self.tube is not None, any(c is not None for c in constants)]
-        if sum(ways) != 1:
-            raise ValueError("must be either rectangle, or tube, or A, Iy, Iz and J")
-        if ways[2] and None in constants:
-            raise ValueError("must have all of A, Iy, Iz and J")
-        return self
-
-    def section(self) -> Section:
-        """Return the constants."""
-        if self.rectangle is not None:
-            return Section.rectangle(self.rectangle.width, self.rectangle.height)
-        if self.tube is not None:
-            outer, inner = self.tube.diameter / 2, self.tube.diameter / 2 - self.tube.thickness
-            second = np.pi / 4 * (outer**4 - inner**4)
-            return Section(A=np.pi * (outer**2 - inner**2), Iy=second, Iz=second, J=2 * second)
-        return Section(A=self.A, Iy=self.Iy, Iz=self.Iz, J=self.J)  # type: ignore[arg-type]
-
 
 class Member(Table):
-    """A straight row of `elements` elements between two points."""
+    """A straight row of `elements` elements between two points; `y_direction` as that of an `ElementGroup`."""
 
     start: Annotated[Name, Field(alias="from")]
     end: Annotated[Name, Field(alias="to")]
@@ -90,26 +35,11 @@ class Member(Table):
     section: Name
     material: Name
     elements: Annotated[int, Field(ge=1, le=MOST_ELEMENTS)] = 1
-    y_direction: Vector = [0.0, 1.0, 0.0]
-
-
-class MassTable(Table):
-    """A point mass in kg, with rotary inertias about the global axes in kg·m²."""
-
-    point: Name
-    mass: NotNegative
-    inertia: Annotated[list[NotNegative], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
-
-
-class Target(Table):
-    """What of a frame a parameter is the value of: a property, in groups of elements."""
-
-    property: Literal["E", "rho", "A", "Iy", "Iz", "J"] | None = None
-    groups: list[Name] = []
+    y_direction: Vector | None = None
 
 
 class FrameTable(Table):
-    """A structure of beam elements."""
+    """A structure of beam elements; ``free = true`` if nothing holds it, on purpose."""
 
     type: Literal["frame"]
     points: Annotated[dict[Name, Vector], Field(min_length=2)]
@@ -118,43 +48,38 @@ class FrameTable(Table):
     members: Annotated[list[Member], Field(min_length=1)]
     supports: dict[Name, list[Direction] | Literal["clamped"]] = {}
     masses: list[MassTable] = []
+    springs: dict[Name, SpringTable] = {}
+    offsets: dict[Name, OffsetTable] = {}
+    free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
         """Return what is wrong between the tables: names that do not exist, members of no length."""
-        return self._between_tables() + self._of_parameters(parameters)
+        return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Return the model and the node of every point; BrokenError with what is wrong. It reads no files."""
+        mesh = _Mesh(self)
+        updates = {table.name: mesh.targets(table) for table in parameters}
         try:
-            frame, node_of, parts = self._frame()
-            updates = {
-                table.name: [(str(table.property), part) for group in table.groups for part in parts[group]]
-                for table in parameters
-            }
-            return Built(frame.separable(updates), node_of)
+            model = mesh.frame().separable(updates)
+            require_stable(model, [table.start for table in parameters], self.free, mesh.label)
         except ValueError as error:
-            raise BrokenError([Mistake("model", str(error))]) from error
+            name, _, rule = str(error).partition(": ")
+            places = [f"parameters.{i}" for i, table in enumerate(parameters) if table.name == name]
+            raise BrokenError([Mistake(places[0], rule) if places else Mistake("model", str(error))]) from error
+        return Built(model, mesh.node_of)
+
+    @property
+    def groups(self) -> list[str]:
+        """Names of the groups of members, sorted."""
+        return sorted({member.group for member in self.members})
 
     def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        found = []
-        known = sorted({member.group for member in self.members})
-        owner: dict[tuple[str | None, str], str] = {}
+        found = target_mistakes(parameters, self.groups, self.masses, self.springs)
         for i, table in enumerate(parameters):
-            if table.property is None:
-                found.append(Mistake(f"parameters.{i}.property", f"is missing: one of {', '.join(PROPERTIES)}"))
             if not table.is_positive():
                 rule = got("must be positive, as the property is", table.lower)
                 found.append(Mistake(f"parameters.{i}.lower", rule))
-            if not table.groups:
-                found.append(Mistake(f"parameters.{i}.groups", "must name a group"))
-            for group in table.groups:
-                where = f"parameters.{i}.groups"
-                if group not in known:
-                    found.append(Mistake(where, got(f"must be among {', '.join(known)}", group)))
-                elif (table.property, group) in owner:
-                    other = owner[table.property, group]
-                    found.append(Mistake(where, f"{table.property} of {group} is updated by {other} already"))
-                owner[table.property, group] = table.name
         return found
 
     def _between_tables(self) -> list[Mistake]:
@@ -170,54 +95,113 @@ class FrameTable(Table):
                     found.append(Mistake(f"model.members.{i}.{key}", _unknown(name, known)))
             if member.start == member.end:
                 found.append(Mistake(f"model.members.{i}.to", got("must differ from from", member.end)))
-        for where, names in (("supports", list(self.supports)), ("masses", [mass.point for mass in self.masses])):
-            found += [Mistake(f"model.{where}", _unknown(n, self.points)) for n in names if n not in self.points]
-        used = {point for member in self.members for point in (member.start, member.end)}
-        idle = sorted(set(self.points) - used)
-        found += [Mistake(f"model.points.{name}", "is the end of no member") for name in idle]
+            elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
+                rule = f"must not be where from is: the member would have no length (got {member.end!r})"
+                found.append(Mistake(f"model.members.{i}.to", rule))
         if sum(member.elements for member in self.members) > MOST_ELEMENTS:
             found.append(Mistake("model.members", f"must have at most {MOST_ELEMENTS} elements together"))
+        names = [mass.name for mass in self.masses if mass.name is not None]
+        if len(set(names)) < len(names):
+            found.append(Mistake("model.masses", got("must have distinct names", names)))
+        if not (self.free or self.supports or any(spring.points is None for spring in self.springs.values())):
+            rule = "must hold the structure, or a spring to the ground must; free = true if it is free on purpose"
+            found.append(Mistake("model.supports", rule))
         return found
 
-    def _frame(self) -> tuple[Frame, dict[str, int], dict[str, list[str]]]:
-        """Return the frame, the node of every point, and the frame's own groups by the name of each group here.
+    def _of_points(self) -> list[Mistake]:
+        named = [("supports", name) for name in self.supports] + [("masses", mass.point) for mass in self.masses]
+        named += [(f"springs.{key}", end) for key, spring in self.springs.items() for end in spring.ends]
+        named += [(f"offsets.{key}.point", table.point) for key, table in self.offsets.items()]
+        found = [
+            Mistake(f"model.{where}", _unknown(name, self.points))
+            for where, name in named
+            if name not in self.points
+        ]
+        found += [
+            Mistake(f"model.offsets.{name}", "must not have the name of a point")
+            for name in self.offsets
+            if name in self.points
+        ]
+        used = {point for member in self.members for point in (member.start, member.end)}
+        used |= {end for spring in self.springs.values() for end in spring.ends}
+        idle = sorted(set(self.points) - used)
+        return found + [Mistake(f"model.points.{name}", "is the end of no member") for name in idle]
 
-        Members of one group may differ in section, material and orientation; the frame has one group a member.
-        """
-        nodes: list[Any] = []
-        node_of: dict[str, int] = {}
 
-        def node_at(point: str) -> int:
-            if point not in node_of:
-                node_of[point] = len(nodes)
-                nodes.append(np.array(self.points[point]))
-            return node_of[point]
+class _Mesh:
+    """The nodes and elements of a table.
 
-        groups: list[ElementGroup] = []
-        parts: dict[str, list[str]] = {}
-        for i, member in enumerate(self.members):
-            first = node_at(member.start)
-            a, b = (np.array(self.points[point]) for point in (member.start, member.end))
-            inner = range(len(nodes), len(nodes) + member.elements - 1)
-            nodes += [a + (b - a) * k / member.elements for k in range(1, member.elements)]
-            chain = np.array([first, *inner, node_at(member.end)])
-            name = f"{member.group} {i}"
-            parts.setdefault(member.group, []).append(name)
-            groups.append(
-                ElementGroup(
-                    name,
-                    np.stack([chain[:-1], chain[1:]], axis=1),
-                    self.sections[member.section].section(),
-                    Material(**self.materials[member.material].model_dump()),
-                    tuple(member.y_direction),  # type: ignore[arg-type]
-                )
-            )
+    Members of one group may differ in section, material and orientation; the frame has one group a member.
+    """
+
+    def __init__(self, table: FrameTable) -> None:
+        self.table = table
+        self.nodes: list[Any] = []
+        self.node_of: dict[str, int] = {}
+        self.parts: dict[str, list[str]] = {}
+        self._between: dict[int, str] = {}
+        self._groups = [self._group(i, member) for i, member in enumerate(table.members)]
+        for spring in table.springs.values():
+            for end in spring.ends:
+                self._node_at(end)
+
+    def frame(self) -> Frame:
+        """Return the frame; ValueError with what is wrong with it."""
+        table, at = self.table, self.node_of
         supports = {
-            node_of[point]: ("x", "y", "z", "rx", "ry", "rz") if fixed == "clamped" else tuple(fixed)
-            for point, fixed in self.supports.items()
+            at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)
+            for point, fixed in table.supports.items()
         }
-        masses = [PointMass(node_of[m.point], m.mass, tuple(m.inertia)) for m in self.masses]  # type: ignore[arg-type]
-        return Frame(np.array(nodes), groups, supports, masses), node_of, parts
+        names = [mass.known_as for mass in table.masses]
+        masses = [
+            PointMass(at[m.point], m.mass, tuple(m.inertia), m.known_as if names.count(m.known_as) == 1 else "")  # type: ignore[arg-type]
+            for m in table.masses
+        ]
+        arms = {
+            name: RigidArm(at[place.point], tuple(place.offset))  # type: ignore[arg-type]
+            for name, place in table.offsets.items()
+        }
+        springs = [
+            JointSpring(name, (*(at[end] for end in spring.ends), None)[:2], spring.stiffness, spring.tied)  # type: ignore[arg-type]
+            for name, spring in table.springs.items()
+        ]
+        return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
+
+    def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
+        """Return what a parameter stands for, as `Frame.separable` has it."""
+        things = table.things(self.table.groups)
+        if table.property not in ("mass", "inertia", "stiffness"):
+            things = [part for group in things for part in self.parts[group]]
+        names = [(str(table.property), thing) for thing in things]
+        targets = [(*name, direction) for name in names for direction in table.directions] or names
+        return Factor(targets) if table.scaling == "factor" else list(targets)
+
+    def label(self, node: int) -> str:
+        """Return the name of a node's point, or between which points it is."""
+        return next((name for name, number in self.node_of.items() if number == node), self._between.get(node, ""))
+
+    def _node_at(self, point: str) -> int:
+        if point not in self.node_of:
+            self.node_of[point] = len(self.nodes)
+            self.nodes.append(np.array(self.table.points[point]))
+        return self.node_of[point]
+
+    def _group(self, i: int, member: Member) -> ElementGroup:
+        first = self._node_at(member.start)
+        a, b = (np.array(self.table.points[point]) for point in (member.start, member.end))
+        inner = range(len(self.nodes), len(self.nodes) + member.elements - 1)
+        self.nodes += [a + (b - a) * k / member.elements for k in range(1, member.elements)]
+        self._between |= dict.fromkeys(inner, f"between {member.start} and {member.end}")
+        chain = np.array([first, *inner, self._node_at(member.end)])
+        name = f"{member.group} {i}"
+        self.parts.setdefault(member.group, []).append(name)
+        return ElementGroup(
+            name,
+            np.stack([chain[:-1], chain[1:]], axis=1),
+            self.table.sections[member.section].section(),
+            Material(**self.table.materials[member.material].model_dump()),
+            None if member.y_direction is None else tuple(member.y_direction),  # type: ignore[arg-type]
+        )
 
 
 def _unknown(name: str, known: Any) -> str:
