@@ -164,6 +164,15 @@ class UpdatingProblem:
         value[inside] = self._prior.log_pdf(points[inside])
         return float(value[0]) if single else value
 
+    def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
+        """Return `log_prior` and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
+        points, single = self._points(theta)
+        value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
+        inside = self._within(points).all(axis=1)
+        value[inside] = self._prior.log_pdf(points[inside])
+        gradient[inside] = self._prior.log_pdf_gradient(points[inside])
+        return (float(value[0]), gradient[0]) if single else (value, gradient)
+
     def frequencies(self, theta: ArrayLike) -> FloatArray:
         """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).
 

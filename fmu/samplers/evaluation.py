@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,19 @@ def inside_box(density: LogDensity, position: FloatArray) -> BoolArray:
     return np.all((position >= density.lower) & (position <= density.upper), axis=-1)
 
 
-def evaluate(density: LogDensity, position: FloatArray) -> Evaluation:
+def of_chains(density: LogDensity, chain: Any) -> LogDensity:
+    """Return the density of the chains that the index `chain` picks.
+
+    The density itself, unless it is another one for each chain and says so by a method ``of_chains``.
+    """
+    pick = getattr(density, "of_chains", None)
+    return density if pick is None else pick(chain)
+
+
+def evaluate(density: LogDensity, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
     """Evaluate the density where `position`, shape (n, ndim), is inside the box, in one batch.
+
+    `chain`, shape (n,), says whose points they are; if not given, there is one point a chain.
 
     Points outside are never handed to the density. A value that is not finite (a failed eigensolve) counts as
     ``-inf``, so that it stops this point alone.
@@ -42,7 +54,8 @@ def evaluate(density: LogDensity, position: FloatArray) -> Evaluation:
     inside = inside_box(density, position)
     log_prob = np.full(len(position), -np.inf)
     if inside.any():
-        log_prob[inside] = density.log_prob(position[inside])
+        whose = inside if chain is None else chain[inside]
+        log_prob[inside] = of_chains(density, whose).log_prob(position[inside])
     failed = inside & ~np.isfinite(log_prob)
     log_prob[failed] = -np.inf
     return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from .evaluation import evaluate
+from .evaluation import evaluate, of_chains
 from .kernel import BoolArray, FloatArray, IntArray, LogDensity
 
 
@@ -33,8 +33,8 @@ class Slope(NamedTuple):
 class Gradient(Protocol):
     """Anything that returns the slope of the log-density at points inside the box."""
 
-    def __call__(self, position: FloatArray, *, with_log_prob: bool) -> Slope:
-        """Evaluate at `position`, shape (n, ndim)."""
+    def __call__(self, position: FloatArray, *, with_log_prob: bool, chain: IntArray | None = None) -> Slope:
+        """Evaluate at `position`, shape (n, ndim); `chain`, shape (n,), says whose points they are."""
         ...
 
 
@@ -44,9 +44,10 @@ class ExactGradient:
 
     density: LogDensity
 
-    def __call__(self, position: FloatArray, *, with_log_prob: bool) -> Slope:
+    def __call__(self, position: FloatArray, *, with_log_prob: bool, chain: IntArray | None = None) -> Slope:
         """Evaluate in one batch."""
-        log_prob, gradient = self.density.log_prob_and_grad(position)
+        density = of_chains(self.density, slice(None) if chain is None else chain)
+        log_prob, gradient = density.log_prob_and_grad(position)
         finite = np.isfinite(log_prob) & np.all(np.isfinite(gradient), axis=1)
         return Slope(log_prob, gradient, finite, np.ones(len(position), dtype=np.int64))
 
@@ -71,8 +72,8 @@ class CentralDifference:
     delta: FloatArray
     h: float
 
-    def __call__(self, position: FloatArray, *, with_log_prob: bool) -> Slope:
-        """Evaluate all perturbed points in one batch."""
+    def __call__(self, position: FloatArray, *, with_log_prob: bool, chain: IntArray | None = None) -> Slope:
+        """Evaluate all perturbed points in one batch; the density is the same for all chains."""
         n, ndim = position.shape
         shift = np.diag(self.h * self.delta)
         centre = position[:, None, :]

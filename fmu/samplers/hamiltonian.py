@@ -139,7 +139,7 @@ class Trajectory(NamedTuple):
 class HamiltonianKernel:
     """Hamiltonian Monte Carlo bound to a density, a metric and a way to get gradients.
 
-    `step_size` is one for all chains, shape (), or one a chain, shape (chains,).
+    `step_size` is one for all chains, shape (), or one a chain, shape (chains,); `metric` too may be one a chain.
     """
 
     density: LogDensity
@@ -222,7 +222,7 @@ class HamiltonianKernel:
                     q[going],
                     p[going],
                     step_size[going],
-                    self.metric,
+                    self.metric.of_chains(going),
                     self.density.lower,
                     self.density.upper,
                     self.settings.max_bounces - n_bounces[going],
@@ -235,7 +235,7 @@ class HamiltonianKernel:
                     break
                 q[going], p[going] = moved.position[arrived], moved.momentum[arrived]
                 last = k == self.n_steps - 1
-                found = self.gradient(q[going], with_log_prob=last)
+                found = self.gradient(q[going], with_log_prob=last, chain=going)
                 n_taken[going] += 1
                 n_solves[going] += found.n_solves
                 log_prob[going], slope[going] = found.log_prob, found.gradient

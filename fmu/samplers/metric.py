@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from .kernel import FloatArray
+from .kernel import FloatArray, IntArray
 from .settings import cholesky_factor, fits
 
 
@@ -43,10 +44,51 @@ class Metric:
         z = rng.standard_normal((n, len(self.inverse)))
         return z @ self._inverse_factor
 
+    def of_chains(self, chain: IntArray) -> Metric:
+        """Return the metric of some chains: one serves all."""
+        return self
+
     def velocity(self, momentum: FloatArray) -> FloatArray:
         """Return v = M⁻¹ p, shape (n, ndim)."""
         return momentum @ self.inverse
 
+    def column(self, chain: IntArray, i: IntArray) -> FloatArray:
+        """Return column i of M⁻¹, shape (n, ndim), for each of the chains."""
+        return self.inverse[i]
+
     def kinetic(self, momentum: FloatArray) -> FloatArray:
         """Return pᵀ M⁻¹ p / 2, shape (n,)."""
         return 0.5 * np.sum(momentum * self.velocity(momentum), axis=-1)
+
+
+class MetricOfChains(Metric):
+    """A mass matrix of every chain's own.
+
+    Parameters
+    ----------
+    metrics : sequence of Metric
+        One a chain.
+    """
+
+    def __init__(self, metrics: Sequence[Metric]) -> None:
+        self.inverse = np.stack([metric.inverse for metric in metrics])
+        self._inverse_factor = np.stack([metric._inverse_factor for metric in metrics])
+
+    def sample_momentum(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Draw one momentum a chain, shape (n, ndim)."""
+        z = rng.standard_normal((n, self.inverse.shape[1]))
+        return np.einsum("ni,nij->nj", z, self._inverse_factor)
+
+    def of_chains(self, chain: IntArray) -> MetricOfChains:
+        """Return the metrics of some chains."""
+        some = object.__new__(MetricOfChains)
+        some.inverse, some._inverse_factor = self.inverse[chain], self._inverse_factor[chain]
+        return some
+
+    def velocity(self, momentum: FloatArray) -> FloatArray:
+        """Return v = M⁻¹ p, shape (n, ndim)."""
+        return np.einsum("ni,nij->nj", momentum, self.inverse)
+
+    def column(self, chain: IntArray, i: IntArray) -> FloatArray:
+        """Return column i of M⁻¹, shape (n, ndim), of each chain's own."""
+        return self.inverse[chain, i]

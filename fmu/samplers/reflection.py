@@ -77,9 +77,10 @@ def drift(
         q[moving] = _clipped(q[moving] + time[:, None] * v[moving], lower, upper)
         normal_velocity = v[moving, wall]
         q[moving, wall] = np.where(normal_velocity > 0, upper[wall], lower[wall])
-        impulse = -2.0 * normal_velocity / metric.inverse[wall, wall]
+        column = metric.column(moving, wall)
+        impulse = -2.0 * normal_velocity / column[np.arange(len(wall)), wall]
         p[moving, wall] += impulse
-        v[moving] += impulse[:, None] * metric.inverse[wall]
+        v[moving] += impulse[:, None] * column
         v[moving, wall] = -normal_velocity  # exactly, or rounding could leave the point moving into the wall
         remaining[moving] -= time
         n_bounces[moving] += 1

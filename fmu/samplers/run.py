@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,7 +47,7 @@ class _Task:
         if self.start is not None:
             solves = info.n_solves + self.start.n_solves
             gradients = info.n_gradients + self.start.n_gradients
-            info = Info(info.accepted, info.log_prob, solves, gradients, info.extra)
+            info = replace(info, n_solves=solves, n_gradients=gradients)
             self.start = None
         return info
 
@@ -73,13 +73,14 @@ class _Store:
         theta = self.scaled.to_theta(task.state.position)
         self.position[chains, step] = theta.reshape(len(theta), -1, self.scaled.ndim)
         for name, value in named.items():
+            rest = value.shape[info.log_prob.ndim :]  # of a statistic that is a vector
             if name not in self.stats:
-                self.stats[name] = np.zeros(self.shape, dtype=value.dtype)
-            self.stats[name][chains, step] = value.reshape(len(value), -1)
+                self.stats[name] = np.zeros((*self.shape, *rest), dtype=value.dtype)
+            self.stats[name][chains, step] = value.reshape(len(value), -1, *rest)
 
     def draws(self) -> Draws:
         chains, steps, walkers = self.shape
-        stats = {name: value.reshape(chains, steps * walkers) for name, value in self.stats.items()}
+        stats = {k: value.reshape(chains, steps * walkers, *value.shape[3:]) for k, value in self.stats.items()}
         return Draws(self.position.reshape(chains, steps * walkers, self.scaled.ndim), stats)
 
 

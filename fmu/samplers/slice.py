@@ -95,6 +95,7 @@ class _Account:
 class SliceKernel:
     """Slice sampling bound to a density; `width` has one entry an axis, the axes are columns of `axes`.
 
+    Both may have a leading dimension, for settings of every chain's own: (chains, ndim) and (chains, ndim, ndim).
     Intervals are kept as offsets from the present position along the axes, so that 0 always lies within.
     """
 
@@ -122,9 +123,9 @@ class SliceKernel:
         else:
             for i in range(ndim):
                 level = log_prob - rng.standard_exponential(chains)
-                ends = self._place(rng, chains, self.width[i : i + 1])
+                ends = self._place(rng, chains, self.width[..., i : i + 1])
                 ends = self._step_out(rng, x, level, i, ends, account)
-                x, log_prob = self._shrink(rng, x, log_prob, level, ends, self.axes[:, i : i + 1], account)
+                x, log_prob = self._shrink(rng, x, log_prob, level, ends, self.axes[..., i : i + 1], account)
         extra = {
             "n_nonfinite": account.n_nonfinite,
             "n_steps_out": account.n_steps_out,
@@ -136,7 +137,7 @@ class SliceKernel:
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
         """Return the initial interval around offset 0, placed at random: (left and right, chains, axes)."""
-        left = -width * rng.random((chains, len(width)))
+        left = -width * rng.random((chains, width.shape[-1]))
         return np.stack([left, left + width])
 
     def _step_out(
@@ -154,7 +155,8 @@ class SliceKernel:
         beforehand. An end beyond the bounds is off the slice, at no cost.
         """
         ends = interval[:, :, 0]
-        outward = np.array([-self.width[i], self.width[i]])
+        outward = np.multiply.outer([-1.0, 1.0], np.broadcast_to(self.width[..., i], len(x)))
+        axis = np.broadcast_to(self.axes[..., i], x.shape)
         budget = self.settings.max_steps_out
         to_left = np.floor((budget + 1) * rng.random(len(x))).astype(np.int64)
         left_over = np.stack([to_left, budget - to_left])
@@ -162,12 +164,12 @@ class SliceKernel:
             side, chain = np.nonzero(left_over > 0)
             if not side.size:
                 return ends[:, :, None]
-            points = x[chain] + ends[side, chain, None] * self.axes[:, i]
+            points = x[chain] + ends[side, chain, None] * axis[chain]
             on_slice = self._evaluate(points, chain, account) > level[chain]
             left_over[side, chain] -= 1
             left_over[side[~on_slice], chain[~on_slice]] = 0
             side, chain = side[on_slice], chain[on_slice]
-            ends[side, chain] += outward[side]
+            ends[side, chain] += outward[side, chain]
             np.add.at(account.n_steps_out, chain, 1)
 
     def _shrink(
@@ -189,8 +191,8 @@ class SliceKernel:
         new, new_log_prob = x.copy(), log_prob.copy()
         waiting: IntArray = np.arange(len(x))
         for _ in range(self.settings.max_shrinks):
-            offset = left[waiting] + rng.random((len(waiting), axes.shape[1])) * (right[waiting] - left[waiting])
-            candidate = x[waiting] + offset @ axes.T
+            offset = left[waiting] + rng.random((len(waiting), axes.shape[-1])) * (right[waiting] - left[waiting])
+            candidate = x[waiting] + _along(axes, offset, waiting)
             value = self._evaluate(candidate, waiting, account)
             hit: BoolArray = value >= level[waiting]
             new[waiting[hit]], new_log_prob[waiting[hit]] = candidate[hit], value[hit]
@@ -206,6 +208,8 @@ class SliceKernel:
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the intervals cut at the bounds, where a bound cuts an axis regardless of the others."""
         left, right = ends[0].copy(), ends[1].copy()
+        if axes.ndim == 3:  # every chain's own, learnt and so oblique: only a single one is cut
+            return _cut_line(self.density, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
         alone = (
             [i for i in range(len(axes)) if np.count_nonzero(axes[i]) == 1]
             if axes.shape[1] > 1
@@ -219,7 +223,24 @@ class SliceKernel:
         return left, right
 
     def _evaluate(self, points: FloatArray, chain: IntArray, account: _Account) -> FloatArray:
-        found = evaluate(self.density, points)
+        found = evaluate(self.density, points, chain)
         np.add.at(account.n_solves, chain, found.n_solves)
         np.add.at(account.n_nonfinite, chain, found.n_nonfinite)
         return found.log_prob
+
+
+def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
+    """Return the displacement (n, ndim) of offsets (n, axes) along axes that all chains share, or their own."""
+    return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
+
+
+def _cut_line(
+    density: LogDensity, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the intervals (chains, 1) along one axis a chain (chains, ndim, 1) cut at the bounds."""
+    slope = axes[:, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a wall that is never met
+        walls = np.stack([density.lower - x, density.upper - x]) / slope
+    walls = np.where(slope == 0.0, [[[-np.inf]], [[np.inf]]], walls)
+    first, last = walls.min(axis=0).max(axis=1), walls.max(axis=0).min(axis=1)
+    return np.maximum(left, first[:, None]), np.minimum(right, last[:, None])

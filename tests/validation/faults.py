@@ -104,8 +104,8 @@ IN_THE_SAMPLERS = (
     Fault(
         "reflection: the other velocities unchanged under a dense metric",
         "fmu/samplers/reflection.py",
-        "v[moving] += impulse[:, None] * metric.inverse[wall]",
-        "v[moving, wall] += impulse * metric.inverse[wall, wall]",
+        "v[moving] += impulse[:, None] * column",
+        "v[moving, wall] += impulse * column[np.arange(len(wall)), wall]",
         HAMILTONIAN,
     ),
     Fault(
@@ -146,8 +146,8 @@ IN_THE_SAMPLERS = (
     Fault(
         "slice: interval centred on the point instead of placed at random",
         "fmu/samplers/slice.py",
-        "left = -width * rng.random((chains, len(width)))",
-        "left = -width * np.full((chains, len(width)), 0.5)",
+        "left = -width * rng.random((chains, width.shape[-1]))",
+        "left = -width * np.full((chains, width.shape[-1]), 0.5)",
         SLICE,
     ),
     Fault(
