@@ -26,9 +26,16 @@ if TYPE_CHECKING:
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
     from fmu.config import load as load
+    from fmu.fem.frame import ElementGroup as ElementGroup
     from fmu.fem.frame import Frame as Frame
+    from fmu.fem.joints import JointSpring as JointSpring
+    from fmu.fem.joints import PointMass as PointMass
+    from fmu.fem.section import Material as Material
+    from fmu.fem.section import Section as Section
+    from fmu.fem.separable import RigidArm as RigidArm
     from fmu.fem.separable import SeparableModel as SeparableModel
     from fmu.fem.separable import Term as Term
+    from fmu.fem.updates import Factor as Factor
     from fmu.posterior.measurement import ModalData as ModalData
     from fmu.posterior.one_sided_priors import HalfNormal as HalfNormal
     from fmu.posterior.one_sided_priors import LogNormal as LogNormal
@@ -49,18 +56,25 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
+    "ElementGroup": "fmu.fem.frame",
     "Ensemble": "fmu.samplers.ensemble",
+    "Factor": "fmu.fem.updates",
     "Frame": "fmu.fem.frame",
     "HalfNormal": "fmu.posterior.one_sided_priors",
     "HamiltonianMonteCarlo": "fmu.samplers.hamiltonian",
+    "JointSpring": "fmu.fem.joints",
     "LogNormal": "fmu.posterior.one_sided_priors",
+    "Material": "fmu.fem.section",
     "MetropolisHastings": "fmu.samplers.metropolis",
     "ModalData": "fmu.posterior.measurement",
     "Normal": "fmu.posterior.priors",
     "Parameter": "fmu.posterior.parameters",
+    "PointMass": "fmu.fem.joints",
     "RandomWalk": "fmu.samplers.proposals",
+    "RigidArm": "fmu.fem.separable",
     "ScaledBeta": "fmu.posterior.scipy_priors",
     "ScipyPrior": "fmu.posterior.scipy_priors",
+    "Section": "fmu.fem.section",
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
     "Term": "fmu.fem.separable",
@@ -80,18 +94,25 @@ _HOME = {
 }
 
 __all__ = [
+    "ElementGroup",
     "Ensemble",
+    "Factor",
     "Frame",
     "HalfNormal",
     "HamiltonianMonteCarlo",
+    "JointSpring",
     "LogNormal",
+    "Material",
     "MetropolisHastings",
     "ModalData",
     "Normal",
     "Parameter",
+    "PointMass",
     "RandomWalk",
+    "RigidArm",
     "ScaledBeta",
     "ScipyPrior",
+    "Section",
     "SeparableModel",
     "Slice",
     "Term",
