@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
     from fmu.config import load as load
+    from fmu.fem.black_box import BlackBoxModel as BlackBoxModel
     from fmu.fem.frame import ElementGroup as ElementGroup
     from fmu.fem.frame import Frame as Frame
     from fmu.fem.joints import JointSpring as JointSpring
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
+    "BlackBoxModel": "fmu.fem.black_box",
     "ElementGroup": "fmu.fem.frame",
     "Ensemble": "fmu.samplers.ensemble",
     "Factor": "fmu.fem.updates",
@@ -94,6 +96,7 @@ _HOME = {
 }
 
 __all__ = [
+    "BlackBoxModel",
     "ElementGroup",
     "Ensemble",
     "Factor",

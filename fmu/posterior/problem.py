@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.model import ModalModel
+from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
 from fmu.posterior.focus import reduce_model
@@ -27,8 +29,9 @@ class UpdatingProblem:
 
     Parameters
     ----------
-    model : SeparableModel or ModalModel
-        The structure; or any map from theta to the frequencies of the measured modes, already paired.
+    model : SeparableModel, BlackBoxModel or ModalModel
+        The structure; or a function of the user's own; or any map from theta to the frequencies of the measured
+        modes, already paired.
     data : ModalData
     parameters : sequence of Parameter
         In the order of theta.
@@ -69,7 +72,7 @@ class UpdatingProblem:
 
     def __init__(
         self,
-        model: SeparableModel | ModalModel,
+        model: SeparableModel | BlackBoxModel | ModalModel,
         data: ModalData,
         parameters: Sequence[Parameter],
         *,
@@ -98,7 +101,7 @@ class UpdatingProblem:
         self.scale = np.array([scale for _, scale in scales])
         self.failures: list[FloatArray] = []
         self._prior = JointPrior(self.parameters)
-        self.model: ModalModel = self._paired(model, pairing) if isinstance(model, SeparableModel) else model
+        self.model = self._paired(model, pairing)
         self._check()
         self.likelihood: FrequencyLikelihood | ModalResidual
         if error == "frequency":
@@ -219,16 +222,37 @@ class UpdatingProblem:
             ],
         }
 
-    def _paired(self, model: SeparableModel, pairing: str) -> PairedStructure:
+    @property
+    def solves_per_gradient(self) -> int:
+        """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
+        return int(getattr(self.model, "solves_per_gradient", 1))
+
+    def _paired(self, model: SeparableModel | BlackBoxModel | ModalModel, pairing: str) -> ModalModel:
+        if not isinstance(model, SeparableModel | BlackBoxModel):
+            return model
         if model.n_parameters != self.ndim:
             raise ValueError(f"parameters: the model takes {model.n_parameters} (got {self.ndim})")
+        shapes = None if self.data.shapes is None else np.asarray(self.data.shapes)
+        if isinstance(model, BlackBoxModel):
+            return PairedBlackBox(
+                model,
+                pairing=pairing,
+                start=self.start,
+                numbers=self.data.numbers,
+                shapes=shapes,
+                lower=self.lower,
+                upper=self.upper,
+                scale=self.scale,
+            )
+        if model.names not in (None, self.names):
+            raise ValueError(f"parameters: must be the model's, in its order {model.names} (got {self.names})")
         return PairedStructure(
             model,
             pairing=pairing,
             numbers=self.data.numbers,
             sensors=self.data.sensors,
             reference=self.start,
-            shapes=None if self.data.shapes is None else np.asarray(self.data.shapes),
+            shapes=shapes,
         )
 
     def _model_description(self) -> Any:

@@ -40,7 +40,7 @@ class Gradient(Protocol):
 
 @dataclass(frozen=True)
 class ExactGradient:
-    """The density's own gradient: one solve a point, the log-density included."""
+    """The density's own gradient, its value included: one solve a point, or its `solves_per_gradient`."""
 
     density: LogDensity
 
@@ -49,7 +49,8 @@ class ExactGradient:
         density = of_chains(self.density, slice(None) if chain is None else chain)
         log_prob, gradient = density.log_prob_and_grad(position)
         finite = np.isfinite(log_prob) & np.all(np.isfinite(gradient), axis=1)
-        return Slope(log_prob, gradient, finite, np.ones(len(position), dtype=np.int64))
+        n_solves = np.full(len(position), getattr(self.density, "solves_per_gradient", 1), dtype=np.int64)
+        return Slope(log_prob, gradient, finite, n_solves)
 
 
 @dataclass(frozen=True)

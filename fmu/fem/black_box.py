@@ -1,0 +1,213 @@
+"""Models that are a function of the user's own: a surrogate, a finite-element program called from Python.
+
+The contract
+------------
+``function(theta)`` takes theta, an ndarray of shape (ndim,) in SI units, in the order of the parameters. It gives
+
+- the natural frequencies in Hz, shape (n,), as many of the model's modes as it likes; or
+- ``{"frequencies": (n,), "shapes": (n_sensors, n), "gradient": (n, ndim)}``, where the first alone is needed; or
+- a tuple of these in that order, None for what is not there.
+
+``shapes`` are mode shapes at the sensors of the measurement, in any scale: with them, and with measured ones, each
+measured mode is paired with a computed one by MAC; otherwise by its number (from 1) in the order returned.
+``gradient`` is ∂f/∂θ in Hz per SI unit; without it central differences are taken, 2 ndim more calls.
+
+Of a batched function theta has the shape (n_points, ndim), and everything returned a leading axis of n_points.
+
+The function is called as it stands: it is the user's code that runs. Where it raises, or gives what is not finite,
+that point has failed and the run goes on; `BlackBoxModel.reasons` says why.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+MOST_REASONS = 20
+_PARTS = ("frequencies", "shapes", "gradient")
+
+
+class Answer(NamedTuple):
+    """What the function gave at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) where it has them."""
+
+    frequencies: FloatArray
+    shapes: FloatArray | None = None
+    gradient: FloatArray | None = None
+
+
+class Failure(NamedTuple):
+    """A theta, shape (ndim,), at which the function failed, and why."""
+
+    theta: FloatArray
+    reason: str
+
+
+class AnswerError(ValueError):
+    """What the function gave is not what it should give."""
+
+
+class BlackBoxModel:
+    """A structure as a function from theta to its frequencies; `fmu.fem.black_box` has the contract.
+
+    ``fmu.UpdatingProblem(fmu.BlackBoxModel(function, 2), data, parameters)`` pairs its modes with those measured.
+
+    Parameters
+    ----------
+    function : callable
+        theta (n_parameters,) -> frequencies in Hz; or with shapes and gradients too.
+    n_parameters : int
+    batched : bool
+        Whether it takes theta (n_points, n_parameters), and answers with a leading axis.
+    step : float
+        Step of the central differences, relative to the scale of each parameter (its range, where it has one).
+    name : str, optional
+        What to call it where a problem is described.
+
+    Attributes
+    ----------
+    reasons : list of Failure
+        The first twenty points at which the function failed.
+
+    Raises
+    ------
+    ValueError
+        If the function cannot be called, or a number is out of range.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[FloatArray], Any],
+        n_parameters: int,
+        *,
+        batched: bool = False,
+        step: float = 1e-4,
+        name: str | None = None,
+    ) -> None:
+        if not callable(function):
+            raise ValueError(f"function: must be callable (got {type(function).__name__})")
+        if n_parameters < 1:
+            raise ValueError(f"n_parameters: must be at least 1 (got {n_parameters})")
+        if not 0.0 < step <= 0.1:
+            raise ValueError(f"step: must be positive and at most 0.1 (got {step})")
+        self.function = function
+        self.n_parameters = int(n_parameters)
+        self.batched = batched
+        self.step = step
+        self.name = name or _name_of(function)
+        self.reasons: list[Failure] = []
+
+    def __repr__(self) -> str:
+        return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
+
+    def sees(self, sensor: tuple[Any, str]) -> bool:
+        """Say yes to every sensor (place, direction): the function alone knows what its shapes belong to."""
+        return True
+
+    def answers(self, theta: FloatArray) -> list[Answer | None]:
+        """Return what the function gives at theta (n, n_parameters), None where it fails; see `reasons`."""
+        if self.batched and len(theta) > 1:
+            try:
+                return list(self._called(theta))
+            except (Exception, SystemExit):  # which of the points is at fault shows one at a time
+                return [answer for point in theta for answer in self.answers(point[None])]
+        found: list[Answer | None] = []
+        for point in theta:
+            try:
+                found += self._called(point[None])
+            except (Exception, SystemExit) as error:
+                self.fail(point, _in_words(error))
+                found.append(None)
+        return found
+
+    def at(self, theta: FloatArray) -> Answer:
+        """Return what the function gives at one theta, shape (n_parameters,).
+
+        Raises
+        ------
+        ValueError
+            If it fails there.
+        """
+        try:
+            return self._called(np.asarray(theta, dtype=float)[None])[0]
+        except (Exception, SystemExit) as error:
+            raise ValueError(
+                f"must work at the start {np.asarray(theta).tolist()} ({_in_words(error)})"
+            ) from error
+
+    def fail(self, theta: FloatArray, reason: str) -> None:
+        """Keep the reason why a theta failed, if there are not many already."""
+        if len(self.reasons) < MOST_REASONS:
+            self.reasons.append(Failure(theta.copy(), reason))
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what identifies the model: the function's name, and a hash of the file that it is in."""
+        try:
+            with open(inspect.getsourcefile(inspect.unwrap(self.function)) or "", "rb") as file:
+                digest = hashlib.sha256(file.read()).hexdigest()
+        except (TypeError, OSError):  # of a notebook, or no Python function
+            digest = ""
+        return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
+
+    def _called(self, theta: FloatArray) -> Sequence[Answer]:
+        """Return the answers at points (n, n_parameters), of which there is one unless the function is batched."""
+        lead = (len(theta),) if self.batched else ()
+        given = _parts(self.function(theta.copy() if self.batched else theta[0].copy()))
+        frequencies = _real("frequencies", given[0])
+        if frequencies.ndim != len(lead) + 1 or frequencies.shape[:-1] != lead or frequencies.shape[-1] == 0:
+            expected = ", ".join([*map(str, lead), "n"]) + ("" if lead else ",")
+            raise AnswerError(f"frequencies: must have shape ({expected}) (got {frequencies.shape})")
+        m = frequencies.shape[-1]
+        shapes = None if given[1] is None else _real("shapes", given[1])
+        if shapes is not None and (
+            shapes.ndim != len(lead) + 2 or (*shapes.shape[:-2], shapes.shape[-1]) != (*lead, m)
+        ):
+            expected = ", ".join([*map(str, lead), "n_sensors", str(m)])
+            raise AnswerError(f"shapes: must have shape ({expected}) (got {shapes.shape})")
+        gradient = None if given[2] is None else _real("gradient", given[2])
+        if gradient is not None and gradient.shape != (*lead, m, self.n_parameters):
+            raise AnswerError(f"gradient: must have shape {(*lead, m, self.n_parameters)} (got {gradient.shape})")
+        if not self.batched:
+            return [Answer(frequencies, shapes, gradient)]
+        none = [None] * len(theta)
+        rows = (frequencies, none if shapes is None else shapes, none if gradient is None else gradient)
+        return [Answer(*row) for row in zip(*rows, strict=True)]
+
+
+def _parts(given: Any) -> list[Any]:
+    """Return frequencies, shapes and gradient, None for what is not there."""
+    if isinstance(given, Mapping):
+        unknown = [key for key in given if key not in _PARTS]
+        if unknown or "frequencies" not in given:
+            raise AnswerError(f"must return frequencies, and may return shapes and gradient (got {list(given)})")
+        return [given.get(part) for part in _PARTS]
+    if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
+        if len(given) > len(_PARTS):
+            raise AnswerError(f"must return at most frequencies, shapes and gradient (got {len(given)} arrays)")
+        return [*given, *[None] * (len(_PARTS) - len(given))]
+    return [given, None, None]
+
+
+def _real(name: str, given: ArrayLike) -> FloatArray:
+    array = np.asarray(given)
+    if array.dtype.kind not in "fiu":
+        raise AnswerError(f"{name}: must be real numbers (got {type(given).__name__} of {array.dtype})")
+    return array.astype(float)
+
+
+def _in_words(error: BaseException) -> str:
+    """Return an exception in one line; of what is wrong with an answer the text alone, which says it all."""
+    text = " ".join(str(error).split())
+    if isinstance(error, AnswerError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _name_of(function: Any) -> str:
+    return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -1,0 +1,168 @@
+"""The modes of a black-box model that answer to the measured ones, and their gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
+from fmu.fem.modal import mac
+from fmu.fem.pairing import assign
+from fmu.fem.structure import PAIRINGS
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class PairedBlackBox:
+    """The frequencies of a black-box model's modes that answer to the measured ones.
+
+    Parameters
+    ----------
+    black_box : BlackBoxModel
+    pairing : {"shape", "index"}
+        ``"shape"``: by MAC, one to one, where shapes are measured and the function gives them; otherwise, and with
+        ``"index"``, by number.
+    start : ndarray, shape (n_parameters,)
+        The function has to work here.
+    numbers : tuple of int
+        Number (from 1) of each measured mode in the order in which the function returns them.
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Measured shapes.
+    lower, upper, scale : ndarray, shape (n_parameters,)
+        Bounds that central differences stay within, and the scale of each parameter.
+
+    Attributes
+    ----------
+    by_shape : bool
+        Whether modes are paired by MAC.
+    solves_per_gradient : int
+        What a gradient with its frequencies costs: 1, or 2 n_parameters + 1 by central differences.
+
+    Raises
+    ------
+    ValueError
+        For an unknown pairing, or if the function fails at the start or gives too few modes.
+    """
+
+    def __init__(
+        self,
+        black_box: BlackBoxModel,
+        *,
+        pairing: str,
+        start: FloatArray,
+        numbers: tuple[int, ...],
+        shapes: FloatArray | None,
+        lower: FloatArray,
+        upper: FloatArray,
+        scale: FloatArray,
+    ) -> None:
+        if pairing not in PAIRINGS:
+            raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
+        self.black_box = black_box
+        self.n_parameters = black_box.n_parameters
+        self.n_modes = len(numbers)
+        self.numbers = numbers
+        self.lower, self.upper, self.scale = lower, upper, scale
+        try:
+            answer = black_box.at(start)
+            self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
+            self._columns(answer)
+        except AnswerError as error:
+            raise ValueError(f"model.function: {error} at the start {start.tolist()}") from error
+        except ValueError as error:
+            raise ValueError(f"model.function: {error}") from error
+        self.solves_per_gradient = 1 if answer.gradient is not None else 2 * self.n_parameters + 1
+
+    def __repr__(self) -> str:
+        return f"PairedBlackBox({self.black_box!r}, by {'MAC' if self.by_shape else 'number'})"
+
+    @property
+    def by_shape(self) -> bool:
+        """Whether modes are paired by MAC, rather than by number."""
+        return self.reference is not None
+
+    @property
+    def reasons(self) -> list[Failure]:
+        """The first points at which the function failed, and why."""
+        return self.black_box.reasons
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes); NaN where the function failed."""
+        return self._paired(theta)[0]
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
+
+        The function's own gradient, or central differences: the perturbations of eq. (15) of the paper, of the
+        frequencies themselves. At a bound, or where the function fails on one side, they are one-sided.
+        """
+        frequencies, gradient = self._paired(theta)
+        missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
+        if missing.any():
+            gradient[missing] = self._differences(theta[missing], frequencies[missing])
+        return frequencies, gradient
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what identifies the model, in plain Python types."""
+        return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
+
+    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return paired frequencies and the function's own gradients; NaN where it failed or has none."""
+        frequencies = np.full((len(theta), self.n_modes), np.nan)
+        gradient = np.full((len(theta), self.n_modes, self.n_parameters), np.nan)
+        for i, answer in enumerate(self.black_box.answers(theta)):
+            if answer is None:
+                continue
+            try:
+                columns = self._columns(answer)
+            except AnswerError as error:
+                self.black_box.fail(theta[i], str(error))
+                continue
+            frequencies[i] = answer.frequencies[columns]
+            if answer.gradient is not None:
+                gradient[i] = answer.gradient[columns]
+        return frequencies, gradient
+
+    def _columns(self, answer: Answer) -> IntArray:
+        """Return which of the modes given answers to each measured one; AnswerError if one of them is no mode."""
+        given = len(answer.frequencies)
+        if self.reference is None:
+            if max(self.numbers) > given:
+                raise AnswerError(
+                    f"must give the measured modes, numbers {list(self.numbers)} (gave {given} modes)"
+                )
+            columns = np.array(self.numbers) - 1
+        else:
+            if answer.shapes is None or len(answer.shapes) != len(self.reference):
+                rows = "none" if answer.shapes is None else len(answer.shapes)
+                raise AnswerError(f"shapes: must have {len(self.reference)} rows, one a sensor (got {rows})")
+            if given < self.n_modes:
+                raise AnswerError(f"must give at least the {self.n_modes} measured modes (gave {given} modes)")
+            if not np.all(np.isfinite(answer.shapes)):
+                raise AnswerError("shapes: must be finite")
+            columns = assign(mac(answer.shapes, self.reference)[None])[0]
+        frequencies = answer.frequencies[columns]
+        if not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
+            raise AnswerError(f"frequencies: must be finite and not negative (got {frequencies.tolist()})")
+        return columns
+
+    def _differences(self, theta: FloatArray, frequencies: FloatArray) -> FloatArray:
+        n, ndim = theta.shape
+        shift = np.diag(self.black_box.step * self.scale)
+        centre = theta[:, None, :]
+        points = np.stack(
+            [
+                np.minimum(centre + shift, np.maximum(self.upper, centre)),
+                np.maximum(centre - shift, np.minimum(self.lower, centre)),
+            ]
+        )
+        values = self.frequencies(points.reshape(-1, ndim)).reshape(2, n, ndim, self.n_modes)
+        failed = np.isnan(values).any(axis=3)
+        values = np.where(failed[..., None], frequencies[:, None, :], values)
+        at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
+        with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
+            slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
+        return np.asarray(np.swapaxes(slopes, 1, 2))
