@@ -10,6 +10,7 @@ from fmu.analysis.description import model_in_words, parameter_table, structure_
 from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.initial_modes import InitialModes, initial_modes
+from fmu.analysis.mode_text import modes_as_text
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.posterior.likelihood import FrequencyLikelihood
 
@@ -72,22 +73,8 @@ class Check:
         return said + self.prior.sentences()
 
     def mode_table(self) -> pd.DataFrame:
-        """Return the computed modes as text, ready to print: numbers rounded, dashes where nothing applies."""
-        table = self.modes.table()
-        shown = table[["number", "computed_hz", "mode", "measured_hz", "error_percent"]].copy()
-        shown.columns = ["number", "computed, Hz", "measured mode", "measured, Hz", "error, %"]
-        shown["computed, Hz"] = [f"{f:.4g}" if f < 1000 else f"{f:.1f}" for f in table["computed_hz"]]
-        shown["measured, Hz"] = [_or_dash(f, ".6g") for f in table["measured_hz"]]
-        shown["error, %"] = [_or_dash(e, "+.2f") for e in table["error_percent"]]
-        shown["measured mode"] = [
-            mode or ("not measured" if seen else "moves no sensor")
-            for mode, seen in zip(table["mode"], table["seen"], strict=True)
-        ]
-        if self.modes.mac is not None:
-            shown["MAC"] = [_or_dash(value, ".2f") for value in table["mac"]]
-        if any(table["moves"]):
-            shown["moves"] = table["moves"]
-        return shown if table["number"].notna().all() else shown.drop(columns="number")
+        """Return the computed modes as text, ready to print; many in a row that move no sensor are one row."""
+        return modes_as_text(self.modes)
 
     def prior_table(self) -> pd.DataFrame:
         """Return prior predictions beside the measurement as text, ready to print."""
@@ -177,7 +164,3 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         drawing=drawing,
         colours=tuple(colours),
     )
-
-
-def _or_dash(value: float, style: str) -> str:
-    return "–" if value != value else format(value, style)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.analysis.pairing_doubts import TAKEN_FOR_GRANTED, ComputedMode, close, disordered, unlike, unmeasured
 from fmu.fem.modal import RIGID, frequency_hz, mac
 from fmu.fem.pairing import IndexPairing
 from fmu.fem.separable import selection
@@ -21,38 +22,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-ALIKE = 0.8
-"""MAC below which two shapes are hardly of one mode."""
-RIVAL = 0.1
-"""How much more MAC the mode chosen must have than any other."""
-CLOSE = 0.01
-"""Relative distance of two frequencies below which they are hard to tell apart."""
 _SEEN = 1e-3
 _BEYOND = 2
-
-
-@dataclass(frozen=True)
-class ComputedMode:
-    """A mode of the model.
-
-    Attributes
-    ----------
-    number : int or None
-        In the sorted spectrum, from 1; None where a model gives paired frequencies alone.
-    frequency_hz : float
-    measured : int or None
-        The measured mode (from 0) that it answers to.
-    seen : bool
-        Whether a sensor moves in it.
-    moves : str
-        The directions that hold most of its kinetic energy: ``"z 98 %"``; empty where they are not known.
-    """
-
-    number: int | None
-    frequency_hz: float
-    measured: int | None
-    seen: bool = True
-    moves: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +134,10 @@ def _of_structure(
     if problem.data.shapes is not None and observation is not None:
         alike = mac(observation @ shapes, np.asarray(problem.data.shapes))
     by_number = isinstance(model.rule, IndexPairing)
-    doubts = [*_unlike(labels, paired, alike), *_close(labels, paired, frequencies, seen, by_number)]
-    doubts += _disordered(labels, paired, measured)
-    return InitialModes(labels, measured, found, alike, tuple(doubts), tuple(_notes(problem, by_number, found)))
+    doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, by_number)]
+    doubts += disordered(labels, paired, measured)
+    taken = [] if by_number or problem.data.shapes is not None else [TAKEN_FOR_GRANTED]
+    return InitialModes(labels, measured, found, alike, tuple(doubts), (*taken, *unmeasured(found)))
 
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]]:
@@ -223,73 +195,3 @@ def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> lis
         order = np.argsort(-column)[:2]
         words.append(", ".join(f"{names[i]} {100 * column[i]:.0f} %" for i in order if column[i] > 0.1))
     return words
-
-
-def _unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None) -> list[str]:
-    doubts = []
-    for k, column in enumerate(paired if alike is not None else []):
-        row = alike[k]  # type: ignore[index]  # there is one, or there is no column
-        others = np.delete(np.arange(len(row)), column)
-        if row[column] < ALIKE:
-            doubts.append(
-                f"Mode {labels[k]}: MAC {row[column]:.2f} with computed mode {column + 1}, below {ALIKE}."
-            )
-        rival = others[np.argmax(row[others])] if len(others) else column
-        if rival != column and row[rival] > row[column] - RIVAL:
-            doubts.append(
-                f"Mode {labels[k]}: the sensors hardly tell computed mode {column + 1} (MAC {row[column]:.2f}) "
-                f"from {rival + 1} (MAC {row[rival]:.2f})."
-            )
-    return doubts
-
-
-def _close(
-    labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: NDArray[np.bool_], by_number: bool
-) -> list[str]:
-    """Name computed modes that are hardly apart: any two if pairing is by number, else those that sensors see."""
-    doubts, told = [], set()
-    for k, column in enumerate(paired):
-        for other in (column - 1, column + 1):
-            pair = (min(column, other), max(column, other))
-            if not 0 <= other < len(frequencies) or pair in told or not (by_number or seen[other]):
-                continue
-            apart = abs(frequencies[other] / frequencies[column] - 1.0)
-            if apart < CLOSE:
-                told.add(pair)
-                doubts.append(
-                    f"Mode {labels[k]}: computed modes {pair[0] + 1} and {pair[1] + 1} are {100 * apart:.2g} % "
-                    "apart; which of them was measured, their frequencies do not tell."
-                )
-    return doubts
-
-
-def _disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
-    order = np.argsort(measured, kind="stable")
-    numbers = [paired[k] for k in order]
-    if numbers == sorted(numbers):
-        return []
-    return [
-        "Measured and computed modes come in different orders: "
-        + ", ".join(f"{labels[k]} is computed mode {paired[k] + 1}" for k in order)
-        + "."
-    ]
-
-
-def _notes(problem: UpdatingProblem, by_number: bool, found: tuple[ComputedMode, ...]) -> list[str]:
-    last = max(i for i, mode in enumerate(found) if mode.measured is not None)
-    idle = [mode for mode in found[:last] if mode.measured is None]
-    notes = []
-    if not by_number and problem.data.shapes is None:
-        notes.append(
-            "No shapes were measured: that the measured modes are the lowest that the sensors see, in this order, "
-            "is taken for granted."
-        )
-    for seen, words in ((False, "move no sensor"), (True, "move a sensor, but were not measured")):
-        numbers = [str(mode.number) for mode in idle if mode.seen == seen]
-        if numbers:
-            one = len(numbers) == 1
-            subject = f"Computed mode {numbers[0]}" if one else f"Computed modes {', '.join(numbers)}"
-            notes.append(
-                f"{subject} {words.replace('move', 'moves', 1).replace('were', 'was') if one else words}."
-            )
-    return notes

@@ -105,6 +105,20 @@ def test_a_mode_that_was_not_measured_though_a_sensor_moves():
     assert [mode.measured for mode in found.modes] == [0, None, 1]
 
 
+def test_many_modes_that_no_sensor_sees_are_one_line():
+    springs = (np.diag([1.0, 0.0, 0.0, 0.0, 0.0]), np.diag([0.0, 2.0, 3.0, 4.0, 9.0]))
+    K_terms = [Term(sp.csr_array(K), tuple(float(i == j) for j in (0, 1))) for i, K in enumerate(springs)]
+    model = SeparableModel(K_terms, [Term(sp.csr_array(np.eye(5)), (0.0, 0.0))])
+    parameters = [Parameter(name, 1e4, 5e3, 2e4) for name in ("a", "b")]
+    data = ModalData([16.0, 48.0], sensors=((0, "x"), (4, "x")))
+    found = check(UpdatingProblem(model, data, parameters, reduction=False))
+    assert found.modes.notes[-1] == "Computed modes 2–4 move no sensor."
+    table = found.mode_table()
+    assert list(table["number"]) == ["1", "2–4", "5"]
+    assert table["measured mode"][1] == "3 move no sensor"
+    assert table["computed, Hz"][1] == "22.51 to 31.83"  # √(2 … 4) · 100 / 2π
+
+
 def test_the_gradient_is_right_to_rounding():
     found = check_gradient(fmu.cases.load("cantilever-young"))
     assert found.agrees

@@ -1,0 +1,68 @@
+"""Files to start from: each kind of model with a commented problem that runs as it stands."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+_FOLDER = Path(__file__).parent / "templates"
+_FILES = {
+    "frame": ("frame.toml",),
+    "matrices": ("matrices.toml", "K0.mtx", "K1.mtx", "K2.mtx", "M.mtx"),
+}
+
+KINDS = tuple(_FILES)
+
+
+def template(kind: str) -> str:
+    """Return the text of a kind's problem file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
+    return (_FOLDER / kind / files(kind)[0]).read_text(encoding="utf-8")
+
+
+def files(kind: str) -> tuple[str, ...]:
+    """Return the names of a kind's files, the problem file first.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
+    if kind not in _FILES:
+        raise ValueError(f"kind: must be one of {', '.join(KINDS)} (got {kind!r})")
+    return _FILES[kind]
+
+
+def write_template(kind: str, directory: str | os.PathLike[str]) -> Path:
+    """Write a kind's problem file, and the files that it names.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    directory : path-like
+        Made if it does not exist.
+
+    Returns
+    -------
+    Path
+        The problem file.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind, or one of its files exists already: nothing is written then.
+    """
+    folder = Path(directory)
+    taken = [name for name in files(kind) if os.path.lexists(folder / name)]
+    if taken:
+        raise ValueError(f"directory: {folder} holds {', '.join(taken)} already; choose another one")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in files(kind):
+        (folder / name).write_bytes((_FOLDER / kind / name).read_bytes())
+    return folder / files(kind)[0]

@@ -1,0 +1,89 @@
+"""Files to start from: each is what it says, with every optional key, and runs as it stands."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.config.problem import ProblemFile
+from fmu.config.template import KINDS, files, template, write_template
+
+SHORT = {"draws": 200, "warmup": 200, "chains": 2}
+MARK = "#: "
+CONSTANTS = ("A", "Iy", "Iz", "J")
+ALTERNATIVES = {"beta": ("sd",), "rectangle": CONSTANTS, "tube": CONSTANTS}
+"""What a key takes the place of."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_loads_checks_and_runs(kind, tmp_path):
+    problem = fmu.load(write_template(kind, tmp_path / "new"))
+    found = fmu.check(problem, draws=20)
+    assert found.doubts == ()
+    maxima = fmu.find_map(problem, starts=8)
+    trace = fmu.sample(problem, "hmc", **SHORT)
+    sd = np.max(
+        np.abs(problem.frequencies(maxima[0].theta) - problem.data.frequencies_hz) / problem.likelihood.error.sd
+    )
+    assert sd < 3.0  # the model fits the modes that it comes with
+    assert fmu.summary(trace)["rhat"].max() < 1.1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_are_written_together_and_never_replaced(kind, tmp_path):
+    path = write_template(kind, tmp_path)
+    assert path == tmp_path / files(kind)[0]
+    assert {file.name for file in tmp_path.iterdir()} == set(files(kind))
+    assert path.read_text(encoding="utf-8") == template(kind)
+    (tmp_path / files(kind)[-1]).write_text("precious")
+    (tmp_path / files(kind)[0]).unlink()
+    if len(files(kind)) > 1:
+        with pytest.raises(ValueError, match="already; choose another one"):
+            write_template(kind, tmp_path)
+        assert (tmp_path / files(kind)[-1]).read_text() == "precious"
+        assert not path.exists()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_optional_key_can_be_taken_up_by_itself(kind):
+    """Each line with #:, or each table of such lines, is right where it stands."""
+    lines = template(kind).splitlines()
+    options = [i for i, line in enumerate(lines) if line.startswith(MARK)]
+    assert options
+    for at in options:
+        taken = list(lines)
+        taken[at] = lines[at].removeprefix(MARK)
+        if taken[at].startswith("["):
+            for i in range(at + 1, len(lines)):
+                if not lines[i].startswith(MARK):
+                    break
+                taken[i] = lines[i].removeprefix(MARK)
+        elif lines[at - 1].startswith(MARK) and _in_commented_table(lines, at):
+            continue  # taken up with its table
+        ProblemFile.model_validate(tomllib.loads("\n".join(_without_alternatives(taken, at))))
+
+
+def _key(line):
+    return line.split("=")[0].strip()
+
+
+def _in_commented_table(lines, at):
+    while lines[at].startswith(MARK):
+        if lines[at].startswith(f"{MARK}["):
+            return True
+        at -= 1
+    return False
+
+
+def _without_alternatives(lines, at):
+    """Leave out the keys of the same table that stand in the way of the one in line `at`."""
+    others = ALTERNATIVES.get(_key(lines[at]), ())
+    first = next((i for i in range(at, -1, -1) if lines[i].startswith("[")), 0)
+    last = next((i for i in range(at + 1, len(lines)) if lines[i].startswith("[")), len(lines))
+    return [line for i, line in enumerate(lines) if not (first < i < last and i != at and _key(line) in others)]
+
+
+def test_an_unknown_kind():
+    with pytest.raises(ValueError, match=r"kind: must be one of frame, .* \(got 'shell'\)"):
+        template("shell")
