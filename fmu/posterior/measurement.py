@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.formats.modes import LEAST_MPC, Modes
+from fmu.formats.modes_csv import read_frequencies, read_shapes
+from fmu.formats.pyoma import pyoma_modes
+from fmu.formats.uff import read_uff, write_uff
 from fmu.posterior.correlated import checked_covariance
 from fmu.posterior.repeated import mean_frequencies, mean_shapes
 
@@ -133,6 +140,118 @@ class ModalData:
         mean, sd, covariance = mean_frequencies(frequencies, scatter)
         average = None if shapes is None else mean_shapes(shapes)
         return cls(mean, numbers, sensors, labels, average, sd, covariance)
+
+    @classmethod
+    def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
+        """Return the modes of a table of frequencies, with shapes from another.
+
+        Parameters
+        ----------
+        frequencies : path-like
+            Columns ``mode``, ``frequency`` (Hz) and, if known, ``number`` and ``sd`` (Hz).
+        shapes : path-like, optional
+            Columns ``place``, ``direction``, and one a mode with its name; see `fmu.formats.modes_csv`.
+
+        Raises
+        ------
+        ValueError
+            With every mistake, its line and its column.
+        FileNotFoundError
+            If there is no such file.
+        """
+        modes, numbers = read_frequencies(Path(frequencies))
+        shown = modes if shapes is None else read_shapes(Path(shapes), modes.labels)
+        return cls(modes.frequencies_hz, numbers, shown.sensors, modes.labels, shown.shapes, modes.sd_hz)
+
+    @classmethod
+    def from_uff(
+        cls,
+        path: str | os.PathLike[str],
+        nodes: Mapping[Any, Any] | None = None,
+        modes: Sequence[int] | None = None,
+        **options: Any,
+    ) -> Self:
+        """Return the modes of a universal file, dataset 55; needs pyuff.
+
+        Parameters
+        ----------
+        path : path-like
+        nodes : mapping of node number to place, optional
+            What nodes of the file are in the model; the others are left out. Without it each is its number.
+        modes : sequence of int, optional
+            Numbers of modes in the file; all if not given.
+        **options
+            ``sensors`` and ``least_mpc`` of `fmu.formats.uff.read_uff`; what else the class takes, as ``numbers``
+            or ``sd_hz``, of which the format knows nothing.
+
+        Raises
+        ------
+        ValueError
+            If the file has no such modes, or a shape is too complex to be taken for a real one.
+        FileNotFoundError, ImportError
+            If there is no such file, or no pyuff.
+        """
+        reading = {name: options.pop(name) for name in ("sensors", "least_mpc") if name in options}
+        return cls._of(read_uff(Path(path), nodes, modes, **reading), options)
+
+    @classmethod
+    def from_pyoma(
+        cls,
+        result: Any,
+        sensors: Sequence[tuple[Any, str]],
+        modes: Sequence[int] | None = None,
+        *,
+        least_mpc: float = LEAST_MPC,
+        **options: Any,
+    ) -> Self:
+        """Return what pyOMA_2 identified: frequencies, shapes and, if it was asked for, standard deviations.
+
+        Parameters
+        ----------
+        result : object
+            ``setup["name"].result`` after ``mpe``; run with ``calc_unc=True`` it has standard deviations.
+        sensors : sequence of (place, direction)
+            Of each channel, in order.
+        modes : sequence of int, optional
+            Which modes of the result, from 1; all if not given.
+        least_mpc : float
+            Least phase collinearity of a shape: `fmu.formats.modes.real_shapes`.
+        **options
+            What else the class takes, as ``numbers``; ``sd_hz`` or ``covariance_hz2`` instead of the result's.
+
+        Raises
+        ------
+        ValueError
+            If the result has no modes or other channels, or a shape is too complex to be taken for a real one.
+        """
+        return cls._of(pyoma_modes(result, sensors, modes, least_mpc), options)
+
+    def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[Any, Any] | None = None) -> None:
+        """Write frequencies and shapes into a universal file, to six significant digits; needs pyuff.
+
+        Parameters
+        ----------
+        path : path-like
+            What there is already is replaced.
+        nodes : mapping of node number to place, optional
+            Needed where a place is no number.
+
+        Raises
+        ------
+        ValueError
+            If there are no shapes, or a place has no number.
+        ImportError
+            If there is no pyuff.
+        """
+        if self.shapes is None:
+            raise ValueError("shapes: must have been measured to be written")
+        write_uff(Path(path), self.frequencies_hz, self.shapes, self.sensors, self.numbers, nodes)
+
+    @classmethod
+    def _of(cls, modes: Modes, options: dict[str, Any]) -> Self:
+        own = {} if {"sd_hz", "covariance_hz2"} & set(options) else {"sd_hz": modes.sd_hz}
+        given = {"sensors": modes.sensors, "labels": modes.labels, "shapes": modes.shapes, **own}
+        return cls(modes.frequencies_hz, **(given | options))
 
     @property
     def n_modes(self) -> int:

@@ -1,0 +1,122 @@
+"""Modes as a test or an identification hands them over, and what is made of complex ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+LARGEST_FILE = 2**26
+"""Bytes of a file with modes; more is refused before it is read."""
+LEAST_MPC = 0.8
+"""Modal phase collinearity below which a complex shape is not taken for a real one, unless asked for."""
+
+
+class ModesError(ValueError):
+    """A file or result that no modes can be taken from.
+
+    Attributes
+    ----------
+    mistakes : tuple of str
+        All that were found, each with its place.
+    """
+
+    def __init__(self, source: str, mistakes: Sequence[str]) -> None:
+        self.mistakes = tuple(mistakes)
+        super().__init__(f"{source}: " + "; ".join(self.mistakes))
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Frequencies, and what there is of shapes and uncertainty.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (n_modes,)
+    labels : tuple of str
+        Names of the modes where they come from.
+    sd_hz : ndarray, shape (n_modes,), optional
+    sensors : tuple of (place, direction)
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Real; see `real_shapes`.
+    mpc : ndarray, shape (n_modes,), optional
+        Modal phase collinearity of the shapes, where they were complex.
+    positions : mapping of place to (x, y, z)
+        Coordinates of the places, where they are told.
+    """
+
+    frequencies_hz: FloatArray
+    labels: tuple[str, ...]
+    sd_hz: FloatArray | None = None
+    sensors: tuple[tuple[Any, str], ...] = ()
+    shapes: FloatArray | None = None
+    mpc: FloatArray | None = None
+    positions: Mapping[Any, tuple[float, float, float]] | None = None
+
+
+def phase_collinearity(shapes: ArrayLike) -> FloatArray:
+    """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
+
+    1 for a real shape in any phase, 0 for components of all phases alike (Pappa, Elliott & Schenk 1993, Journal
+    of Guidance, Control, and Dynamics 16, 275: their eigenvalue ratio, written out).
+    """
+    phi = np.asarray(shapes, dtype=complex)
+    length = np.sum(np.abs(phi) ** 2, axis=0)
+    return np.asarray(np.abs(np.sum(phi**2, axis=0)) ** 2 / length**2)
+
+
+def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatArray, FloatArray]:
+    """Return the real part of complex shapes in the phase that makes it largest, and their phase collinearity.
+
+    Parameters
+    ----------
+    shapes : array_like of complex, shape (n_sensors, n_modes)
+    least_mpc : float
+        A shape of lower phase collinearity is refused: a model without damping has none such, and what was
+        measured is likely two close modes at once, strong local damping or noise. 0 takes every shape.
+
+    Returns
+    -------
+    real : ndarray, shape (n_sensors, n_modes)
+        Re(φ e^{−iα/2}) with α the phase of φᵀφ; what is left out then is the smallest.
+    mpc : ndarray, shape (n_modes,)
+
+    Raises
+    ------
+    ValueError
+        If a shape is zero or not finite, or its phase collinearity is too low.
+    """
+    phi = np.asarray(shapes, dtype=complex)
+    if not np.all(np.isfinite(phi)) or not np.all(np.any(phi != 0, axis=0)):
+        raise ValueError("shapes: must be finite, and no mode zero at every sensor")
+    mpc = phase_collinearity(phi)
+    if not np.all(mpc >= least_mpc):
+        at = int(np.argmin(mpc))
+        raise ValueError(
+            f"shapes: mode {at + 1} must have a phase collinearity (MPC) of at least {least_mpc:g} to be taken "
+            f"for a real one (got {mpc[at]:.2f}); least_mpc=0 takes it anyway"
+        )
+    return np.asarray((phi * np.exp(-0.5j * np.angle(np.sum(phi**2, axis=0)))).real), mpc
+
+
+def checked_file(path: Path) -> Path:
+    """Return the path of a file that may be read.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    ModesError
+        If it is larger than `LARGEST_FILE`.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"path: must be a file (no such file: {path})")
+    if path.stat().st_size > LARGEST_FILE:
+        raise ModesError(path.name, [f"must have at most {LARGEST_FILE} bytes (got {path.stat().st_size})"])
+    return path

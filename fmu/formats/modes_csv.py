@@ -1,0 +1,158 @@
+"""Modes from tables of text, as spreadsheets write them.
+
+Frequencies, a mode a row; ``number`` (in the spectrum of the model) and ``sd`` may be left out::
+
+    mode,number,frequency,sd
+    first bending,1,31.9,0.1
+    second bending,3,197.9,0.4
+
+Shapes, a sensor a row and a mode a column::
+
+    place,direction,first bending,second bending
+    tip,z,1.0,1.0
+    12,-z,0.34,-0.71
+
+Between values there may be commas, semicolons or tabs, as in the first line; lines that are empty or start with
+``#`` do not count.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.formats.modes import Modes, ModesError, checked_file
+
+_FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
+_DIRECTION = re.compile(r"-?(r?[xyz])")
+
+
+class _Row(NamedTuple):
+    """A line of the file, counted from 1, and the values in it by column."""
+
+    line: int
+    values: dict[str, str]
+
+
+def read_frequencies(path: Path) -> tuple[Modes, tuple[int, ...]]:
+    """Return the modes of a table of frequencies, and their numbers, none if it has no such column.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        With every mistake, its line and its column.
+    """
+    header, rows, found = _table(path)
+    found += [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
+    found += [
+        f"column {name}: must be one of {', '.join(_FREQUENCY_COLUMNS)}"
+        for name in header
+        if name not in _FREQUENCY_COLUMNS
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    frequencies = [_number(row, "frequency", found, positive=True) for row in rows]
+    sd = [_number(row, "sd", found, positive=True) for row in rows] if "sd" in header else None
+    numbers = [_whole(row, "number", found) for row in rows] if "number" in header else []
+    labels = [row.values["mode"] for row in rows]
+    found += [
+        f"line {row.line}, column mode: must be a name of its own (got {label!r})"
+        for i, (row, label) in enumerate(zip(rows, labels, strict=True))
+        if not label or label in labels[:i]
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    return Modes(np.array(frequencies), tuple(labels), None if sd is None else np.array(sd)), tuple(numbers)
+
+
+def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
+    """Return sensors and shapes of a table, its columns in the order of `labels`; without frequencies.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        With every mistake, its line and its column.
+    """
+    header, rows, found = _table(path)
+    found += [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
+    found += [f"column {name}: is no mode" for name in header if name not in ("place", "direction", *labels)]
+    if found:
+        raise ModesError(path.name, found)
+    for row in rows:
+        if not row.values["place"]:
+            found.append(f"line {row.line}, column place: must not be empty")
+        if not _DIRECTION.fullmatch(row.values["direction"]):
+            found.append(
+                f"line {row.line}, column direction: must be x, y, z, rx, ry or rz, or that with a minus before "
+                f"it (got {row.values['direction']!r})"
+            )
+    shapes = [[_number(row, label, found) for label in labels] for row in rows]
+    if found:
+        raise ModesError(path.name, found)
+    places = [row.values["place"] for row in rows]
+    sensors = [
+        (int(place) if re.fullmatch(r"-?\d{1,18}", place) else place, row.values["direction"])
+        for place, row in zip(places, rows, strict=True)
+    ]
+    return Modes(np.full(len(labels), np.nan), labels, None, tuple(sensors), np.array(shapes))
+
+
+def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
+    """Return the names of the columns, the rows, and what is wrong with their form."""
+    try:
+        text = checked_file(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ModesError(path.name, ["must be text in UTF-8"]) from None
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and line.strip()[0] != "#"]
+    if len(lines) < 2:
+        raise ModesError(path.name, ["must have a line of column names and a line of values at least"])
+    separator = max(",;\t", key=lines[0][1].count)
+    cells = [[cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])] for _, line in lines]
+    header = cells[0]
+    if len(set(header)) < len(header):
+        raise ModesError(path.name, [f"line {lines[0][0]}: column names must be distinct (got {header})"])
+    found = [
+        f"line {number}: must have {len(header)} values, one a column (got {len(row)})"
+        for (number, _), row in zip(lines[1:], cells[1:], strict=True)
+        if len(row) != len(header)
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    return (
+        header,
+        [
+            _Row(number, dict(zip(header, row, strict=True)))
+            for (number, _), row in zip(lines[1:], cells[1:], strict=True)
+        ],
+        found,
+    )
+
+
+def _number(row: _Row, column: str, found: list[str], *, positive: bool = False) -> float:
+    """Return a number of a row, NaN after noting a mistake."""
+    text = row.values[column]
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value) or (positive and value <= 0):
+        rule = "a positive number" if positive else "a number"
+        found.append(f"line {row.line}, column {column}: must be {rule} (got {text!r})")
+        return np.nan
+    return value
+
+
+def _whole(row: _Row, column: str, found: list[str]) -> int:
+    text = row.values[column]
+    if not re.fullmatch(r"[1-9]\d{0,8}", text):
+        found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {text!r})")
+        return 0
+    return int(text)
