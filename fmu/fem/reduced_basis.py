@@ -186,7 +186,9 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
     """
     M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
     lam = snapshots.eigenvalues
-    weight = 1.0 / np.sqrt(np.maximum(lam, 1e-6 * lam[:, -1:]))
+    floor = 1e-6 * lam[:, -1:]
+    # without any stiffness every vector is a mode, and none worth a place
+    weight = np.divide(1.0, np.sqrt(np.maximum(lam, floor)), out=np.zeros_like(lam), where=floor > 0.0)
     X = np.concatenate(list(snapshots.shapes * weight[:, None, :]), axis=1)
     if X.shape[1] > block.size:  # the smaller of the two Gram matrices: with M = L Lᵀ, that of the rows of Lᵀ X
         L = np.linalg.cholesky(M.toarray())

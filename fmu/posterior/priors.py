@@ -32,7 +32,7 @@ class Prior(Protocol):
         ...
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return its derivative; NaN where the log-density is ``-inf``."""
+        """Return its derivative; NaN outside the support, and where there is none."""
         ...
 
     def log_mass(self, lower: float, upper: float) -> float:

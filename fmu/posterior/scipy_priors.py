@@ -160,7 +160,7 @@ class ScaledBeta(InvertedPrior):
         return -float(betaln(self.a, self.b) + np.log(self.high - self.low))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ScipyPrior(InvertedPrior):
     """Any continuous distribution of ``scipy.stats`` with its arguments: ``ScipyPrior(gumbel_r(loc=2.0))``.
 
@@ -176,9 +176,10 @@ class ScipyPrior(InvertedPrior):
 
     Notes
     -----
-    The gradient of the log-density is that of the five-point central difference, whose error is of fourth order:
-    its step is 1e-3 of the smaller of half the central 68 % interval and the distance to the nearer end of the
-    support, so that it is good to about 1e-9. Within 1e-6 of that interval from an end it is the one there.
+    The gradient of the log-density is that of the five-point central difference, whose error is of fourth order.
+    Its step is 1e-3 of the distance to the nearer end of the support or, if that is less, of the distance to the
+    median or half the central 68 % interval, whichever is more: it is good to about 1e-9. Within 1e-6 of that
+    interval from an end it is the one there.
     """
 
     distribution: Any
@@ -189,8 +190,13 @@ class ScipyPrior(InvertedPrior):
         if not isinstance(getattr(self.distribution, "dist", None), rv_continuous):
             rule = "must be a continuous distribution of scipy.stats with its arguments, as gumbel_r(loc=2.0)"
             raise ValueError(f"distribution: {rule} (got {self.distribution!r})")
-        if np.ndim(self._central) != 1 or not (np.all(np.isfinite(self._central)) and self._spread > 0.0):
-            raise ValueError(f"distribution: its arguments must be numbers in range (got {self.as_dict()})")
+        is_one = np.ndim(self.distribution.median()) == 0
+        if not (is_one and np.all(np.isfinite(self._central)) and self._spread > 0.0):
+            raise ValueError(f"distribution: its arguments must be numbers in range (got {self!r})")
+
+    def __repr__(self) -> str:
+        settings = [*map(repr, self.distribution.args), *(f"{k}={v!r}" for k, v in self.distribution.kwds.items())]
+        return f"ScipyPrior({self._name}({', '.join(settings)}))"
 
     @property
     def support(self) -> tuple[float, float]:
@@ -209,7 +215,8 @@ class ScipyPrior(InvertedPrior):
         low, high = self.support
         with np.errstate(all="ignore"):
             centre = np.clip(x, low + _EDGE * self._spread, high - _EDGE * self._spread)
-            h = _STEP * np.minimum(self._spread, np.minimum(centre - low, high - centre))
+            spread = np.maximum(self._spread, np.abs(centre - self._central[1]))
+            h = _STEP * np.minimum(spread, np.minimum(centre - low, high - centre))
             h = (centre + h) - centre  # the step that rounding leaves
             steps = np.array([-2.0, -1.0, 1.0, 2.0]).reshape(4, *np.ones(np.ndim(x), dtype=int))
             f = self.distribution.logpdf(centre + steps * h)
@@ -234,10 +241,13 @@ class ScipyPrior(InvertedPrior):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the name and the arguments; quantiles besides, which tell distributions of one name apart."""
-        name = self.distribution.dist.name or type(self.distribution.dist).__name__
         arguments = {f"argument {i + 1}": _plain(value) for i, value in enumerate(self.distribution.args)}
         arguments |= {key: _plain(value) for key, value in sorted(self.distribution.kwds.items())}
-        return {"distribution": f"scipy.stats.{name}", **arguments, "quantiles": _plain(self._central)}
+        return {"distribution": f"scipy.stats.{self._name}", **arguments, "quantiles": _plain(self._central)}
+
+    @property
+    def _name(self) -> str:
+        return str(self.distribution.dist.name or type(self.distribution.dist).__name__)
 
     @cached_property
     def _central(self) -> FloatArray:

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
 
+import fmu
+from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
 from fmu.posterior.parameters import JointPrior, Parameter, share_alpha
 from fmu.posterior.priors import Normal, Uniform
+from fmu.posterior.scipy_priors import ScaledBeta, ScipyPrior
 
 INF = np.inf
 
@@ -29,6 +33,10 @@ MIXED = [
     Parameter("b", 0.0, -1.0, 1.0, prior=Uniform()),
     Parameter("c", 3.0, prior=Normal(2.0, 4.0)),
     Parameter("d", -6.0, upper=-5.0, prior=Normal(1.0)),
+    Parameter("e", 1.0, 0.5, prior=LogNormal(2.0, 0.5)),
+    Parameter("f", 1.0, prior=HalfNormal(3.0)),
+    Parameter("g", 0.5, upper=0.9, prior=ScaledBeta(2.0, 3.0)),
+    Parameter("h", 1.0, prior=ScipyPrior(stats.gumbel_r(1.0, 0.5))),
 ]
 
 
@@ -37,10 +45,10 @@ def test_joint_prior_is_the_product():
     joint = JointPrior(MIXED)
     expected = sum(p.prior.log_pdf(theta[:, j]) - p.prior.log_mass(p.lower, p.upper) for j, p in enumerate(MIXED))
     assert_allclose(joint.log_pdf(theta), expected, rtol=1e-13)
-    for j in range(4):
-        step = np.zeros(4)
-        step[j] = 1e-4
-        difference = (joint.log_pdf(theta + step) - joint.log_pdf(theta - step)) / 2e-4
+    for j in range(len(MIXED)):
+        step = np.zeros(len(MIXED))
+        step[j] = 2e-5
+        difference = (joint.log_pdf(theta + step) - joint.log_pdf(theta - step)) / 4e-5
         assert_allclose(joint.log_pdf_gradient(theta)[:, j], difference, rtol=1e-7, atol=1e-7)
 
 
@@ -50,6 +58,35 @@ def test_joint_prior_of_a_batch_changes_no_bit(n):
     joint = JointPrior([Parameter(f"p{i}", start=0.0, prior=Normal(1.0 + i)) for i in range(n)])
     assert_array_equal(joint.log_pdf(theta), [joint.log_pdf(row[None])[0] for row in theta])
     assert_array_equal(joint.log_pdf(np.asfortranarray(theta)), joint.log_pdf(theta))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "bounds", "dense"),
+    [
+        (Parameter("k", 1.0, prior=Normal(1.0)), (-INF, INF), (-INF, INF)),
+        (Parameter("k", 1.0, 0.0, prior=Normal(1.0)), (0.0, INF), (0.0, INF)),
+        (Parameter("k", 1.0, prior=LogNormal(1.0, 0.5)), (0.0, INF), (5e-324, INF)),
+        (Parameter("k", 1.0, -1.0, 2.0, LogNormal(1.0, 0.5)), (0.0, 2.0), (5e-324, 2.0)),
+        (Parameter("k", 1.0, 0.5, 2.0, LogNormal(1.0, 0.5)), (0.5, 2.0), (0.5, 2.0)),
+        (Parameter("k", 1.0, prior=HalfNormal(1.0)), (0.0, INF), (0.0, INF)),
+        (Parameter("k", 1.5, 0.0, prior=HalfNormal(1.0, 1.0)), (1.0, INF), (1.0, INF)),
+        (Parameter("k", 1.0, prior=ScaledBeta(2.0, 1.0, 0.0, 4.0)), (0.0, 4.0), (5e-324, 4.0)),
+        (
+            Parameter("k", 1.0, 0.5, prior=ScaledBeta(2.0, 2.0, 0.0, 4.0)),
+            (0.5, 4.0),
+            (0.5, np.nextafter(4.0, 0.0)),
+        ),
+        (Parameter("k", 1.0, prior=ScipyPrior(stats.uniform(0.0, 3.0))), (0.0, 3.0), (0.0, 3.0)),
+    ],
+)
+def test_a_prior_that_ends_before_the_bounds_gives_the_bounds(parameter, bounds, dense):
+    assert (parameter.lower, parameter.upper) == bounds
+    assert (parameter.lowest, parameter.highest) == dense
+
+
+def test_a_notebook_needs_nothing_but_fmu():
+    k1 = fmu.Parameter("k1", start=1.0, prior=fmu.LogNormal.from_mode(1.3, sd=1.0))
+    assert (k1.lower, k1.upper) == (0.0, INF)
 
 
 WRONG = {
@@ -70,6 +107,18 @@ WRONG = {
     "no mass left by rounding": (
         {"lower": 1.0, "upper": 1.0 + 1e-15, "prior": Normal(1.0, mean=1e9)},
         r"E\.prior: must have probability between the bounds \(got none\)",
+    ),
+    "bounds outside the support": (
+        {"lower": 2.0, "start": 3.0, "upper": 4.0, "prior": ScaledBeta(2.0, 2.0)},
+        r"E\.prior: must have probability between the bounds \(got none\)",
+    ),
+    "start outside the support": (
+        {"start": 1.5, "prior": ScaledBeta(2.0, 2.0)},
+        r"E\.start: must be finite and within \[0, 1\] \(got 1\.5\)",
+    ),
+    "start where the prior vanishes": (
+        {"start": 0.0, "prior": LogNormal(1.0, 0.5)},
+        r"E\.start: must be where the prior has a density \(got 0\)",
     ),
     "no mass": (
         {"lower": 1e200, "start": 1e200, "upper": 2e200, "prior": Normal(1.0)},
