@@ -125,15 +125,17 @@ def _lowest(matrix: Any) -> tuple[FloatArray, FloatArray]:
         lam, shapes = sl.eigh(S.toarray(), check_finite=False)
     else:
         # pivots tell the signs (Sylvester); Lanczos would not see what lies far below zero
-        unit = sp.csr_array(sp.eye_array(n))
-        if np.any(symmetric_factor(S + NEGATIVE * unit).U.diagonal() <= 0.0):
-            lam, shapes = sl.eigh(S.toarray(), subset_by_index=[0, 0], check_finite=False)
-        else:
-            count = _AT_ONCE
+        unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
+        while np.any(symmetric_factor(S + shift * unit).U.diagonal() <= 0.0):
+            shift *= 10.0
+        if shift > NEGATIVE:
+            lam, shapes = eigen(S + shift * unit, unit, 1, definite=True)
+            return lam - shift, scale[:, None] * shapes
+        count = _AT_ONCE
+        lam, shapes = eigen(S, unit, count, definite=True)
+        while lam[-1] < ZERO and count < n:
+            count = min(2 * count, n)
             lam, shapes = eigen(S, unit, count, definite=True)
-            while lam[-1] < ZERO and count < n:
-                count = min(2 * count, n)
-                lam, shapes = eigen(S, unit, count, definite=True)
     return lam, scale[:, None] * shapes
 
 
