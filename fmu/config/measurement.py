@@ -3,55 +3,191 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
 
 from fmu.config.fields import Name, Positive, SensorTable, Table
+from fmu.config.measured_files import FileName, OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built
+from fmu.formats.modes import ModesError
+from fmu.formats.modes_csv import read_frequencies, read_shapes
+from fmu.posterior.correlated import checked_covariance
 from fmu.posterior.measurement import ModalData
+from fmu.posterior.repeated import mean_frequencies
+
+FloatArray = NDArray[np.float64]
+
+Missed = Annotated[float, Field(allow_inf_nan=True)]
+"""A frequency, or nan where a test missed the mode."""
+_SOURCES = ("frequencies", "tests", "file", "uff", "oma")
+_WITH_SHAPES = ("uff", "oma")
+_TRUST = ("sd", "beta", "covariance")
+_ONE_TRUST = "must have either sd or beta or covariance"
+
+
+class _Read(NamedTuple):
+    """What the source says; the uncertainty of its own as arguments of `ModalData`."""
+
+    frequencies: FloatArray
+    uncertainty: dict[str, Any]
+    sensors: tuple[tuple[Any, str], ...]
+    labels: tuple[str, ...]
+    numbers: tuple[int, ...]
+    shapes: FloatArray | None
 
 
 class MeasurementTable(Table):
-    """The modes measured. Of the errors in frequency either ``sd`` in Hz, or ``beta`` = 1/(2 sd²)."""
+    """The modes measured, from one of ``frequencies``, ``tests``, ``file`` (a table), ``uff`` and ``oma``.
 
-    frequencies: Annotated[list[Positive], Field(min_length=1)]
+    Of the errors in frequency ``sd`` in Hz, or ``beta`` = 1/(2 sd²), or ``covariance`` in Hz²; they hold instead
+    of what a file says. ``tests`` are repeated, a row a test with nan where it missed a mode, and their scatter
+    tells the error. ``shapes`` are a row a mode at the ``sensors``, or in a table, ``shapes_file``.
+    """
+
+    frequencies: Annotated[list[Positive], Field(min_length=1)] | None = None
+    tests: Annotated[list[list[Missed]], Field(min_length=2)] | None = None
+    scatter: Literal["each", "pooled", "joint"] = "each"
+    file: FileName | None = None
+    uff: UffTable | None = None
+    oma: OmaTable | None = None
     sd: Positive | list[Positive] | None = None
     beta: Positive | list[Positive] | None = None
+    covariance: list[list[float]] | None = None
     numbers: list[Annotated[int, Field(ge=1)]] = []
     labels: list[Name] = []
     sensors: list[SensorTable] = []
     shapes: list[list[float]] | None = None
+    shapes_file: FileName | None = None
+
+    @field_validator("covariance")
+    @classmethod
+    def _is_covariance(cls, value: list[list[float]] | None) -> list[list[float]] | None:
+        if value is not None:
+            try:
+                checked_covariance(value, len(value), "")
+            except ValueError as error:  # NumPy's too, of rows that differ in length
+                raise ValueError(str(error).removeprefix(": ").removeprefix(".")) from None
+        return value
 
     @model_validator(mode="after")
-    def _trust(self) -> Self:
-        if (self.sd is None) == (self.beta is None):
-            raise ValueError("must have either sd or beta")
-        n = len(self.frequencies)
-        for key in ("sd", "beta", "numbers", "labels", "shapes"):
-            value = getattr(self, key)
-            if isinstance(value, list) and value and len(value) != n:
-                raise ValueError(f"{key} must be {n}, one a mode (got {len(value)})")
+    def _fits(self) -> Self:
+        given = [key for key in _SOURCES if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(got(f"must have one of {', '.join(_SOURCES)}", given))
+        trust = [key for key in _TRUST if getattr(self, key) is not None]
+        if len(trust) > 1 or (not trust and given[0] in ("frequencies", "uff")):
+            raise ValueError(got(_ONE_TRUST, trust))
+        if trust and given[0] == "tests":
+            raise ValueError(f"{trust[0]} must not be given beside tests, whose scatter tells the error")
+        if self.shapes is not None and self.shapes_file is not None:
+            raise ValueError("must have either shapes or shapes_file")
+        if self.shapes_file is not None and self.sensors:
+            raise ValueError("sensors must not be given beside shapes_file, which has them")
+        if given[0] in _WITH_SHAPES and (self.shapes is not None or self.shapes_file is not None):
+            raise ValueError(f"shapes must not be given beside {given[0]}, which has them")
+        if self.oma is not None and not self.sensors:
+            raise ValueError("sensors must be given beside oma, one a channel")
+        self._check_lengths()
         return self
 
-    @property
-    def weights(self) -> Any:
-        """β of eq. (4), one or one a mode, 1/Hz²."""
-        return self.beta if self.sd is None else (1.0 / (2.0 * np.asarray(self.sd) ** 2)).tolist()
+    def _check_lengths(self) -> None:
+        rows = [self.frequencies] if self.frequencies is not None else self.tests or []
+        if len({len(row) for row in rows}) > 1:
+            raise ValueError(
+                got("tests must have rows of one length, one value a mode", [len(row) for row in rows])
+            )
+        if not rows:
+            return
+        for key in ("sd", "beta", "covariance", "numbers", "labels", "shapes"):
+            value = getattr(self, key)
+            if isinstance(value, list) and value and len(value) != len(rows[0]):
+                raise ValueError(f"{key} must be {len(rows[0])}, one a mode (got {len(value)})")
 
     def build(self, folder: Path, built: Built) -> ModalData:
         """Return the data, at sensors of the model; BrokenError with what is wrong. Files are in `folder`."""
+        read = self._read(folder)
+        sensors = self._sensors(read.sensors, built)
+        n, most = len(read.frequencies), getattr(built.model, "n_dof", np.inf)
+        if n > most:
+            rule = f"must have at most {most} modes, one a degree of freedom of the model (got {n})"
+            raise BrokenError([Mistake("measurement", rule)])
+        given = {"sd": "sd_hz", "covariance": "covariance_hz2"}
+        trust = {argument: getattr(self, key) for key, argument in given.items() if getattr(self, key) is not None}
+        if not trust and self.beta is None:
+            trust = read.uncertainty
+            if not trust:
+                raise BrokenError(
+                    [Mistake("measurement", f"{_ONE_TRUST}, as the file has no standard deviations")]
+                )
+        numbers, labels = tuple(self.numbers) or read.numbers, tuple(self.labels) or read.labels
+        try:
+            return ModalData(read.frequencies, numbers, sensors, labels, read.shapes, **trust)
+        except ValueError as error:
+            raise BrokenError([Mistake("measurement", str(error))]) from None
+
+    def _sensors(self, given: tuple[tuple[Any, str], ...], built: Built) -> tuple[tuple[Any, str], ...]:
+        """Return sensors of the model for those of the file."""
         sensors, found = [], []
-        for i, (place, direction) in enumerate(self.sensors):
+        for i, (place, direction) in enumerate(given):
             sensor = (built.places.get(str(place), place), str(direction))
-            if built.model.sees(sensor):
-                sensors.append(sensor)
-            else:
+            sensors.append(sensor)
+            if not built.model.sees(sensor):
+                where = f"sensors.{i}" if self.sensors else "uff" if self.uff is not None else "shapes_file"
                 rule = got("must be a point and a direction that are free to move", [place, direction])
-                found.append(Mistake(f"measurement.sensors.{i}", rule))
+                found.append(Mistake(f"measurement.{where}", rule))
         if found:
             raise BrokenError(found)
-        shapes = None if self.shapes is None else np.array(self.shapes, dtype=float).T
-        return ModalData(self.frequencies, tuple(self.numbers), tuple(sensors), tuple(self.labels), shapes)
+        return tuple(sensors)
+
+    def _read(self, folder: Path) -> _Read:
+        sensors = tuple((place, str(direction)) for place, direction in self.sensors)
+        for key, table in (("uff", self.uff), ("oma", self.oma)):
+            if table is not None:
+                try:
+                    modes = table.read(folder, sensors)
+                except (ModesError, OSError, ImportError) as error:
+                    raise broken(f"measurement.{key}", error) from None
+                own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
+                return _Read(modes.frequencies_hz, own, modes.sensors, modes.labels, (), modes.shapes)
+        frequencies, own, labels, numbers = self._frequencies(folder)
+        if self.shapes_file is None:
+            shapes = None if self.shapes is None else _columns(self.shapes)
+            return _Read(frequencies, own, sensors, labels, numbers, shapes)
+        try:
+            modes = read_shapes(folder / self.shapes_file, labels or tuple(self.labels) or _counted(frequencies))
+        except (ModesError, OSError) as error:
+            raise broken("measurement.shapes_file", error) from None
+        return _Read(frequencies, own, modes.sensors, labels, numbers, modes.shapes)
+
+    def _frequencies(self, folder: Path) -> tuple[FloatArray, dict[str, Any], tuple[str, ...], tuple[int, ...]]:
+        """Return the frequencies, their own uncertainty, and labels and numbers where a table has them."""
+        if self.frequencies is not None:
+            return np.array(self.frequencies), {}, (), ()
+        if self.tests is not None:
+            try:
+                mean, sd, covariance = mean_frequencies(self.tests, self.scatter)
+            except ValueError as error:
+                place, _, rule = str(error).partition(": ")
+                raise BrokenError([Mistake(place.replace("frequencies", "measurement.tests"), rule)]) from None
+            return mean, {"sd_hz": sd, "covariance_hz2": covariance}, (), ()
+        try:
+            modes, numbers = read_frequencies(folder / str(self.file))
+        except (ModesError, OSError) as error:
+            raise broken("measurement.file", error) from None
+        return modes.frequencies_hz, {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}, modes.labels, numbers
+
+
+def _columns(shapes: list[list[float]]) -> FloatArray:
+    """Return shapes given a row a mode, a column a mode."""
+    if len({len(shape) for shape in shapes}) > 1:
+        rule = got("must have rows of one length, one value a sensor", [len(shape) for shape in shapes])
+        raise BrokenError([Mistake("measurement.shapes", rule)])
+    return np.array(shapes, dtype=float).T
+
+
+def _counted(frequencies: FloatArray) -> tuple[str, ...]:
+    return tuple(str(i + 1) for i in range(len(frequencies)))

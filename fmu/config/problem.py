@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,7 +14,9 @@ from fmu.config.frame import FrameTable
 from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
+from fmu.config.model import Built
 from fmu.config.parameters import ParameterTable
+from fmu.posterior.measurement import ModalData
 from fmu.posterior.problem import UpdatingProblem
 
 
@@ -52,14 +55,14 @@ class ProblemFile(Table):
             raise ConfigurationError(source, found)
         try:
             built = self.model.build(folder, self.parameters)
-            data = self.measurement.build(folder, built)
+            data = self._data(folder, built, beta)
             return UpdatingProblem(
                 built.model,
                 data,
                 parameters,
                 pairing=pairing or self.pairing,
                 reduction=self.reduction,
-                beta=self.measurement.weights if beta is None else beta,
+                beta=self.measurement.beta if beta is None else beta,
                 error=self.error,
                 name=f"{self.name}, by {pairing or self.pairing}",
             )
@@ -67,3 +70,12 @@ class ProblemFile(Table):
             raise ConfigurationError(source, error.mistakes) from None
         except ValueError as error:
             raise ConfigurationError(source, [Mistake("", str(error))]) from error
+
+    def _data(self, folder: Path, built: Built, beta: Any) -> ModalData:
+        """Return what was measured, without its own uncertainty where `beta` holds instead."""
+        data = self.measurement.build(folder, built)
+        if beta is not None:
+            return replace(data, sd_hz=None, covariance_hz2=None)
+        if self.error == "modal-residual" and self.measurement.beta is None:
+            raise BrokenError([Mistake("measurement.beta", "must be given for the modal residual, as a number")])
+        return data

@@ -1,0 +1,225 @@
+"""``[measurement]``: where the modes come from, how far they are trusted, and what is wrong with either."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fmu.config import ConfigurationError, load
+from fmu.formats.pyoma import save_pyoma
+from fmu.posterior.correlated import CorrelatedFrequencyError
+from fmu.posterior.measurement import ModalData
+
+GIVEN = """\
+frequencies = [3.1, 9.8]
+sd = 0.05
+shapes = [[0.6, 1.0], [1.0, -0.6]]
+sensors = [["first", "x"], ["second", "x"]]
+"""
+SENSORS = 'sensors = [["first", "x"], ["second", "-x"]]\n'
+SHAPES = np.array([[0.6, 1.0], [1.0, -0.6]])
+
+
+@pytest.fixture
+def problem(folder, matrices_text):
+    """Return a function that loads the two storeys with another measurement."""
+    assert GIVEN in matrices_text
+
+    def loaded(measurement, old="", new="", **options):
+        path = folder / "storeys.toml"
+        path.write_text(matrices_text.replace(GIVEN, measurement).replace(old, new))
+        return load(path, **options)
+
+    return loaded
+
+
+@pytest.fixture
+def mistakes(problem):
+    def found(*arguments):
+        with pytest.raises(ConfigurationError) as caught:
+            problem(*arguments)
+        return [str(mistake) for mistake in caught.value.mistakes]
+
+    return found
+
+
+def test_standard_deviations_belong_to_the_data(problem):
+    found = problem(GIVEN)
+    assert_array_equal(found.data.sd_hz, [0.05, 0.05])
+    assert_allclose(found.likelihood.error.sd, 0.05)
+    assert_array_equal(problem(GIVEN, beta=3.0).likelihood.beta, [3.0, 3.0])
+    assert problem(GIVEN, beta=3.0).data.sd_hz is None
+    weighted = problem(GIVEN.replace("sd = 0.05", "beta = [1.0, 2.0]"))
+    assert weighted.data.sd_hz is None
+    assert_array_equal(weighted.likelihood.beta, [1.0, 2.0])
+
+
+def test_covariance(problem):
+    covariance = [[0.01, 0.004], [0.004, 0.04]]
+    found = problem(GIVEN.replace("sd = 0.05", f"covariance = {covariance}"))
+    assert isinstance(found.likelihood.error, CorrelatedFrequencyError)
+    assert_array_equal(found.data.covariance_hz2, covariance)
+
+
+@pytest.mark.parametrize("scatter", ["each", "pooled"])
+def test_repeated_tests(problem, scatter):
+    rows = "tests = [[3.1, 9.8], [3.12, nan], [3.09, 9.9]]\n" + SENSORS
+    found = problem(rows + f'scatter = "{scatter}"\n')
+    expected = ModalData.from_tests([[3.1, 9.8], [3.12, np.nan], [3.09, 9.9]], scatter=scatter)
+    assert_array_equal(found.data.frequencies_hz, expected.frequencies_hz)
+    assert_array_equal(found.data.sd_hz, expected.sd_hz)
+
+
+def test_joint_scatter_of_tests(problem):
+    rows = [[3.1, 9.8], [3.12, 9.9], [3.09, 9.7], [3.11, 9.85], [3.1, 9.95]]
+    found = problem(f'tests = {rows}\nscatter = "joint"\n')
+    assert_array_equal(found.data.covariance_hz2, ModalData.from_tests(rows, scatter="joint").covariance_hz2)
+
+
+def test_tables(problem, folder):
+    (folder / "modes.csv").write_text("mode,frequency,sd\nsway,3.1,0.02\nbend,9.8,0.05\n")
+    (folder / "shapes.csv").write_text("place,direction,bend,sway\nfirst,x,1.0,0.6\nsecond,-x,0.6,-1.0\n")
+    data = problem('file = "modes.csv"\nshapes_file = "shapes.csv"\n').data
+    assert data.labels == ("sway", "bend")
+    assert_array_equal(data.sd_hz, [0.02, 0.05])
+    assert_array_equal(data.shapes, [[0.6, 1.0], [-1.0, 0.6]])
+    assert data.sensors == (("first", "x"), ("second", "-x"))
+    mine = problem('file = "modes.csv"\nsd = 0.1\nnumbers = [2, 1]\nlabels = ["a", "b"]\n').data
+    assert_array_equal(mine.sd_hz, [0.1, 0.1])
+    assert (mine.numbers, mine.labels, mine.shapes) == ((2, 1), ("a", "b"), None)
+
+
+def test_shapes_in_a_table_beside_frequencies_in_the_file(problem, folder):
+    (folder / "shapes.csv").write_text("place,direction,1,2\nfirst,x,0.6,1.0\nsecond,x,1.0,-0.6\n")
+    one = problem('frequencies = [3.1, 9.8]\nsd = 0.05\nshapes_file = "shapes.csv"\n')
+    theta = np.array([3.1e7, 2.8e7])
+    assert one.log_prob(theta) == problem(GIVEN).log_prob(theta)
+
+
+def test_fewer_modes_than_the_model_has(problem):
+    text = "frequencies = [9.8]\nsd = 0.05\nnumbers = [2]\n"
+    found = problem(text, 'name = "two storeys"', 'name = "two storeys"\npairing = "index"')
+    both = problem(GIVEN)
+    theta = np.array([3.1e7, 2.8e7])
+    assert found.frequencies(theta)[0] == pytest.approx(both.frequencies(theta)[1])
+
+
+def test_universal_file(problem, folder):
+    pytest.importorskip("pyuff")
+    data = ModalData([3.1, 9.8], (4, 7), ((11, "x"), (12, "x"), (13, "y")), shapes=[*SHAPES, [0.1, 0.2]])
+    data.to_uff(folder / "test.uff")
+    text = 'uff = { file = "test.uff", nodes = { 11 = "first", 12 = "second" }, modes = [7, 4] }\nsd = 0.05\n'
+    found = problem(text).data
+    assert_array_equal(found.frequencies_hz, [9.8, 3.1])
+    assert found.labels == ("7", "4")
+    assert found.sensors == (("first", "x"), ("second", "x"))
+    assert_allclose(found.shapes, SHAPES[:, ::-1])
+    turned = problem(text + SENSORS).data
+    assert turned.sensors == (("first", "x"), ("second", "-x"))
+    assert_allclose(turned.shapes, SHAPES[:, ::-1] * [[1.0], [-1.0]])
+
+
+def test_result_of_pyoma(problem, folder):
+    result = SimpleNamespace(Fn=[3.1, 9.8], Phi=SHAPES * np.exp(0.3j), Fn_std=[0.02, 0.03])
+    save_pyoma(folder / "oma.npz", result)
+    found = problem('oma = { file = "oma.npz" }\n' + SENSORS).data
+    assert_array_equal(found.sd_hz, [0.02, 0.03])
+    assert_allclose(np.abs(found.shapes), np.abs(SHAPES))
+    assert found.sensors == (("first", "x"), ("second", "-x"))
+    assert_array_equal(problem('oma = { file = "oma.npz" }\nbeta = 2.0\n' + SENSORS).likelihood.beta, [2.0, 2.0])
+
+
+BROKEN = {
+    "": "measurement: must have one of frequencies, tests, file, uff, oma (got [])",
+    'frequencies = [3.1]\nsd = 0.1\nfile = "modes.csv"': "measurement: must have one of frequencies, tests,",
+    "frequencies = [3.1, 9.8]": "measurement: must have either sd or beta or covariance (got [])",
+    "frequencies = [3.1, 9.8]\nsd = 0.1\nbeta = 1.0": "measurement: must have either sd or beta or covariance",
+    "frequencies = [3.1, -9.8]\nsd = 0.1": "measurement.frequencies.1: must be greater than 0 (got -9.8)",
+    "frequencies = [3.1, nan]\nsd = 0.1": "measurement.frequencies.1: must be a finite number (got nan)",
+    "frequencies = []\nsd = 0.1": "measurement.frequencies: must have at least 1 item",
+    "frequencies = [3.1, 9.8]\nsd = [0.1, 0.0]": "measurement.sd",
+    "frequencies = [3.1, 9.8]\nsd = [0.1]": "measurement: sd must be 2, one a mode (got 1)",
+    "frequencies = [3.1, 9.8]\ncovariance = [[1.0]]": "measurement: covariance must be 2, one a mode (got 1)",
+    "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 0.0], [0.5, 1.0]]": (
+        "measurement.covariance: must be symmetric (got 0.0 at 0.1 and 0.5 at 1.0)"
+    ),
+    "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 1.0], [1.0, 1.0]]": (
+        "measurement.covariance: must be positive definite"
+    ),
+    "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 1.0], [1.0]]": "measurement.covariance: ",
+    "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 0.0], [0.0, -1.0]]": "measurement.covariance",
+    "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0, 1.0], [1.0]]\n" + SENSORS: (
+        "measurement.shapes: must have rows of one length, one value a sensor (got [2, 1])"
+    ),
+    "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0], [1.0]]\n" + SENSORS: (
+        "measurement: shapes: must have shape (2, 2), sensors x modes (got (1, 2))"
+    ),
+    "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0, 1.0]]\n" + SENSORS: (
+        "measurement: shapes must be 2, one a mode (got 1)"
+    ),
+    'frequencies = [3.1, 9.8]\nsd = 0.1\nsensors = [["first", "x"], ["third", "x"], ["first", "up"]]': (
+        "measurement.sensors.1: must be a point and a direction that are free to move (got ['third', 'x'])"
+    ),
+    "frequencies = [3.1, 9.8, 20.0]\nsd = 0.1": (
+        "measurement: must have at most 2 modes, one a degree of freedom of the model (got 3)"
+    ),
+    "tests = [[3.1, 9.8]]": "measurement.tests: must have at least 2 items",
+    "tests = [[3.1, 9.8], [3.2]]": "measurement: tests must have rows of one length, one value a mode (got [2, 1",
+    "tests = [[3.1, 9.8], [3.2, 9.9]]\nsd = 0.1": "measurement: sd must not be given beside tests",
+    "tests = [[3.1, 9.8], [3.2, -9.9]]": "measurement.tests.1.1: must be positive and finite, or NaN (got -9.9",
+    "tests = [[3.1, 9.8], [3.2, nan]]": "measurement.tests: every mode must have at least 2 values (got 1 of",
+    "tests = [[3.1, 9.8], [3.1, 9.9]]": "measurement.tests: the values of a mode must differ",
+    'tests = [[3.1, 9.8], [3.2, 9.9]]\nscatter = "joint"': "measurement.tests: must be of at least 5 tests",
+    'file = "none.csv"': "measurement.file: must be a file (no such file: ",
+    'file = "no-sd.csv"': "measurement: must have either sd or beta or covariance, as the file has no standard",
+    'file = "broken.csv"': "measurement.file: line 2, column frequency: must be a positive number (got '-3')",
+    'file = "no-sd.csv"\nsd = [0.1, 0.2, 0.3]': "measurement: sd_hz: must be a number or have shape (2,)",
+    'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "none.csv"': "measurement.shapes_file: must be a file",
+    'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"': (
+        "measurement.shapes_file: must be a point and a direction that are free to move (got ['roof', 'x'])"
+    ),
+    'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"\n' + SENSORS: (
+        "measurement: sensors must not be given beside shapes_file"
+    ),
+    'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"\nshapes = [[1.0, 1.0], [1.0, 1.0]]': (
+        "measurement: must have either shapes or shapes_file"
+    ),
+    'uff = { file = "none.uff" }\nsd = 0.1': "measurement.uff: must be a file (no such file: ",
+    'uff = { file = "test.uff" }': "measurement: must have either sd or beta or covariance (got [])",
+    'uff = { file = "test.uff" }\nsd = 0.1\nshapes = [[1.0]]': "measurement: shapes must not be given beside uff",
+    'uff = { file = "test.uff", nodes = { tip = 3 } }\nsd = 0.1': "measurement.uff.nodes.tip",
+    'oma = { file = "oma.npz" }': "measurement: sensors must be given beside oma, one a channel",
+    'oma = { file = "no-sd.csv" }\n' + SENSORS: "measurement.oma: must be a file of fmu.formats.pyoma.save_pyoma",
+    'oma = { file = "oma.npz", modes = [3] }\n' + SENSORS: "measurement.oma: modes: must lie in 1..2 (got [3])",
+}
+
+
+@pytest.mark.parametrize(("text", "mistake"), BROKEN.items(), ids=range(len(BROKEN)))
+def test_mistakes(mistakes, folder, text, mistake):
+    (folder / "no-sd.csv").write_text("mode,frequency\na,3.1\nb,9.8\n")
+    (folder / "broken.csv").write_text("mode,frequency\na,-3\nb,9.8\n")
+    (folder / "off.csv").write_text("place,direction,a,b\nfirst,x,1,1\nroof,x,1,-1\n")
+    save_pyoma(folder / "oma.npz", {"Fn": [3.1, 9.8], "Phi": SHAPES})
+    found = mistakes(text + "\n")
+    assert found[0].startswith(mistake), found
+
+
+def test_all_mistakes_of_a_table_at_once(mistakes, folder):
+    (folder / "modes.csv").write_text("mode,frequency\na,-3\n,x\n")
+    found = mistakes('file = "modes.csv"\n')
+    assert len(found) == 3
+    assert all(mistake.startswith("measurement.file: line") for mistake in found)
+
+
+def test_all_sensors_off_the_model_at_once(mistakes):
+    found = mistakes('frequencies = [3.1]\nsd = 0.1\nsensors = [["a", "x"], ["first", "y"]]\n')
+    assert [re.match(r"measurement\.sensors\.(\d)", mistake)[1] for mistake in found] == ["0", "1"]
+
+
+def test_modal_residual_needs_beta(problem, mistakes):
+    option = ('name = "two storeys"', 'name = "two storeys"\nerror = "modal-residual"')
+    assert mistakes(GIVEN, *option) == ["measurement.beta: must be given for the modal residual, as a number"]
+    found = problem(GIVEN.replace("sd = 0.05", "beta = 100.0"), *option)
+    assert_array_equal(found.likelihood.beta, [100.0, 100.0])
