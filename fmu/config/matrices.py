@@ -1,4 +1,7 @@
-"""``[model] type = "matrices"``: stiffness and mass terms from files, as finite-element programs export them."""
+"""``[model] type = "matrices"``: stiffness and mass terms from files, as finite-element programs export them.
+
+`fmu.formats.matrices` says which files are read and how to come by them.
+"""
 
 from __future__ import annotations
 
@@ -8,105 +11,164 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from fmu.config.fields import Name, SensorTable, Table
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.model import Built
-from fmu.fem.separable import SeparableModel, Term
+from fmu.config.model import Built, without_targets
+from fmu.fem.separable import SeparableModel, Term, selection
+from fmu.fem.stability import require_stable
+from fmu.formats.abaqus import HELD
+from fmu.formats.matrices import read_labelled
+from fmu.formats.matrix_files import Labelled
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
 
-LARGEST_FILE = 2**30
-"""Bytes; a file beyond it is refused before it is read."""
-READABLE = (".mtx", ".npz")
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+
+FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, pattern=r"^[^\x00-\x1f]+$")]
+"""From the folder of the TOML file."""
 
 
 class TermTable(Table):
     """One matrix, in SI units, times the product of parameters to their powers."""
 
-    file: Name
+    file: FileName
+    variable: FileName | None = None
+    triangle: bool | Literal["lower", "upper"] = False
     factor: float = 1.0
     powers: dict[Name, float] = {}
 
 
 class MatricesTable(Table):
-    """K(theta) and M(theta) as sums of matrices."""
+    """K(theta) and M(theta) as sums of matrices; ``free = true`` if nothing holds the structure, on purpose."""
 
     type: Literal["matrices"]
     stiffness: Annotated[list[TermTable], Field(min_length=1)]
     mass: Annotated[list[TermTable], Field(min_length=1)]
     dofs: list[SensorTable] | None = None
+    free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
         """Return the powers of parameters that do not exist, and the parameters that no term has."""
         names = [parameter.name for parameter in parameters]
         found, used = [], set()
-        for key in ("stiffness", "mass"):
-            for i, term in enumerate(getattr(self, key)):
-                used |= set(term.powers)
-                found += [
-                    Mistake(f"model.{key}.{i}.powers", got(f"must name one of {', '.join(names)}", name))
-                    for name in term.powers
-                    if name not in names
-                ]
-        found += [
-            Mistake(f"parameters.{i}.name", got("must be in the powers of a term", name))
-            for i, name in enumerate(names)
-            if name not in used
-        ]
-        return found
+        for where, term in self._terms():
+            used |= set(term.powers)
+            found += [
+                Mistake(f"{where}.powers", got(f"must name one of {', '.join(names)}", name))
+                for name in term.powers
+                if name not in names
+            ]
+        for i, table in enumerate(parameters):
+            if table.name not in used:
+                found.append(Mistake(f"parameters.{i}.name", got("must be in the powers of a term", table.name)))
+        return found + without_targets(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Read the matrices beside the file and return the model; BrokenError with what is wrong with them."""
-        terms: dict[str, list[Term]] = {}
+        read: list[Labelled] = []
         found: list[Mistake] = []
-        for key in ("stiffness", "mass"):
-            terms[key] = []
-            for i, table in enumerate(getattr(self, key)):
-                try:
-                    matrix = read_matrix(folder / table.file) * table.factor
-                except ValueError as error:
-                    found.append(Mistake(f"model.{key}.{i}.file", str(error)))
-                    continue
-                terms[key].append(Term(matrix, tuple(table.powers.get(p.name, 0.0) for p in parameters)))
+        for where, table in self._terms():
+            try:
+                read.append(read_labelled(folder / table.file, table.variable, table.triangle))
+            except ValueError as error:
+                key, _, rule = str(error).partition(": ")
+                at = (key, rule) if key in ("variable", "triangle") else ("file", str(error))
+                found.append(Mistake(f"{where}.{at[0]}", at[1]))
         if found:
             raise BrokenError(found)
-        dofs = None if self.dofs is None else [(node, str(direction)) for node, direction in self.dofs]
+        matrices, dofs = self._on_the_same_dofs(read)
+        terms = [
+            Term(matrix * table.factor, tuple(table.powers.get(p.name, 0.0) for p in parameters))
+            for matrix, (_, table) in zip(matrices, self._terms(), strict=True)
+        ]
+        n = len(self.stiffness)
         try:
-            return Built(SeparableModel(terms["stiffness"], terms["mass"], dofs), {})
+            model = SeparableModel(terms[:n], terms[n:], dofs)
+            require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
-            words = str(error).replace("K_terms", "stiffness").replace("M_terms", "mass")
-            raise BrokenError([Mistake("model", words)]) from error
+            raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error
+        return Built(model, {})
 
+    def _terms(self) -> list[tuple[str, TermTable]]:
+        """Return the terms with their places in the file, stiffness first."""
+        both = (("stiffness", self.stiffness), ("mass", self.mass))
+        return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
-def read_matrix(path: Path) -> Any:
-    """Read a real matrix: Matrix Market (``.mtx``) or scipy.sparse (``.npz``).
+    def _of_dofs(self) -> list[Mistake]:
+        found, seen = [], set()
+        for i, (node, direction) in enumerate(self.dofs or []):
+            if direction not in DIRECTIONS:
+                rule = got(f"must be a node and one of {', '.join(DIRECTIONS)}", [node, direction])
+                found.append(Mistake(f"model.dofs.{i}", rule))
+            if (node, direction) in seen:
+                found.append(Mistake(f"model.dofs.{i}", got("must not be that of another row", [node, direction])))
+            seen.add((node, direction))
+        return found
 
-    Raises
-    ------
-    ValueError
-        If the file does not exist, is too large, of another kind, or holds no real square matrix.
-    """
-    if path.suffix not in READABLE:
-        raise ValueError(got(f"must end in {' or '.join(READABLE)}", path.name))
-    if not path.is_file():
-        raise ValueError(got("must be a file", str(path)))
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"must have at most {LARGEST_FILE} bytes (got {path.stat().st_size})")
-    try:
-        matrix = _read(path)
-    except Exception as error:  # whatever a broken file makes the readers raise
-        raise ValueError(f"must hold a matrix ({path.name}: {error})") from error
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or np.iscomplexobj(matrix):
-        raise ValueError(f"must hold a real square matrix (got {matrix.dtype} of shape {matrix.shape})")
-    return sp.csr_array(matrix.astype(float))
+    def _on_the_same_dofs(self, read: Sequence[Labelled]) -> tuple[list[Any], list[tuple[Any, str]]]:
+        """Return the matrices on the degrees of freedom of all, and their names.
 
+        Where the files name them, a matrix may lack those that it is zero at. Those that Abaqus marks as held by a
+        support, with 1e36 in the stiffness, are left out.
+        """
+        labels = [one.dofs for one in read if one.dofs is not None]
+        matrices = [one.matrix for one in read]
+        if labels:
+            self._check_labels(read)
+            everything = {dof for names in labels for dof in names}
+            dofs: list[tuple[Any, str]] = sorted(everything, key=lambda dof: (dof[0], DIRECTIONS.index(dof[1])))
+            index = {dof: i for i, dof in enumerate(dofs)}
+            at = ([index[dof] for dof in names] for names in labels)
+            rows = [selection(rows, len(dofs)) for rows in at]
+            matrices = [
+                sp.csr_array(place.T @ matrix @ place) for place, matrix in zip(rows, matrices, strict=True)
+            ]
+        else:
+            self._check_sizes(read)
+            named = self.dofs or [[i, "x"] for i in range(matrices[0].shape[0])]
+            dofs = [(node, str(direction)) for node, direction in named]
+        largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
+        free = np.flatnonzero(largest < HELD)
+        if len(free) == 0:
+            raise BrokenError([Mistake("model.stiffness", f"must have a diagonal below {HELD:g} somewhere")])
+        return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free]
 
-def _read(path: Path) -> Any:
-    if path.suffix == ".mtx":
-        from scipy.io import mmread
+    def _check_labels(self, read: Sequence[Labelled]) -> None:
+        found = [
+            Mistake(f"{where}.file", "must name its degrees of freedom, as the other files do")
+            for (where, _), one in zip(self._terms(), read, strict=True)
+            if one.dofs is None
+        ]
+        if self.dofs is not None:
+            found.append(Mistake("model.dofs", "must not be given: the files name the degrees of freedom"))
+        if found:
+            raise BrokenError(found)
 
-        return mmread(path, spmatrix=False)
-    return sp.load_npz(path)
+    def _check_sizes(self, read: Sequence[Labelled]) -> None:
+        n = read[0].matrix.shape[0]
+        found = [
+            Mistake(f"{where}.file", f"must have {n} rows, as model.stiffness.0 has (got {one.matrix.shape[0]})")
+            for (where, _), one in zip(self._terms(), read, strict=True)
+            if one.matrix.shape[0] != n
+        ]
+        if self.dofs is not None and len(self.dofs) != n:
+            found.append(
+                Mistake("model.dofs", f"must name {n} degrees of freedom, one a row (got {len(self.dofs)})")
+            )
+        if found:
+            raise BrokenError(found)
+
+    def _in_words(self, error: str) -> str:
+        """Return what is wrong with a model in the words of the file, with what to do about it."""
+        text = error.replace("K_terms", "stiffness").replace("M_terms", "mass") + ", at the start"
+        if "mass matrix must be positive definite (it has none" in text:
+            text += (
+                "; what has no mass, as many programs export rotations, has to be condensed by the program that "
+                "exports (condensing K(θ) afterwards gives no sum of terms), or given a small mass"
+            )
+        if "can move without strain" in text and not self.free:
+            text += "; free = true if nothing holds it on purpose"
+        return text

@@ -16,6 +16,7 @@ from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.model import Built
 from fmu.config.parameters import ParameterTable
+from fmu.config.python import PythonTable
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.problem import UpdatingProblem
 
@@ -28,7 +29,7 @@ class ProblemFile(Table):
     pairing: Literal["shape", "index"] = "shape"
     error: Literal["frequency", "modal-residual"] = "frequency"
     reduction: bool = True
-    model: Annotated[FrameTable | MatricesTable, Field(discriminator="type")]
+    model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
     measurement: MeasurementTable
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
 
