@@ -93,8 +93,9 @@ def what_moves(
         U, _, _ = np.linalg.svd(Y - Q @ (Q.T @ Y), full_matrices=False)
         Y = U[:, : Y.shape[1] - rigid.shape[1]]
     share = np.sum(Y**2, axis=1)
+    share = np.round(share / share.max(), 3)  # what moves alike stays in the order of the model
     order = np.argsort(-share, kind="stable")
-    most = [i for i in order[:_SHOWN].tolist() if share[i] > 0.25 * share[order[0]]]
+    most = [i for i in order[:_SHOWN].tolist() if share[i] > 0.25]
     names = ", ".join(f"{label(model.dofs[i][0])} {model.dofs[i][1]}" for i in most)
     return f"{names} move{'s' if len(most) == 1 else ''} most"
 
