@@ -24,14 +24,16 @@ _ROTATIONS = ("rx", "ry", "rz")
 
 
 def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
-    """Draw a structure: elements in the colour of the first parameter that changes them, supports and sensors.
+    """Draw a structure: elements in the colour of the first parameter that changes them, and what is at the nodes.
+
+    Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
 
     Parameters
     ----------
     model : SeparableModel
         With its geometry.
-    sensors : sequence of (node, direction)
-        Translations are marked by arrows.
+    sensors : sequence of (place, direction)
+        Translations are marked by arrows, those of a rigid arm at its end.
 
     Returns
     -------
@@ -45,19 +47,21 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
     """
     geometry = _geometry(model)
     view = _view(geometry.nodes)
-    place = _fitted(geometry.nodes @ view.T)
-    parts = [
+    at_node = {node: geometry.nodes[node] for node in range(len(geometry.nodes))}
+    tips = {name: geometry.nodes[arm.node] + arm.offset for name, arm in model.arms.items()}
+    points = at_node | tips
+    place = dict(zip(points, _fitted(np.array(list(points.values())) @ view.T), strict=True))
+    parts = [_line(place[model.arms[name].node], place[name], UNCHANGED, 1.5) for name in tips]
+    parts += [
         _line(place[a], place[b], colour, 4)
         for (a, b), colour in zip(geometry.elements, element_colours(changed_elements(model)), strict=True)
     ]
+    parts += [_spring(place[a], None if b is None else place[b]) for a, b in geometry.springs]
     parts += [_support(place[node]) for node in _supported(model)]
-    parts += [
-        _arrow(place[model.arms[n].node if n in model.arms else n], _pointing(d) @ view.T)
-        for n, d in sensors
-        if d[-2:] not in _ROTATIONS
-    ]
-    words = f"{len(place)} nodes, {len(geometry.elements)} elements, {len(sensors)} sensors"
-    height = place[:, 1].max() + _MARGIN
+    parts += [_dot(place[node], 6, UNCHANGED) for node in geometry.masses]
+    parts += [_arrow(place[n], _pointing(d) @ view.T) for n, d in sensors if d[-2:] not in _ROTATIONS]
+    words = f"{len(at_node)} nodes, {len(geometry.elements)} elements, {len(sensors)} sensors"
+    height = max(y for _, y in place.values()) + _MARGIN
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" '
         f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{_WIDTH:.0f}px">'
@@ -67,8 +71,8 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
 
 def element_colours(changed: BoolArray) -> list[str]:
     """Return the colour of each element, from `changed_elements`: that of the first parameter that changes it."""
-    first = np.where(changed.any(axis=1), np.argmax(changed, axis=1), -1)
-    return [UNCHANGED if k < 0 else COLOURS[k % len(COLOURS)] for k in first]
+    first = [int(np.argmax(row)) if row.any() else None for row in changed]
+    return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
 def parameter_colours(model: SeparableModel) -> list[str | None]:
@@ -90,7 +94,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     """
     elements = _geometry(model).elements
     dofs: dict[Any, list[int]] = {}
-    for i, (node, _) in enumerate(model.dofs):
+    for (node, _), i in model.dof_of.items():
         dofs.setdefault(node, []).append(i)
     ends = [(dofs.get(int(a), []), dofs.get(int(b), [])) for a, b in elements]
     changed = np.zeros((len(ends), model.n_parameters), dtype=bool)
@@ -144,7 +148,7 @@ def _fitted(points: FloatArray) -> FloatArray:
 def _supported(model: SeparableModel) -> list[int]:
     """Return the nodes of elements that cannot move in every direction that others can."""
     free: dict[Any, set[str]] = {}
-    for node, direction in model.dofs:
+    for node, direction in model.dof_of:
         free.setdefault(node, set()).add(direction)
     most = max(len(directions) for directions in free.values())
     nodes = np.unique(_geometry(model).elements)
@@ -163,12 +167,31 @@ def _support(at: FloatArray) -> str:
     return f'<rect x="{x:.1f}" y="{y:.1f}" width="14" height="14" fill="none" stroke="#000" stroke-width="1.5"/>'
 
 
+def _dot(at: FloatArray, radius: float, colour: str) -> str:
+    return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:g}" fill="{colour}"/>'
+
+
+def _spring(a: FloatArray, b: FloatArray | None) -> str:
+    """Draw a zigzag, down to a line where it ends in the ground; a ring between two nodes at one place."""
+    end = a + np.array([0.0, 22.0]) if b is None else b
+    along = end - a
+    length = float(np.linalg.norm(along))
+    if length < _FLAT:
+        return f'<circle cx="{a[0]:.1f}" cy="{a[1]:.1f}" r="6" fill="#fff" stroke="#000" stroke-width="1.5"/>'
+    across = 5.0 * np.array([-along[1], along[0]]) / length
+    steps = [(0.0, 0), (0.2, 0), (0.3, 1), (0.5, -1), (0.7, 1), (0.8, 0), (1.0, 0)]
+    zigzag = " ".join(f"{x:.1f},{y:.1f}" for x, y in (a + t * along + side * across for t, side in steps))
+    half = np.array([8.0, 0.0])
+    ground = _line(end - half, end + half, "#000", 2) if b is None else ""
+    return f'<polyline points="{zigzag}" fill="none" stroke="#000" stroke-width="1.5"/>' + ground
+
+
 def _arrow(at: FloatArray, direction: FloatArray) -> str:
     """Draw an arrow in the direction of a sensor, a dot where it points at the reader."""
     along = direction * (1.0, -1.0)
     length = float(np.linalg.norm(along))
     if length < _FLAT:
-        return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="4" fill="#000"/>'
+        return _dot(at, 4, "#000")
     along = along / length
     across = np.array([-along[1], along[0]])
     tip = at + 18.0 * along

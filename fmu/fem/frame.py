@@ -141,7 +141,7 @@ class Frame:
             merge_terms(K_terms),
             merge_terms(M_terms),
             numbering.names,
-            Geometry(nodes, elements),
+            Geometry(nodes, elements, [m.node for m in self.masses], [spring.nodes for spring in self.springs]),
             self.arms,
             numbering.ties,
         )

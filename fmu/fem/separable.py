@@ -62,10 +62,16 @@ class Geometry:
         A degree of freedom named ``(node, direction)`` belongs to row `node`.
     elements : ndarray of int, shape (n_elements, 2)
         Both ends of each line to draw.
+    masses : sequence of int
+        Nodes with a point mass.
+    springs : sequence of (int, int or None)
+        Both ends of each spring, the second one None for the ground.
     """
 
     nodes: FloatArray
     elements: IntArray
+    masses: Sequence[int] = ()
+    springs: Sequence[tuple[int, int | None]] = ()
 
 
 @dataclass(frozen=True)

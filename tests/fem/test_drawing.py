@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from fmu.fem.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.separable import SeparableModel
+from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.separable import RigidArm, SeparableModel
 from tests import cantilever
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -80,7 +80,7 @@ def test_supports_and_sensors_are_marked():
     (held,) = root.iter(f"{SVG}rect")
     assert float(held.get("x")) + 7 == pytest.approx(lines(drawing(model))[0][1][0], abs=0.1)
     assert len(list(root.iter(f"{SVG}polygon"))) == 1  # an arrow upwards
-    assert len(list(root.iter(f"{SVG}circle"))) == 1  # one that points away from the reader
+    assert [e.get("r") for e in root.iter(f"{SVG}circle")] == ["6", "4"]  # the mass; one that points away
     assert "51 nodes, 50 elements, 3 sensors" in root.get("aria-label")
 
 
@@ -90,3 +90,32 @@ def test_no_drawing_without_a_geometry():
     for draw in (drawing, changed_elements):
         with pytest.raises(ValueError, match="model: must have a geometry"):
             draw(bare)
+
+
+def test_masses_springs_and_arms_are_drawn():
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 1], [2, 0, 2]], float)
+    groups = [ElementGroup("g", [(0, 1), (2, 3)], SECTION, STEEL)]
+    springs = [
+        JointSpring("foot", (0, None), {"z": 1e6}),
+        JointSpring("knee", (1, 2), {"ry": 1e4}, tied=("x", "y", "z")),
+        JointSpring("hanger", (3, 4), {"z": 1e4}),
+    ]
+    fixed = {4: ("x", "y", "rx", "ry", "rz")}
+    model = Frame(
+        nodes, groups, fixed, [PointMass(4, 1.0)], {"skin": RigidArm(3, (0.3, 0, 0))}, springs
+    ).separable()
+    bare = Frame(nodes[:4], groups, {}, springs=springs[1:2]).separable()
+    drawn, less = (ET.fromstring(drawing(m, s)) for m, s in ((model, [("skin", "x")]), (bare, [])))
+
+    def count(root, tag):
+        return len(list(root.iter(f"{SVG}{tag}")))
+
+    assert (count(drawn, "polyline"), count(less, "polyline")) == (2, 0)  # zigzags of foot and hanger
+    assert (count(drawn, "circle"), count(less, "circle")) == (2, 1)  # the mass, and the ring of the knee
+    assert count(drawn, "rect") == 0  # the tied node moves in all directions, though it owns but three
+    (arm, *_) = lines(drawing(model))
+    (arrow,) = (
+        e for e in drawn.iter(f"{SVG}line") if e.get("stroke") == "#000" and e.get("stroke-width") == "1.5"
+    )
+    assert [float(arrow.get(k)) for k in ("x1", "y1")] == arm[1][2:]  # the sensor is at the end of its arm
+    assert arm[1][2] > arm[1][0]
