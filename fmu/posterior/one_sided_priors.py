@@ -48,26 +48,27 @@ class HalfNormal(QuantilePrior):
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return the normalised log-density."""
-        return np.where(x >= self.at, self._whole.log_pdf(x) + np.log(2.0), -np.inf)
+        return np.where(x >= self.at, self.gaussian.log_pdf(x) + np.log(2.0), -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
         """Return −(x − at)/sd²."""
-        return np.where(x >= self.at, self._whole.log_pdf_gradient(x), np.nan)
+        return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
         """Return the logarithm of the probability between two bounds."""
-        return self._whole.log_mass(max(lower, self.at), upper) + float(np.log(2.0))
+        return self.gaussian.log_mass(max(lower, self.at), upper) + float(np.log(2.0))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
         """Return the quantiles `p` of the distribution truncated to the bounds."""
-        return self._whole.quantile(p, max(lower, self.at), upper)
+        return self.gaussian.quantile(p, max(lower, self.at), upper)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"distribution": "half-normal", "sd": self.sd, "at": self.at}
 
     @cached_property
-    def _whole(self) -> Normal:
+    def gaussian(self) -> Normal:
+        """The whole of which it is a half."""
         return Normal(self.sd, self.at)
 
 
@@ -130,27 +131,28 @@ class LogNormal(QuantilePrior):
         """Return the normalised log-density."""
         with np.errstate(divide="ignore", invalid="ignore"):
             log_x = np.log(x)
-            return np.where(x > 0.0, self._of_log.log_pdf(log_x) - log_x, -np.inf)
+            return np.where(x > 0.0, self.gaussian.log_pdf(log_x) - log_x, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
         """Return −(1 + z/sigma)/x."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            return np.where(x > 0.0, (self._of_log.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
+            return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
         """Return the logarithm of the probability between two bounds."""
-        return self._of_log.log_mass(_log(lower), _log(upper))
+        return self.gaussian.log_mass(_log(lower), _log(upper))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
         """Return the quantiles `p` of the distribution truncated to the bounds."""
-        return np.clip(np.exp(self._of_log.quantile(p, _log(lower), _log(upper))), lower, upper)
+        return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"distribution": "log-normal", "median": self.median, "sigma": self.sigma}
 
     @cached_property
-    def _of_log(self) -> Normal:
+    def gaussian(self) -> Normal:
+        """That of log x."""
         return Normal(self.sigma, float(np.log(self.median)))
 
 

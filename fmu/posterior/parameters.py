@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
 from fmu.posterior.priors import Normal, Prior, Uniform
 
 FloatArray = NDArray[np.float64]
@@ -109,27 +110,36 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
 class JointPrior:
     """The product of the parameters' priors, truncated to the bounds and normalised over them.
 
-    Gaussian priors, the common case, are evaluated as one array.
+    Gaussian priors, the common case, are evaluated as one array, with those of half a Gaussian and of a logarithm.
     """
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
-        is_normal = [isinstance(p.prior, Normal) for p in parameters]
-        self._normal = np.flatnonzero(is_normal)
-        normals = [p.prior for p in parameters if isinstance(p.prior, Normal)]
+        direct = [(j, p.prior) for j, p in enumerate(parameters) if isinstance(p.prior, Normal)]
+        halves = [(j, p.prior.gaussian) for j, p in enumerate(parameters) if isinstance(p.prior, HalfNormal)]
+        logs = [(j, p.prior.gaussian) for j, p in enumerate(parameters) if isinstance(p.prior, LogNormal)]
+        gaussian = [*direct, *halves, *logs]
+        self._gaussian = np.array([j for j, _ in gaussian], dtype=int)
+        self._n_direct, self._n_logs = len(direct) + len(halves), len(logs)
         # a row, like one theta, which spares it NumPy's broadcasting
-        self._mean = np.array([prior.mean for prior in normals])[None]
-        self._precision = np.array([prior.sd for prior in normals]) ** -2.0
-        self._others = [(j, p.prior) for j, p in enumerate(parameters) if not is_normal[j]]
-        log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters)
+        self._mean = np.array([prior.mean for _, prior in gaussian])[None]
+        self._precision = np.array([prior.sd for _, prior in gaussian]) ** -2.0
+        one_array = set(self._gaussian.tolist())
+        self._others = [(j, p.prior) for j, p in enumerate(parameters) if j not in one_array]
+        log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters) - len(halves) * np.log(2.0)
         self._weight = -0.5 * self._precision
         self._constant = 0.5 * float(np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass
 
     def log_pdf(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, shape (n,), at theta (n, ndim) inside the bounds."""
+        """Return the log-density, shape (n,), at theta (n, ndim) where every prior has a density."""
         # `take` gives C order, in which a row is summed in the same order whatever the batch; einsum does not warn
         # where it overflows
-        z = theta.take(self._normal, axis=1) - self._mean
-        value = self._constant + np.einsum("nj,nj,j->n", z, z, self._weight)
+        x = theta.take(self._gaussian, axis=1)
+        constant: float | FloatArray = self._constant
+        if self._n_logs:
+            x[:, self._n_direct :] = np.log(x[:, self._n_direct :])
+            constant = constant - np.einsum("nj->n", x[:, self._n_direct :])
+        z = x - self._mean
+        value = constant + np.einsum("nj,nj,j->n", z, z, self._weight)
         for j, prior in self._others:
             value = value + prior.log_pdf(theta[:, j])
         return value
@@ -137,8 +147,15 @@ class JointPrior:
     def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
         """Return its gradient, shape (n, ndim)."""
         gradient = np.empty_like(theta)
+        x = theta.take(self._gaussian, axis=1)
         with np.errstate(over="ignore"):
-            gradient[:, self._normal] = -self._precision * (theta[:, self._normal] - self._mean)
+            if self._n_logs:
+                x_of_logs = x[:, self._n_direct :].copy()
+                x[:, self._n_direct :] = np.log(x_of_logs)
+            slope = -self._precision * (x - self._mean)
+            if self._n_logs:
+                slope[:, self._n_direct :] = (slope[:, self._n_direct :] - 1.0) / x_of_logs
+        gradient[:, self._gaussian] = slope
         for j, prior in self._others:
             gradient[:, j] = prior.log_pdf_gradient(theta[:, j])
         return gradient

@@ -52,6 +52,14 @@ def test_joint_prior_is_the_product():
         assert_allclose(joint.log_pdf_gradient(theta)[:, j], difference, rtol=1e-7, atol=1e-7)
 
 
+def test_joint_prior_of_every_kind_in_a_batch_changes_no_bit():
+    theta = np.stack([p.prior.draw(np.random.default_rng(3), 64, p.lower, p.upper) for p in MIXED], axis=1)
+    joint = JointPrior([*MIXED, *MIXED])
+    theta = np.concatenate([theta, theta[::-1]], axis=1)
+    assert_array_equal(joint.log_pdf(theta), [joint.log_pdf(row[None])[0] for row in theta])
+    assert_array_equal(joint.log_pdf_gradient(theta), [joint.log_pdf_gradient(row[None])[0] for row in theta])
+
+
 @pytest.mark.parametrize("n", [1, 9, 30])
 def test_joint_prior_of_a_batch_changes_no_bit(n):
     theta = np.random.default_rng(0).standard_normal((64, n))
