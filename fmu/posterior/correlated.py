@@ -111,7 +111,7 @@ class CorrelatedFrequencyError:
 
     def whitened(self, x: FloatArray) -> FloatArray:
         """Return L⁻¹x: `x` (n, n_modes, …) in Hz along the modes, in units of independent standard errors."""
-        return np.moveaxis(_times(self._inverse_root, np.moveaxis(x, 1, -1)), -1, 1)
+        return _times(self._inverse_root, x, 1)
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the conditional log-likelihood of each mode, shape (…, n_modes), for frequencies in Hz.
@@ -155,9 +155,11 @@ class CorrelatedFrequencyError:
         return _times(self._inverse_root, frequencies - self.measured)
 
 
-def _times(A: FloatArray, x: FloatArray) -> FloatArray:
-    """Return A x along the last axis of `x`, a row's sum in the same order whatever the batch, in C order."""
+def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
+    """Return A x along an axis of `x`, every sum in the same order whatever the batch, in C order."""
     total = np.zeros(x.shape)
-    for j in range(A.shape[1]):
-        total += A[:, j] * x[..., j : j + 1]
+    along = (slice(None),) * (axis % x.ndim)
+    columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))
+    for j, column in enumerate(columns):
+        total += column * x[*along, j : j + 1]
     return total
