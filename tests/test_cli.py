@@ -73,7 +73,10 @@ def test_run_writes_traces_and_tables(invoke, tmp_path):
         "summary-slice.csv",
         "comparison.csv",
         "map.csv",
+        "problem.toml",
+        "run.json",
     }
+    assert (out / "problem.toml").read_bytes() == fmu.cases.path("cantilever-young").read_bytes()
     trace = fmu.load_trace(out / "slice.nc")
     assert trace["posterior"].sizes == {"chain": 2, "draw": 6}
     assert trace["warmup_posterior"].sizes == {"chain": 2, "draw": 3}
@@ -272,7 +275,9 @@ def test_overwrite_replaces_only_what_the_command_writes(invoke, tmp_path):
     result = invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite")
     assert result.exit_code == 0, result.output
     now = files_in(out)
-    assert set(now) == set(kept) | {"mh.nc", "summary-mh.csv", "comparison.csv", "map.csv"}
+    assert set(now) == set(kept) | {
+        "mh.nc", "summary-mh.csv", "comparison.csv", "map.csv", "problem.toml", "run.json",
+    }  # fmt: skip
     assert {name: now[name] for name in kept} == kept
     assert b"old" not in (now["mh.nc"], now["comparison.csv"])
 
@@ -301,7 +306,12 @@ def test_what_was_drawn_is_kept_when_a_later_sampler_fails(invoke, monkeypatch, 
     monkeypatch.setattr(fmu.sampling, "sample", failing)
     result = invoke("run", "cantilever-young", *SHORT, "--sampler", "slice", "--out", "mine")
     assert_one_line(result, "width: must be positive (got 0)")
-    assert {p.name for p in (tmp_path / "mine").iterdir()} == {"mh.nc", "summary-mh.csv"}
+    assert {p.name for p in (tmp_path / "mine").iterdir()} == {
+        "mh.nc",
+        "summary-mh.csv",
+        "problem.toml",
+        "run.json",
+    }
 
 
 def test_directory_that_cannot_be_made(invoke, tmp_path):

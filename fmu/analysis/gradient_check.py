@@ -21,6 +21,7 @@ AGREE = 1e-4
 """Largest relative difference at which the gradient counts as right."""
 _STEPS = (1e-3, 1e-4, 1e-5)
 _RANDOM = 2
+_SMALL = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +47,13 @@ class GradientCheck:
 
     @property
     def relative_error(self) -> FloatArray:
-        """Difference of each component over the largest component at its point, shape (n, ndim)."""
-        size = np.maximum(np.max(np.abs(self.exact), axis=1), np.finfo(float).tiny)
+        """Difference of each component over the size of the gradient at its point, shape (n, ndim).
+
+        The size is the largest component; near a maximum, where the gradient vanishes, a thousandth of the largest
+        at any point instead, and 1 at least.
+        """
+        largest = np.max(np.abs(self.exact), axis=1)
+        size = np.maximum(np.maximum(largest, _SMALL * np.max(largest)), 1.0)
         return np.abs(self.exact - self.difference) / size[:, None]
 
     @property

@@ -55,7 +55,7 @@ def command(
 
     Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
     Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, and pages to
-    read (report/index.html).
+    read (report/index.html); keeps CASE (problem.toml, run.json).
     """
     given = source(case, pairing)
     with claimed(out or Path("runs") / f"{given.stem}-{given.pairing}", overwrite) as directory:
@@ -64,6 +64,7 @@ def command(
         from fmu.analysis.diagnostics import summary
         from fmu.analysis.search import find_map
         from fmu.analysis.trace import save_trace
+        from fmu.config.kept import keep
         from fmu.sampling import sample
 
         problem = given.load()
@@ -72,6 +73,7 @@ def command(
         with progress_bars() as report:
             for name in dict.fromkeys(samplers):
                 traces[name] = sample(problem, name, progress=report and labelled(report, name), **steps)
+                keep(given.path, directory, given.pairing)
                 save_trace(traces[name], directory / f"{name}.nc")
                 summaries[name] = summary(traces[name])
                 write_csv(summaries[name], directory / f"summary-{name}.csv")

@@ -193,8 +193,8 @@ def _gradient(found: Check) -> Section:
         for name, errors in zip(gradient.names, gradient.relative_error.T, strict=True)
     )
     caption = (
-        "Exact gradient of the log-probability against central differences: their difference over the largest "
-        "component at the point, in coordinates in which the parameters are of order one."
+        "Exact gradient of the log-probability against central differences: their difference over the size of "
+        "the gradient at the point, in coordinates in which the parameters are of order one."
     )
     table = Details("Parameter by parameter", (Table(caption, ("parameter", *gradient.points), rows),))
     return Section("gradient", "Gradient", (Text(gradient.sentence()), table))

@@ -1,0 +1,216 @@
+"""An updated model, to take back to the program that it came from."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.diagnostics import parameter_draws, parameter_names
+from fmu.analysis.provenance import canonical_json
+from fmu.analysis.trace import load_trace
+from fmu.config.kept import kept
+from fmu.fem.separable import SeparableModel
+from fmu.report.exported import PROBLEM, VALUES, copy_companions, rename, updated_text, write_matrices
+from fmu.report.files import OutputDirectory
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+FOLDER = "export"
+_WORDS = {"mean": "posterior mean", "map": "highest maximum of the posterior"}
+AT = tuple(_WORDS)
+_MATCHING = 1e-5
+"""Largest relative difference between the frequencies of the kept draws and those of the problem built again."""
+_DRAWS = 4
+_TAIL = 0.01
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What `export` wrote.
+
+    Attributes
+    ----------
+    directory : Path
+    files : tuple of str
+        In the directory.
+    sampler : str
+        Whose draws they rest on.
+    remarks : tuple of str
+        What speaks against the values, a sentence each.
+    """
+
+    directory: Path
+    files: tuple[str, ...]
+    sampler: str
+    remarks: tuple[str, ...]
+
+
+def export(
+    run_directory: str | os.PathLike[str],
+    sampler: str | None = None,
+    at: str = "mean",
+    out: str | os.PathLike[str] | None = None,
+    model: str | os.PathLike[str] | None = None,
+) -> Exported:
+    """Write the updated values of a run and the model at them.
+
+    Parameters
+    ----------
+    run_directory : path-like
+        What `fmu run` wrote.
+    sampler : str, optional
+        Whose draws: the first that converged if not given, else the first.
+    at : {"mean", "map"}
+        The posterior mean, or the highest maximum of the posterior that the run found.
+    out : path-like, optional
+        Directory to write: ``export`` in that of the run if not given.
+    model : path-like, optional
+        The problem's file, where the run keeps none or the files that it names have moved.
+
+    Returns
+    -------
+    Exported
+        ``theta.csv``: each parameter's unit, start, mean, standard deviation and the value chosen, SI units.
+        ``updated.toml``: the problem file with these values as its start, its comments kept; files that it names
+        are beside it. Of a structure given by its matrices also ``K.mtx`` and ``M.mtx`` there, Matrix Market, and
+        ``dofs.csv``, what their rows are.
+
+    Raises
+    ------
+    ValueError
+        If the directory holds no traces, none of the sampler or no maxima, `at` is none of the two, the problem
+        is another one than was sampled, or files of other origin stand where these shall be.
+    """
+    directory = Path(run_directory)
+    if at not in AT:
+        raise ValueError(f"at: must be one of {AT} (got {at!r})")
+    name, trace, diagnosis = _chosen(directory, sampler)
+    theta = _theta(trace, at)
+    source = kept(directory, None if model is None else Path(model))
+    described, problem = _problem_again(source.file, source.folder, source.pairing)
+    _check_same(problem, trace)
+    what = f"{_WORDS[at]} of {problem.name!r}, sampled by {name}."
+    names = parameter_names(trace)
+    output = OutputDirectory(Path(out) if out is not None else directory / FOLDER)
+    with output.staged() as stage:
+        _values(trace, theta).to_csv(stage / VALUES)
+        built = described.model.build(source.folder, described.parameters)
+        if isinstance(built.model, SeparableModel):
+            write_matrices(built.model, built.places, theta, f"At the {what}", stage)
+        starts = dict(zip(names, theta.tolist(), strict=True))
+        text, words = updated_text(
+            source.file.read_text(encoding="utf-8"), starts, source.pairing, f"The start values are the {what}"
+        )
+        text = rename(text, copy_companions(words, source.folder, stage))
+        (stage / PROBLEM).write_text(text, encoding="utf-8")
+        remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_incomplete(stage / PROBLEM)]
+        files = tuple(sorted(path.name for path in stage.iterdir()))
+    return Exported(output.root, files, name, tuple(remarks))
+
+
+def _chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
+    """Return the trace to take: of the sampler asked for, else of the first that converged, else the first."""
+    traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
+    if not traces:
+        raise ValueError(f"run_directory: {directory} holds no traces (*.nc)")
+    if sampler is not None and sampler not in traces:
+        raise ValueError(f"sampler: must be one of {', '.join(traces)} (got {sampler!r})")
+    verdicts = diagnose_all(traces)
+    name = sampler or next((name for name, found in verdicts.items() if found.converged), next(iter(traces)))
+    return name, traces[name], verdicts[name]
+
+
+def _theta(trace: xr.DataTree, at: str) -> FloatArray:
+    if at == "mean":
+        return np.asarray(parameter_draws(trace).mean(axis=(0, 1)))
+    maxima = maxima_of(trace)
+    if maxima is None:
+        raise ValueError("at: the run keeps no maxima, so that there is no 'map' (got 'map')")
+    return maxima[0].theta
+
+
+def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[Any, UpdatingProblem]:
+    from fmu.config import read
+
+    described = read(file).model_copy(update={"reduction": False})
+    return described, described.build(file.name, folder, pairing)
+
+
+def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
+    """Raise ValueError unless the problem is the one that was sampled.
+
+    The model is it also where its matrices differ by rounding, as on another machine: then the frequencies of some
+    draws must agree with those that the trace keeps.
+    """
+    sampled = json.loads(str(trace.attrs["configuration"]))["problem"]
+    now = json.loads(canonical_json(problem.configuration()))
+    differs = [key for key in now if key != "model" and sampled.get(key) != now[key]]
+    if differs:
+        raise ValueError(f"model: must be the problem that was sampled (it differs in: {', '.join(differs)})")
+    if sampled.get("model") == now["model"]:
+        return
+    if "posterior_predictive" not in trace.children:
+        raise ValueError("model: must be the problem that was sampled (it differs in: model)")
+    draws = parameter_draws(trace)[0]
+    picked = np.linspace(0, len(draws) - 1, min(_DRAWS, len(draws))).astype(int)
+    told = trace["posterior_predictive"]["model_frequency"].isel(chain=0).transpose("draw", ...).to_numpy()[picked]
+    difference = float(np.max(np.abs(problem.frequencies(draws[picked]) / told - 1.0)))
+    if not difference <= _MATCHING:
+        raise ValueError(
+            "model: must be the problem that was sampled (it differs in: model; frequencies of the draws by "
+            f"{difference:.1e})"
+        )
+
+
+def _values(trace: xr.DataTree, theta: FloatArray) -> pd.DataFrame:
+    import pandas as pd
+
+    names, draws = parameter_names(trace), parameter_draws(trace)
+    columns = {
+        "unit": [str(trace["posterior"][name].attrs.get("units", "")) for name in names],
+        "start": [float(trace["constant_data"]["start"].sel(parameter=name)) for name in names],
+        "mean": draws.mean(axis=(0, 1)),
+        "sd": draws.std(axis=(0, 1), ddof=1),
+        "value": theta,
+    }
+    return pd.DataFrame(columns, index=pd.Index(names, name="name"))
+
+
+def _remarks(
+    problem: UpdatingProblem, trace: xr.DataTree, theta: FloatArray, at: str, diagnosis: Diagnosis
+) -> list[str]:
+    """Say what speaks against the values: chains that have not converged, a mean where the posterior is not."""
+    remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
+    if at == "mean" and "lp" in trace["sample_stats"]:
+        lp = trace["sample_stats"]["lp"].to_numpy()
+        if float(problem.log_prob(theta)) < float(np.quantile(lp, _TAIL)):
+            remarks.append(
+                "The posterior mean is less probable than 99 % of the draws: the posterior has several parts or "
+                "is bent, and the mean lies between. --at map takes its highest maximum."
+            )
+    return remarks
+
+
+def _incomplete(file: Path) -> list[str]:
+    """Say if the updated file needs more beside it than was copied, such as what a user's module imports."""
+    from fmu.config import ConfigurationError
+
+    try:
+        _problem_again(file, file.parent, None)
+    except ConfigurationError as error:
+        missing = "; ".join(map(str, error.mistakes))
+        return [f"{file.name} does not stand by itself, but beside the file of the run ({missing})."]
+    return []
