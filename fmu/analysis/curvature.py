@@ -57,7 +57,8 @@ def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) 
     """Return the symmetric part of the gradient's differences over ± `step` (ndim,), in scaled coordinates."""
     h = np.diag(step * problem.scale)
     # a bound at which the prior vanishes has no gradient: halfway there
-    vanish_below, vanish_above = np.array([(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]).T
+    vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]
+    vanish_below, vanish_above = np.array(vanishing).T
     lower = np.where(vanish_below, 0.5 * (problem.lower + theta), problem.lower)
     upper = np.where(vanish_above, 0.5 * (problem.upper + theta), problem.upper)
     ahead, behind = np.minimum(theta + h, upper), np.maximum(theta - h, lower)
