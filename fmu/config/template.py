@@ -9,6 +9,7 @@ _FOLDER = Path(__file__).parent / "templates"
 _FILES = {
     "frame": ("frame.toml",),
     "matrices": ("matrices.toml", "K0.mtx", "K1.mtx", "K2.mtx", "M.mtx"),
+    "python": ("python.toml", "storeys.py"),
 }
 
 KINDS = tuple(_FILES)

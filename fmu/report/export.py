@@ -117,7 +117,7 @@ def export(
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
         remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_incomplete(stage / PROBLEM)]
-        files = tuple(sorted(path.name for path in stage.iterdir()))
+        files = tuple(sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file()))
     return Exported(output.root, files, name, tuple(remarks))
 
 

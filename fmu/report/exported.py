@@ -100,11 +100,13 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
     renamed = {}
     for word in dict.fromkeys(words):
         name = f"{word.split(':')[0]}.py" if ":" in word else word
-        if Path(name).name != name or not (source / name).is_file():
+        path = Path(name)
+        if path.is_absolute() or ".." in path.parts or not (source / name).is_file():
             continue
         kept = f"model-{name}" if name in RESERVED else name
         if kept != name:
             renamed[name] = kept
+        (target / kept).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source / name, target / kept)
     return renamed
 

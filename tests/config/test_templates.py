@@ -12,7 +12,14 @@ from fmu.config.template import KINDS, files, template, write_template
 SHORT = {"draws": 200, "warmup": 200, "chains": 2}
 MARK = "#: "
 CONSTANTS = ("A", "Iy", "Iz", "J")
-ALTERNATIVES = {"beta": ("sd",), "rectangle": CONSTANTS, "tube": CONSTANTS}
+ALTERNATIVES = {
+    "beta": ("sd",),
+    "covariance": ("sd",),
+    "tests": ("frequencies", "sd"),
+    "file": ("frequencies",),
+    "rectangle": CONSTANTS,
+    "tube": CONSTANTS,
+}
 """What a key takes the place of."""
 
 
@@ -78,7 +85,7 @@ def _in_commented_table(lines, at):
 
 def _without_alternatives(lines, at):
     """Leave out the keys of the same table that stand in the way of the one in line `at`."""
-    others = ALTERNATIVES.get(_key(lines[at]), ())
+    others = ALTERNATIVES.get(_key(lines[at].removeprefix(MARK)), ())
     first = next((i for i in range(at, -1, -1) if lines[i].startswith("[")), 0)
     last = next((i for i in range(at + 1, len(lines)) if lines[i].startswith("[")), len(lines))
     return [line for i, line in enumerate(lines) if not (first < i < last and i != at and _key(line) in others)]

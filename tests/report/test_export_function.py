@@ -1,0 +1,143 @@
+"""The updated model of a function of the user's own, and what may go wrong between a run and its export."""
+
+import shutil
+
+import pytest
+
+import fmu
+from fmu.analysis.trace import save_trace
+from fmu.config.kept import keep
+from fmu.report.export import export
+
+MODULE = """
+import numpy as np
+
+
+def frequencies(theta):
+    a, b = theta
+    return np.array([10.0 + a, 20.0 + 2.0 * a + b, 30.0 + 0.5 * a + 3.0 * b])
+"""
+PYTHON = """\
+#:schema ./fmu.schema.json
+name = "a function"
+
+[model]
+type = "python"
+function = "mine:frequencies"
+
+[measurement]
+frequencies = [11.1, 22.9, 33.4]
+sd = 0.1
+
+[[parameters]]
+name = "a"
+start = 0.5   # as it was
+lower = 0.0
+upper = 2.0
+
+[[parameters]]
+name = "b"
+start = 0.5
+lower = 0.0
+upper = 2.0
+"""
+
+
+def run(path, directory, pairing="shape", **length):
+    """What `fmu run` leaves: a trace, the problem and where it was."""
+    problem = fmu.load(path, pairing)
+    directory.mkdir(parents=True)
+    keep(path, directory, pairing)
+    settings = {"draws": 150, "warmup": 150, "chains": 2} | length
+    trace = fmu.sample(problem, "hmc", maxima=fmu.find_map(problem, starts=8), **settings)
+    save_trace(trace, directory / "hmc.nc")
+    return problem, trace
+
+
+@pytest.fixture
+def function(tmp_path):
+    """A short run on a function of the user's own."""
+    (tmp_path / "mine.py").write_text(MODULE)
+    (tmp_path / "a.toml").write_text(PYTHON)
+    run(tmp_path / "a.toml", tmp_path / "out")
+    return tmp_path
+
+
+def test_a_function_has_values_and_a_file(function):
+    written = export(function / "out")
+    assert written.files == ("mine.py", "theta.csv", "updated.toml")
+    text = (written.directory / "updated.toml").read_text(encoding="utf-8")
+    assert text.splitlines()[0] == "#:schema ./fmu.schema.json"
+    assert "# as it was" in text
+    assert fmu.load(written.directory / "updated.toml").start[0] == pytest.approx(1.1, abs=0.1)
+
+
+def test_what_is_missing_beside_the_updated_file_is_said(function):
+    (function / "mine.py").write_text("from theirs import frequencies\n")
+    (function / "theirs.py").write_text(MODULE)
+    remarks = export(function / "out").remarks
+    assert any("updated.toml does not stand by itself" in remark and "theirs" in remark for remark in remarks)
+
+
+def test_another_problem_is_refused(function):
+    (function / "mine.py").write_text(MODULE.replace("10.0", "10.1"))
+    with pytest.raises(ValueError, match="must be the problem that was sampled"):
+        export(function / "out")
+    assert not (function / "out" / "export").exists()
+    (function / "mine.py").write_text(MODULE)
+    other = function / "b.toml"
+    other.write_text(PYTHON.replace("sd = 0.1", "sd = 0.2").replace("upper = 2.0", "upper = 3.0"))
+    with pytest.raises(ValueError, match=r"sampled \(it differs in: .*likelihood.*parameters"):
+        export(function / "out", model=other)
+
+
+def test_a_problem_that_moved(function, tmp_path_factory):
+    """The run directory alone no longer finds the module; the file's new place does."""
+    there = tmp_path_factory.mktemp("there")
+    shutil.copytree(function / "out", there / "out")
+    with pytest.raises(ValueError, match=r"1 mistake") as caught:
+        export(there / "out")
+    assert "model.function" in str(caught.value)
+    (there / "model").mkdir()
+    for name in ("a.toml", "mine.py"):
+        shutil.copy(function / name, there / "model" / name)
+    assert export(there / "out", model=there / "model" / "a.toml").files[-1] == "updated.toml"
+    (there / "out" / "run.json").unlink()
+    with pytest.raises(ValueError, match=r"give the problem's file \(--model\)"):
+        export(there / "out")
+    assert export(there / "out", model=there / "model" / "a.toml").files[-1] == "updated.toml"
+
+
+def test_a_run_that_says_no_origin_as_it_was_written(function):
+    (function / "out" / "run.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"run.json is not as fmu run wrote it"):
+        export(function / "out")
+
+
+def test_a_mean_between_two_modes_is_no_place_to_be(function):
+    path = function / "out" / "hmc.nc"
+    trace = fmu.load_trace(path)
+    for name in ("a", "b"):
+        trace["posterior"][name][1] += 0.5
+    path.unlink()
+    save_trace(trace, path)
+    remarks = export(function / "out").remarks
+    assert any("less probable than 99 % of the draws" in remark for remark in remarks)
+
+
+def test_no_maxima_no_map(function):
+    path = function / "out" / "hmc.nc"
+    trace = fmu.load_trace(path)
+    del trace["maxima"]
+    path.unlink()
+    save_trace(trace, path)
+    with pytest.raises(ValueError, match=r"at: the run keeps no maxima"):
+        export(function / "out", at="map")
+
+
+def test_other_files_are_left_alone(function):
+    (function / "precious").mkdir()
+    (function / "precious" / "theta.csv").write_text("precious")
+    with pytest.raises(ValueError, match="will not replace"):
+        export(function / "out", out=function / "precious")
+    assert (function / "precious" / "theta.csv").read_text() == "precious"
