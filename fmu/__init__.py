@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fmu.analysis.comparison import compare as compare
     from fmu.analysis.diagnosis import diagnose as diagnose
     from fmu.analysis.diagnostics import summary as summary
+    from fmu.analysis.evidence import evidence as evidence
     from fmu.analysis.identifiability import identifiability as identifiability
     from fmu.analysis.prediction import expectation as expectation
     from fmu.analysis.search import find_map as find_map
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from fmu.samplers.metropolis import MetropolisHastings as MetropolisHastings
     from fmu.samplers.proposals import RandomWalk as RandomWalk
     from fmu.samplers.slice import Slice as Slice
+    from fmu.samplers.tempering import Tempering as Tempering
     from fmu.sampling import sample as sample
 
     __version__: str
@@ -79,12 +81,14 @@ _HOME = {
     "Section": "fmu.fem.section",
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
+    "Tempering": "fmu.samplers.tempering",
     "Term": "fmu.fem.separable",
     "Uniform": "fmu.posterior.priors",
     "UpdatingProblem": "fmu.posterior.problem",
     "check": "fmu.analysis.check",
     "compare": "fmu.analysis.comparison",
     "diagnose": "fmu.analysis.diagnosis",
+    "evidence": "fmu.analysis.evidence",
     "expectation": "fmu.analysis.prediction",
     "find_map": "fmu.analysis.search",
     "identifiability": "fmu.analysis.identifiability",
@@ -118,6 +122,7 @@ __all__ = [
     "Section",
     "SeparableModel",
     "Slice",
+    "Tempering",
     "Term",
     "Uniform",
     "UpdatingProblem",
@@ -126,6 +131,7 @@ __all__ = [
     "check",
     "compare",
     "diagnose",
+    "evidence",
     "expectation",
     "find_map",
     "identifiability",

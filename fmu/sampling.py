@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from fmu.progress import Report
     from fmu.samplers.kernel import LogDensity, Sampler
 
-SAMPLERS = ("mh", "slice", "hmc", "emcee")
+SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
 """The names of the samplers, without importing them."""
 GROWTH_LIMIT = 32
 """How many times the draws asked for a run may come to that is to reach an effective sample size."""
@@ -42,8 +42,8 @@ def sample(
         An `UpdatingProblem`, or anything with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
         ``log_prob_and_grad``.
     sampler : str or Sampler
-        ``"mh"``, ``"slice"``, ``"hmc"`` or ``"emcee"`` with their default settings, or a settings object such as
-        ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``.
+        ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"`` or ``"tempering"`` with their default settings, or a settings
+        object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``.
     draws, warmup : int
         Steps kept, and steps before them. An ensemble draws as many vectors a step as it has walkers.
     chains : int

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.evidence import tempering_group
 from fmu.analysis.provenance import attributes
 from fmu.analysis.replay import DistinctDraws
 from fmu.posterior.correlated import CorrelatedFrequencyError
+from fmu.samplers.tempering import LOG_LIKELIHOOD
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,7 +58,8 @@ def to_trace(
         (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
         ``model_frequency`` without it, Hz), ``prior`` (draws from the prior inside the bounds),
         ``observed_data`` (``frequency``) and ``constant_data`` (``lower``, ``upper``, ``start``, ``beta``, and
-        ``covariance_hz2`` where errors are correlated). The attributes say how the draws came about.
+        ``covariance_hz2`` where errors are correlated); of parallel tempering ``tempering``
+        (`fmu.analysis.evidence.tempering_group`). The attributes say how the draws came about.
     """
     import xarray as xr
 
@@ -72,6 +75,8 @@ def to_trace(
     if hasattr(density, "sample_prior"):
         prior = density.sample_prior(_generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
         groups["prior"] = _variables(prior[np.newaxis], names, units)
+    if LOG_LIKELIHOOD in result.posterior.stats:
+        groups["tempering"] = tempering_group(result)
     if predictions and hasattr(density, "frequencies"):
         groups |= _frequency_groups(result, density)
     trace = xr.DataTree.from_dict(groups)
@@ -169,10 +174,10 @@ def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tup
 
 
 def _stats(draws: Draws) -> xr.Dataset:
-    """Return the sampler's statistics, one variable each."""
+    """Return the sampler's statistics, one variable each, but for those of every rung."""
     import xarray as xr
 
-    variables = {name: (("chain", "draw"), values) for name, values in draws.stats.items()}
+    variables = {name: (("chain", "draw"), v) for name, v in draws.stats.items() if name != LOG_LIKELIHOOD}
     return xr.Dataset(variables, coords=_sample_coordinates(draws.position))
 
 

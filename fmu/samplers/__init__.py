@@ -10,6 +10,7 @@ from .metropolis import MetropolisHastings
 from .proposals import Independence, LogNormalWalk, RandomWalk
 from .run import Run, run
 from .slice import Slice
+from .tempering import Tempering
 
 __all__ = [
     "Draws",
@@ -27,6 +28,7 @@ __all__ = [
     "Sampler",
     "Slice",
     "State",
+    "Tempering",
     "named",
     "run",
 ]
@@ -37,7 +39,7 @@ def named(name: str) -> Sampler:
 
     Parameters
     ----------
-    name : {"mh", "slice", "hmc", "emcee"}
+    name : {"mh", "slice", "hmc", "emcee", "tempering"}
 
     Raises
     ------
@@ -45,7 +47,7 @@ def named(name: str) -> Sampler:
         If the name is unknown, with those that are known.
     """
     samplers: dict[str, type[Sampler]] = {
-        kind.name: kind for kind in (MetropolisHastings, Slice, HamiltonianMonteCarlo, Ensemble)
+        kind.name: kind for kind in (MetropolisHastings, Slice, HamiltonianMonteCarlo, Ensemble, Tempering)
     }
     if name not in samplers:
         raise ValueError(f"sampler: must be one of {', '.join(samplers)} (got {name!r})")

@@ -105,7 +105,7 @@ class Sampler(Protocol):
     Attributes
     ----------
     name : str
-        Short name: ``"mh"``, ``"slice"``, ``"hmc"`` or ``"emcee"``.
+        Short name: ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"`` or ``"tempering"``.
     walkers : int
         Walkers an ensemble moves together; 1 for a sampler whose chain is a single point.
     """

@@ -67,12 +67,13 @@ class MetricOfChains(Metric):
     Parameters
     ----------
     metrics : sequence of Metric
-        One a chain.
+    each : int
+        How many chains in a row share a metric.
     """
 
-    def __init__(self, metrics: Sequence[Metric]) -> None:
-        self.inverse = np.stack([metric.inverse for metric in metrics])
-        self._inverse_factor = np.stack([metric._inverse_factor for metric in metrics])
+    def __init__(self, metrics: Sequence[Metric], each: int = 1) -> None:
+        self.inverse = np.repeat([metric.inverse for metric in metrics], each, axis=0)
+        self._inverse_factor = np.repeat([metric._inverse_factor for metric in metrics], each, axis=0)
 
     def sample_momentum(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw one momentum a chain, shape (n, ndim)."""

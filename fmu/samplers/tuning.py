@@ -140,7 +140,7 @@ class SliceTuner:
 
 
 @dataclass(frozen=True)
-class _Search:
+class Search:
     """Steps of a slice sampler that are recorded as those of a Metropolis sampler are."""
 
     kernel: SliceKernel
@@ -173,7 +173,7 @@ class MetropolisTuner:
         self.target = 0.234 + (0.44 - 0.234) / density.ndim
         self.shape = START_SCALE**2 * np.eye(density.ndim)
         self._restart(0.0)
-        self.kernel: Kernel = _Search(search.kernel)
+        self.kernel: Kernel = Search(search.kernel)
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
@@ -189,7 +189,7 @@ class MetropolisTuner:
             self.shape = np.asarray(self.search.learner.covariance)
             self._restart(float(np.log(2.38 / np.sqrt(self.density.ndim))))
         if self.search.learner.searching:
-            self.kernel = _Search(self.search.kernel)
+            self.kernel = Search(self.search.kernel)
         else:
             self.kernel = self._settings(self.log_scale).bind(self.density)
 

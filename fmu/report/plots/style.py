@@ -14,12 +14,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = {"mh": "#E69F00", "slice": "#009E73", "hmc": "#0072B2", "emcee": "#CC79A7"}
+COLOURS = {"mh": "#E69F00", "slice": "#009E73", "hmc": "#0072B2", "emcee": "#CC79A7", "tempering": "#56B4E9"}
 TITLES = {
     "mh": "Metropolis–Hastings",
     "slice": "Slice sampling",
     "hmc": "Hamiltonian Monte Carlo",
     "emcee": "emcee ensemble",
+    "tempering": "Parallel tempering",
 }
 BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
 VERMILLION = "#D55E00"

@@ -1,0 +1,211 @@
+"""The evidence of a problem, from what parallel tempering meets between prior and posterior."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis import effective
+from fmu.samplers.ladder import first_ladder, rejections
+from fmu.samplers.tempering import LOG_LIKELIHOOD
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.samplers.draws import RunResult
+
+FloatArray = NDArray[np.float64]
+
+GROUP = "tempering"
+"""Group of a trace that keeps what the rungs of a ladder saw."""
+METHODS = ("stepping-stone", "thermodynamic")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The logarithm of the evidence ∫ P(D|θ) P(θ) dθ.
+
+    The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior over the
+    bounds: evidences of different models of the same data may be compared.
+
+    Attributes
+    ----------
+    log_evidence : float
+        Natural logarithm.
+    error : float
+        Its standard error, the larger of `within` and `between`. What no replica has found is in neither.
+    method : {"stepping-stone", "thermodynamic"}
+    within : float
+        Standard error from the autocorrelation along the chains, all rungs together.
+    between : float
+        Standard error from the chains' own estimates, NaN for a single chain.
+    table : pandas.DataFrame
+        One row a rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there, ``ess`` of its
+        mean, ``rejection`` of swaps with the next rung, ``log_ratio`` of the evidence there to the one here.
+    """
+
+    log_evidence: float
+    error: float
+    method: str
+    within: float
+    between: float
+    table: pd.DataFrame
+
+    def __str__(self) -> str:
+        within, between = (f"{error:.2g}" for error in (self.within, self.between))
+        return (
+            f"log-evidence {self.log_evidence:.{self._decimals}f} ± {self.error:.2g} "
+            f"({self.method}, {len(self.table)} rungs; standard error within chains {within}, between {between})"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<p>{html.escape(str(self))}</p>{self.table.to_html(float_format=lambda x: f'{x:.4g}')}"
+
+    @property
+    def _decimals(self) -> int:
+        """Decimals of which the error leaves one or two."""
+        if not np.isfinite(self.error) or self.error <= 0:
+            return 2
+        return int(np.clip(1 - np.floor(np.log10(self.error)), 0, 6))
+
+
+class _Estimate(NamedTuple):
+    """An estimate from draws (chains, draws, rungs), and by how much each draw (chains, draws) moves it."""
+
+    value: float
+    influence: FloatArray
+
+
+def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
+    """Estimate the evidence from a run of parallel tempering.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        Of `fmu.sample(problem, "tempering")` or with settings of `fmu.Tempering`.
+    method : {"stepping-stone", "thermodynamic"}
+        The product of the ratios of evidences from rung to rung, each an average over the lower one (Xie et al.
+        2011); or the integral of the mean log-likelihood over the inverse temperature, by the trapezium rule with
+        its second-order correction (Friel, Hurn & Wyse 2014), whose own error is not in the standard error.
+
+    Returns
+    -------
+    Evidence
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown, or the trace is not one of parallel tempering.
+
+    References
+    ----------
+    Xie, Lewis, Fan, Kuo & Chen (2011), Systematic Biology 60, 150-160; Friel & Pettitt (2008), JRSS B 70, 589-607;
+    Friel, Hurn & Wyse (2014), Statistics and Computing 24, 709-723.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method: must be one of {', '.join(METHODS)} (got {method!r})")
+    if GROUP not in getattr(trace, "children", {}):
+        raise ValueError("trace: must come from parallel tempering, fmu.sample(problem, 'tempering')")
+    draws = trace[GROUP]["log_likelihood"].transpose("chain", "draw", "rung").to_numpy()
+    t = trace[GROUP]["inverse_temperature"].to_numpy()
+    estimate = {"stepping-stone": _stepping_stone, "thermodynamic": _thermodynamic}[method]
+    whole = estimate(draws, t)
+    alone = np.array([estimate(chain[None], t).value for chain in draws])
+    within = effective.mcse_mean(whole.influence) if np.all(np.isfinite(whole.influence)) else np.nan
+    between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
+    error = float(np.fmax(within, between))
+    return Evidence(whole.value, error, method, within, between, _table(draws, t))
+
+
+def tempering_group(result: RunResult) -> xr.Dataset:
+    """Return what the rungs saw in a run of parallel tempering.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
+        ``rejection`` (of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ; ``round_trips`` of
+        replicas from the posterior to the prior and back, and ``round_trip_rate``, a draw and chain;
+        ``round_trip_limit``, (2 + 2Λ)⁻¹, which it has where replicas forget where they were in every step
+        (Syed et al. 2022, section 3.4).
+    """
+    import xarray as xr
+
+    draws = result.posterior.stats[LOG_LIKELIHOOD]
+    given = result.learnt.get("temperatures") or result.settings["temperatures"]
+    t = first_ladder(result.settings["rungs"]) if given is None else np.asarray(given)
+    rejection = rejections(draws, t).mean(axis=0)
+    barrier, trips = float(rejection.sum()), int(result.posterior.stats["round_trips"].sum())
+    chains, steps, rungs = draws.shape
+    return xr.Dataset(
+        {
+            "log_likelihood": (("chain", "draw", "rung"), draws),
+            "inverse_temperature": ("rung", t),
+            "rejection": ("rung", np.append(rejection, np.nan)),
+        },
+        coords={"chain": np.arange(chains), "draw": np.arange(steps), "rung": np.arange(rungs)},
+        attrs={
+            "barrier": barrier,
+            "round_trips": trips,
+            "round_trip_rate": trips / (chains * steps),
+            "round_trip_limit": 1.0 / (2.0 + 2.0 * barrier),
+        },
+    )
+
+
+def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
+    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)]."""
+    log_weight, log_ratio = _stones(draws, t)
+    return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
+
+
+def _stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (t_{k+1} − t_k) l and the logarithm of the mean of its exponential, (..., rungs − 1) each."""
+    log_weight = np.diff(t) * draws[..., :-1]
+    highest = log_weight.max(axis=(0, 1))
+    return log_weight, highest + np.log(np.mean(np.exp(log_weight - highest), axis=(0, 1)))
+
+
+def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
+    """Return ∫ m dt, m and v being mean and variance of l at t; minus infinity if the model fails in the prior.
+
+    The rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a) instead of t, for m
+    falls towards the prior as d/(2 (t + a)) where the likelihood is Gaussian in d dimensions: then g = m (t + a)
+    is a straight line, with g' = v (t + a)² + m (t + a) because dm/dt = v. The a that fits is told by the first
+    three rungs, which are equidistant in s.
+    """
+    if not np.all(np.isfinite(draws)):
+        return _Estimate(-np.inf, np.full(draws.shape[:2], np.nan))
+    curved = len(t) > 2 and t[2] > 2.0 * t[1]
+    w = t + (min(1.0, t[1] ** 2 / (t[2] - 2.0 * t[1])) if curved else 1.0)
+    h = np.diff(np.log(w))
+    of_g = 0.5 * (np.append(h, 0.0) + np.append(0.0, h))
+    of_slope = (np.append(h**2, 0.0) - np.append(0.0, h**2)) / 12.0
+    of_mean, of_variance = w * (of_g + of_slope), w**2 * of_slope
+    away = draws - draws.mean(axis=(0, 1))
+    variance = np.mean(away**2, axis=(0, 1))
+    value = draws.mean(axis=(0, 1)) @ of_mean + variance @ of_variance
+    return _Estimate(float(value), away @ of_mean + (away**2 - variance) @ of_variance)
+
+
+def _table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
+    """Return the table of `Evidence`."""
+    import pandas as pd
+
+    finite = np.where(np.isfinite(draws), draws, np.nan)
+    return pd.DataFrame(
+        {
+            "inverse_temperature": t,
+            "mean": finite.mean(axis=(0, 1)),
+            "sd": finite.std(axis=(0, 1)),
+            "ess": [effective.ess_mean(x) for x in np.moveaxis(draws, 2, 0)],
+            "rejection": np.append(rejections(draws, t).mean(axis=0), np.nan),
+            "log_ratio": np.append(_stones(draws, t)[1], np.nan),
+        },
+        index=pd.RangeIndex(len(t), name="rung"),
+    )
