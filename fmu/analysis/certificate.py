@@ -55,12 +55,17 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
 
     from fmu.fem.modal import frequency_hz
 
-    exact, reduced = structure.full_modes(theta), structure.modes(theta)
+    structural = theta[:, : structure.n_parameters]
+    exact, reduced = structure.full_modes(structural), structure.modes(structural)
     exact_hz, reduced_hz = frequency_hz(exact.eigenvalues), frequency_hz(reduced.eigenvalues)
     frequency_error = float(np.max(np.abs(reduced_hz / exact_hz - 1.0)))
     log_prob_error = 0.0
-    if hasattr(problem.likelihood, "error"):
-        of_exact, of_reduced = (problem.likelihood.error.log_prob_terms(hz) for hz in (exact_hz, reduced_hz))
+    likelihood = problem.likelihood
+    if hasattr(likelihood, "full_terms"):
+        if hasattr(likelihood, "error"):  # no need to solve again
+            of_exact, of_reduced = (likelihood.error.log_prob_terms(hz) for hz in (exact_hz, reduced_hz))
+        else:
+            of_exact, of_reduced = likelihood.full_terms(theta), likelihood.terms(theta)
         total = of_exact.sum(axis=1)
         plausible = total >= total.max() - PLAUSIBLE
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))

@@ -24,7 +24,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     Differences of the exact gradient over a twentieth of the width that a first attempt finds, one-sided at the
     bounds; the part that is not positive semidefinite is taken away. Where modes swap the gradient jumps, and
     differences over another step differ: then JᵀJ of the residuals plus the curvature of the prior (Gauss–Newton),
-    under the frequency likelihood. With residuals of several standard deviations it may be an order too small.
+    where the errors are in the modes. With residuals of several standard deviations it may be an order too small.
 
     Parameters
     ----------
@@ -37,12 +37,11 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     source : {"differences", "Gauss-Newton"}
     """
     from fmu.posterior.ascent import GaussNewton
-    from fmu.posterior.likelihood import FrequencyLikelihood
 
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))
     step = np.clip(_OF_THE_WIDTH / np.sqrt(np.maximum(rough, 1.0)), 1e-6, 1e-2)
     hessian = _differences(problem, theta, step)
-    if isinstance(problem.likelihood, FrequencyLikelihood):
+    if hasattr(problem.likelihood, "quadratic"):
         other = np.diag(_differences(problem, theta, 0.5 * step))
         size = np.maximum(np.abs(np.diag(hessian)), np.abs(other))
         free = (theta > problem.lower) & (theta < problem.upper)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import html
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.maxima import Maxima, percent
 from fmu.analysis.modal_states import MAXIMUM, START
-from fmu.posterior.likelihood import FrequencyLikelihood
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,14 +45,14 @@ class Identifiability:
     names, units : tuple of str
         Of the parameters.
     labels : tuple of str
-        Of the measured modes.
+        Of the rows of `sensitivity`: the measured modes, or what was measured of each.
     theta : ndarray, shape (ndim,), SI units
         Where the model is linearised.
     prior_sd : ndarray, shape (ndim,), SI units
         Diagonal of D.
-    sensitivity : ndarray, shape (n_modes, ndim)
-        S: by how many standard deviations of its measurement each frequency changes for one of the prior's. Where
-        the errors are correlated, by how many of what the modes before it leave open.
+    sensitivity : ndarray, shape (n_measured, ndim)
+        S: by how many standard deviations of its measurement each frequency, or component of a shape, changes for
+        one of the prior's. Where the errors are correlated, by how many of what the modes before it leave open.
     """
 
     names: tuple[str, ...]
@@ -145,7 +144,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Parameters
     ----------
     problem : UpdatingProblem
-        With errors in the frequencies.
+        With errors in the modes. Standard deviations that are inferred are held.
     theta : array_like, shape (ndim,), optional
         Where: at the start if not given. SI units, within the bounds.
 
@@ -157,21 +156,21 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     ------
     ValueError
         If theta is not within the bounds, the model has no finite derivative there, or the problem's errors are
-        not those of frequencies.
+        not those of modes (the modal residual).
     """
-    likelihood = getattr(problem, "likelihood", None)
-    if not isinstance(likelihood, FrequencyLikelihood):
-        raise ValueError("problem: must be an UpdatingProblem with errors in the frequencies")
+    likelihood: Any = getattr(problem, "likelihood", None)
+    if not hasattr(likelihood, "sensitivity"):
+        raise ValueError("problem: must be an UpdatingProblem with errors in the modes")
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):
         raise ValueError(f"theta: must be {problem.ndim} numbers within the bounds (got {point.tolist()})")
-    slopes = problem.model.frequencies_and_gradient(point[None])[1]
-    prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters])
-    sensitivity = likelihood.error.whitened(slopes * prior_sd)[0]
+    n = problem.n_structural
+    prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])
+    sensitivity = likelihood.sensitivity(point[None])[0] * prior_sd
     if not np.all(np.isfinite(sensitivity)):
-        raise ValueError(f"theta: the frequencies must have finite derivatives (got none at {point.tolist()})")
-    labels = tuple(map(str, problem.data.labels))
-    return Identifiability(problem.names, problem.units, labels, point, prior_sd, sensitivity)
+        raise ValueError(f"theta: the modes must have finite derivatives (got none at {point.tolist()})")
+    labels = likelihood.labels(tuple(map(str, problem.data.labels)))
+    return Identifiability(problem.names[:n], problem.units[:n], labels, point[:n], prior_sd, sensitivity)
 
 
 def with_identifiability(
@@ -192,8 +191,8 @@ def with_identifiability(
     }
     coordinates = {
         "state": list(states),
-        "parameter": list(problem.names),
-        "unit": ("parameter", list(problem.units)),
+        "parameter": list(found[0].names),
+        "unit": ("parameter", list(found[0].units)),
         "mode": list(found[0].labels),
     }
     kept = trace.copy()

@@ -4,11 +4,11 @@ For a simple eigenvalue of K φ = λ M φ with φᵀMφ = 1,
 
     (K − λM) ∂φ − ∂λ Mφ = −(∂K − λ ∂M) φ,      φᵀM ∂φ = −½ φᵀ ∂M φ.
 
-Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 1968); where they are not, the two
-lines together are one regular system for ∂φ and ∂λ, which Nelson (1976, *AIAA Journal* 14, 1201–1205) arrives at by
-fixing one component. Shapes of repeated eigenvalues have no derivative: any rotation of them is as good. Between
-eigenvalues closer than `REPEATED` the rotation is left out; near them it is large, as it truly is: the closer two
-modes are, the faster their shapes turn into each other.
+Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 1968); where they are not, the
+two lines together are one regular system for ∂φ and ∂λ, which Nelson (1976, *AIAA Journal* 14, 1201–1205)
+arrives at by fixing one component. Shapes of repeated eigenvalues have no derivative: any rotation of them is as
+good. Between eigenvalues closer than `REPEATED` the rotation is left out; near them it is large, as it truly is:
+the closer two modes are, the faster their shapes turn into each other.
 """
 
 from __future__ import annotations
@@ -64,6 +64,10 @@ def by_bordered_system(
     phi : ndarray, shape (size,)
     dK_phi, dM_phi : ndarray, shape (size, n_parameters)
         ∂K φ and ∂M φ.
+
+    Notes
+    -----
+    NaN where the system is singular: the eigenvalue is repeated.
     """
     M_phi = M @ phi
     # the border in the size of K, so that the factorisation is of one scale
@@ -71,5 +75,8 @@ def by_bordered_system(
     border = sp.csc_array((scale * M_phi)[:, None])
     system = sp.block_array([[K - lam * M, -border], [border.T, None]], format="csc")
     below = -0.5 * scale * (phi @ dM_phi)
-    solution = ssl.splu(system).solve(np.concatenate([-(dK_phi - lam * dM_phi), below[None]]))
+    try:
+        solution = ssl.splu(system).solve(np.concatenate([-(dK_phi - lam * dM_phi), below[None]]))
+    except RuntimeError:
+        solution = np.full((len(phi) + 1, dK_phi.shape[1]), np.nan)
     return solution[:-1], scale * solution[-1]

@@ -102,8 +102,7 @@ class PairedStructure:
         lower: FloatArray,
         upper: FloatArray,
         tolerance: float = 1e-6,
-        focus: Callable[[], FloatArray] | None = None,
-        acceptable: Callable[[FloatArray, FloatArray], bool] | None = None,
+        wanting: Callable[[], FloatArray | None] | None = None,
     ) -> dict[str, FloatArray]:
         """Train the reduced model over a box; see `fmu.fem.training.Training.run`.
 
@@ -112,11 +111,9 @@ class PairedStructure:
         lower, upper : ndarray, shape (n_parameters,)
         tolerance : float
             Largest relative error of a frequency at any point of the box that was tried.
-        focus : callable, optional
-            Returns fresh points (n, n_parameters) where the reduced model has to be better than that. It may call
-            `frequencies`, which the model as trained so far then answers.
-        acceptable : callable, optional
-            Whether reduced frequencies (n, n_modes) do in place of the full ones at the points of `focus`.
+        wanting : callable, optional
+            Returns points (n, n_parameters) at which the reduced model, as trained so far, is not good enough for
+            a purpose of one's own; None where it is.
 
         Returns
         -------
@@ -126,13 +123,11 @@ class PairedStructure:
         training = Training(self.full, self.rule, lower, upper, tolerance)
         with single_thread():
             self._install(training.run())
-            if focus is not None and acceptable is not None:
-                for _ in range(20):
-                    points = focus()
-                    exact = frequency_hz(self._solve_full(points).eigenvalues)
-                    if acceptable(exact, self.frequencies(points)):
-                        break
-                    self._install(training.refined(points))
+            for _ in range(20 if wanting is not None else 0):
+                points = wanting()  # type: ignore[misc]
+                if points is None:
+                    break
+                self._install(training.refined(points))
         return training.state()
 
     def restore(self, state: dict[str, FloatArray]) -> None:

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.posterior.likelihood import FrequencyLikelihood
-
 if TYPE_CHECKING:
     from fmu.posterior.parameters import Parameter
     from fmu.posterior.problem import UpdatingProblem
@@ -34,33 +32,27 @@ class Ascent:
 
 
 class GaussNewton:
-    """V = −log P of a problem under the frequency likelihood, in the coordinates u = (θ − offset)/scale.
+    """V = −log P of a problem, in the coordinates u = (θ − offset)/scale.
 
-    With residuals r = L⁻¹(f − f^m), where LLᵀ is the covariance of the errors (r_i = √(2β_i) (f_i − f_i^m) where
-    they are independent), and their slopes J, ∇²V is taken for JᵀJ plus the curvature of the prior: the term
-    r_i ∇²f_i is left out (Nocedal & Wright 2006, section 10.3).
+    With the residuals r, the errors over their standard deviations, and their slopes J, ∇²V is taken for JᵀJ plus
+    the curvature of the prior: the terms r_i ∇²r_i are left out (Nocedal & Wright 2006, section 10.3). Standard
+    deviations that are inferred contribute the information about them (Fisher scoring). For a likelihood with
+    ``quadratic``, see `fmu.posterior.likelihood.FrequencyLikelihood`.
     """
 
     def __init__(self, problem: UpdatingProblem) -> None:
         self.problem = problem
         self.scale, self.offset = problem.scale, problem.offset
-        likelihood = problem.likelihood
-        if not isinstance(likelihood, FrequencyLikelihood):
-            raise ValueError("problem: must have errors in the frequencies")
-        self.error = likelihood.error
-        self.measured = np.asarray(problem.data.frequencies_hz)
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
         p = self.problem
         theta = np.clip(self.offset + self.scale * u, p.lower, p.upper)
-        f, slopes = p.model.frequencies_and_gradient(theta)
-        J = self.error.whitened(slopes) * self.scale
-        r = self.error.whitened(f - self.measured)
-        value = 0.5 * np.sum(r**2, axis=1) - np.asarray(p.log_prior(theta))
+        log_likelihood, slope, information = p.likelihood.quadratic(theta)  # type: ignore[union-attr]
+        value = -log_likelihood - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = self._prior(theta)
-        gradient = np.einsum("nm,nmk->nk", r, J) - prior_slope
-        hessian = np.einsum("nmk,nml->nkl", J, J)
+        gradient = -slope * self.scale - prior_slope
+        hessian = information * np.outer(self.scale, self.scale)
         i = np.arange(p.ndim)
         hessian[:, i, i] += prior_curvature
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -66,6 +67,14 @@ class ErrorTerm(Protocol):
         """Return the errors over their standard deviations: −½ Σ r² is the log-density but for normalisers."""
         ...
 
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Name the residuals: a mode after the other."""
+        ...
+
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Fisher's information on the inferred standard deviations, shape (n, n_noise, n_noise)."""
+        ...
+
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         ...
@@ -96,6 +105,22 @@ class FrequencyTerm:
         error, slope = self._errors(seen.frequencies)
         sd = np.sqrt(self.spread.variance(noise))
         return Residuals((error / sd)[..., None], (slope / sd)[..., None])
+
+    def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return measured frequencies (n, n_modes) for computed ones, in Hz."""
+        error = np.sqrt(self.spread.variance(noise)) * rng.standard_normal(frequencies.shape)
+        if self.kind == "eigenvalue":
+            # what f^m must be for ε to be that; below −1 there is none
+            return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
+        return np.asarray(frequencies + error)
+
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Name the residuals, see `ErrorTerm`."""
+        return [f"{mode}, frequency" for mode in modes]
+
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Fisher's information, see `ErrorTerm`."""
+        return self.spread.information(noise)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
@@ -145,6 +170,14 @@ class ShapeTerm:
         by_shape = -root[..., None] * (a[..., None, None] * np.eye(len(u)) + s[..., None] * da[..., None, :])
         return Residuals(values, None, by_shape)
 
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Name the residuals, see `ErrorTerm`."""
+        return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
+
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Fisher's information, see `ErrorTerm`."""
+        return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise)
+
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"error": "shape", "spread": self.spread.as_dict()}
@@ -175,6 +208,14 @@ class MACTerm:
         error, slope = self._errors(seen.shapes)
         sd = np.sqrt(self.spread.variance(noise))
         return Residuals((error / sd)[..., None], None, np.swapaxes(slope / sd[:, None], 1, 2)[:, :, None])
+
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Name the residuals, see `ErrorTerm`."""
+        return [f"{mode}, MAC" for mode in modes]
+
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Fisher's information, see `ErrorTerm`."""
+        return self.spread.information(noise)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.basis_cache import load_basis, store_basis
 from fmu.fem.structure import PairedStructure
-from fmu.posterior.ascent import GaussNewton
-from fmu.posterior.likelihood import FrequencyLikelihood
 from fmu.posterior.maxima import local_maxima
 
 if TYPE_CHECKING:
@@ -36,21 +34,20 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
     if state is not None:
         structure.restore(state)
         return
-    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters]).T
+    n = structure.n_parameters
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
     rng = np.random.default_rng(0)
+    likelihood: Any = problem.likelihood
 
-    if isinstance(problem.likelihood, FrequencyLikelihood):
-        error = problem.likelihood.error
+    def wanting() -> FloatArray | None:
+        points = plausible_points(problem, 64, rng)
+        difference = np.sum(likelihood.terms(points) - likelihood.full_terms(points), axis=1)
+        return None if np.max(np.abs(difference)) <= LOG_PROB_TOLERANCE else points[:, :n]
 
-        def acceptable(exact: FloatArray, reduced: FloatArray) -> bool:
-            difference = np.sum(error.log_prob_terms(reduced) - error.log_prob_terms(exact), axis=1)
-            return bool(np.max(np.abs(difference)) <= LOG_PROB_TOLERANCE)
-
-        state = structure.train(
-            lower, upper, FREQUENCY_TOLERANCE, lambda: plausible_points(problem, 64, rng), acceptable
-        )
-    else:  # the frequencies take no part in the log-probability
-        state = structure.train(lower, upper, FREQUENCY_TOLERANCE)
+    # without such terms the computed modes take no part in the log-probability
+    state = structure.train(
+        lower, upper, FREQUENCY_TOLERANCE, wanting if hasattr(likelihood, "full_terms") else None
+    )
     store_basis(key, state)
 
 
@@ -99,9 +96,8 @@ def _laplace_directions(
     problem: UpdatingProblem, theta: FloatArray, n: int, rng: np.random.Generator
 ) -> FloatArray:
     """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
-    _, slopes = problem.model.frequencies_and_gradient(theta[None])
-    J = GaussNewton(problem).error.whitened(slopes * problem.scale)[0]
-    precision = J.T @ J + np.eye(problem.ndim)
+    information = problem.likelihood.quadratic(theta[None])[2][0]  # type: ignore[union-attr]
+    precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
     z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
     z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))
     return z * problem.scale

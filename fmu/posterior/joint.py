@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.model import ModalModel
 from fmu.fem.observed import Observed
-from fmu.posterior.error_terms import Evaluated
+from fmu.posterior.error_terms import Evaluated, FrequencyTerm
 from fmu.posterior.errors import ErrorModel
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
@@ -80,11 +80,7 @@ class JointLikelihood:
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_modes, ndim)."""
-        seen, noise = self._observed(theta, True), theta[:, self.n_structural :]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            parts = [term.evaluate(seen, noise, gradient=True) for term in self.terms_of]
-            slopes = sum(self._chained(part, seen, theta.shape[1]) for part in parts)
-        return np.asarray(sum(part.terms for part in parts)), np.asarray(slopes)
+        return self._terms_and_gradient(self._observed(theta, True), theta)
 
     def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return all errors over their standard deviations, and their slopes by the model's parameters.
@@ -92,20 +88,55 @@ class JointLikelihood:
         Shapes (n, n_residuals) and (n, n_residuals, n_structural): what Gauss–Newton steps and the linearised
         information of the data are made of. Inferred standard deviations are held.
         """
-        seen, noise = self._observed(theta, True), theta[:, self.n_structural :]
-        values, slopes = [], []
+        return self._residuals_and_slopes(self._observed(theta, True), theta)
+
+    @property
+    def simulates(self) -> bool:
+        """Whether frequencies are among what has errors, so that a new measurement of them can be simulated."""
+        return any(isinstance(term, FrequencyTerm) for term in self.terms_of)
+
+    def simulate(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes) with the errors of the first model of them added, Hz.
+
+        Raises
+        ------
+        ValueError
+            If standard deviations are inferred and `theta` (n, ndim) is not given.
+        """
+        if theta is None and self.noise:
+            raise ValueError("theta: must be given where standard deviations are inferred (got None)")
+        noise = np.empty((len(frequencies), 0)) if theta is None else theta[:, self.n_structural :]
+        term = next(term for term in self.terms_of if isinstance(term, FrequencyTerm))
+        return term.simulate(rng, frequencies, noise)
+
+    def sensitivity(self, theta: FloatArray) -> FloatArray:
+        """Return the slopes of the errors over their standard deviations, shape (n, n_residuals, n_structural)."""
+        return self.residuals_and_slopes(theta)[1]
+
+    def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
+        """Name the rows of `sensitivity`."""
+        return tuple(label for term in self.terms_of for label in term.labels(modes))
+
+    def full_terms(self, theta: FloatArray) -> FloatArray:
+        """Return `terms` by the full model, where a reduced one answers otherwise."""
+        return self.terms_of_observed(self.model.full_observed(theta[:, : self.n_structural]), theta)  # type: ignore[attr-defined]
+
+    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
+
+        JᵀJ of the residuals for the model's parameters, Fisher's information for the standard deviations.
+        """
+        seen = self._observed(theta, True)
+        terms, gradient = self._terms_and_gradient(seen, theta)
+        _, J = self._residuals_and_slopes(seen, theta)
+        n, s = self.n_structural, theta[:, self.n_structural :]
+        information = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
+        information[:, :n, :n] = np.einsum("nrk,nrl->nkl", J, J)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for term in self.terms_of:
-                r = term.residuals(seen, noise)
-                n, m, q = r.values.shape
-                J = np.zeros((n, m, q, self.n_structural))
-                if r.by_frequency is not None and seen.frequency_slopes is not None:
-                    J = J + r.by_frequency[..., None] * seen.frequency_slopes[:, :, None]
-                if r.by_shape is not None and seen.shape_slopes is not None:
-                    J = J + np.einsum("nmqs,nsmk->nmqk", r.by_shape, seen.shape_slopes)
-                values.append(r.values.reshape(n, m * q))
-                slopes.append(J.reshape(n, m * q, -1))
-        return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
+            information[:, n:, n:] = sum(term.information(s) for term in self.terms_of)
+        return terms.sum(axis=1), gradient.sum(axis=1), information
 
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings."""
@@ -121,6 +152,29 @@ class JointLikelihood:
             frequencies, slopes = self.model.frequencies_and_gradient(structural)
             return Observed(frequencies, nothing, slopes)
         return Observed(self.model.frequencies(structural), nothing)
+
+    def _terms_and_gradient(self, seen: Observed, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        noise = theta[:, self.n_structural :]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            parts = [term.evaluate(seen, noise, gradient=True) for term in self.terms_of]
+            slopes = np.asarray(sum(self._chained(part, seen, theta.shape[1]) for part in parts))
+        return np.asarray(sum(part.terms for part in parts)), np.where(np.isfinite(slopes), slopes, np.nan)
+
+    def _residuals_and_slopes(self, seen: Observed, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        noise = theta[:, self.n_structural :]
+        values, slopes = [], []
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            for term in self.terms_of:
+                r = term.residuals(seen, noise)
+                n, m, q = r.values.shape
+                J = np.zeros((n, m, q, self.n_structural))
+                if r.by_frequency is not None and seen.frequency_slopes is not None:
+                    J = J + r.by_frequency[..., None] * seen.frequency_slopes[:, :, None]
+                if r.by_shape is not None and seen.shape_slopes is not None:
+                    J = J + np.einsum("nmqs,nsmk->nmqk", r.by_shape, seen.shape_slopes)
+                values.append(r.values.reshape(n, m * q))
+                slopes.append(J.reshape(n, m * q, -1))
+        return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def _chained(self, part: Evaluated, seen: Observed, ndim: int) -> FloatArray:
         """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim)."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.fem.modal import frequency_hz
 from fmu.fem.model import ModalModel
 from fmu.posterior.correlated import CorrelatedFrequencyError
 from fmu.posterior.measurement import ModalData
@@ -123,6 +124,8 @@ class FrequencyLikelihood:
     model: ModalModel
     error: FrequencyError | CorrelatedFrequencyError
 
+    simulates: ClassVar[bool] = True
+
     @property
     def beta(self) -> FloatArray:
         """Coefficient β_i = 1/(2σ_i²) of each mode by itself, 1/Hz²."""
@@ -136,6 +139,27 @@ class FrequencyLikelihood:
         """Return the terms and their gradients, shape (n, n_modes, ndim)."""
         frequencies, slopes = self.model.frequencies_and_gradient(theta)
         return self.error.log_prob_terms(frequencies), self.error.terms_gradient(frequencies, slopes)
+
+    def full_terms(self, theta: FloatArray) -> FloatArray:
+        """Return `terms` by the full model, where a reduced one answers otherwise."""
+        modes = self.model.full_modes(theta)  # type: ignore[attr-defined]
+        return self.error.log_prob_terms(frequency_hz(modes.eigenvalues))
+
+    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information JᵀJ (n, ndim, ndim)."""
+        frequencies, slopes = self.model.frequencies_and_gradient(theta)
+        J = self.error.whitened(slopes)
+        value = self.error.log_prob_terms(frequencies).sum(axis=1)
+        r = self.error.whitened(frequencies - self.error.measured)
+        return value, -np.einsum("nm,nmk->nk", r, J), np.einsum("nmk,nml->nkl", J, J)
+
+    def sensitivity(self, theta: FloatArray) -> FloatArray:
+        """Return the slopes of the errors over their standard deviations, shape (n, n_modes, ndim)."""
+        return self.error.whitened(self.model.frequencies_and_gradient(theta)[1])
+
+    def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
+        """Name the rows of `sensitivity`: the modes."""
+        return modes
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""

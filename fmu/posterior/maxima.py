@@ -12,7 +12,6 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from fmu.posterior.ascent import GaussNewton, ascend
-from fmu.posterior.likelihood import FrequencyLikelihood
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -39,11 +38,11 @@ class Maximum:
 def local_maxima(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The starts are the problem's own and points of a scrambled Sobol sequence in its box. Under the frequency
-    likelihood all of them climb by Gauss–Newton steps in lockstep (`fmu.posterior.ascent`), and those that stall
-    at a kink go on by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995), the best eight of them; under another likelihood
-    every start climbs by L-BFGS-B. Two results are one maximum when there is no valley between them: nowhere on
-    the straight line is the log-probability more than a tenth below the lower end.
+    The starts are the problem's own and points of a scrambled Sobol sequence in its box. Under a likelihood of
+    errors in the modes all of them climb by Gauss–Newton steps in lockstep (`fmu.posterior.ascent`), and those
+    that stall at a kink go on by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995), the best eight of them; under another
+    likelihood every start climbs by L-BFGS-B. Two results are one maximum when there is no valley between them:
+    nowhere on the straight line is the log-probability more than a tenth below the lower end.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def local_maxima(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) 
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
     points = _starting_points(problem, starts, seed)
-    if not isinstance(problem.likelihood, FrequencyLikelihood):
+    if not hasattr(problem.likelihood, "quadratic"):
         return _merged(problem, (_climb(problem, u) for u in points))
     lower, upper = _box(problem)
     ends = ascend(GaussNewton(problem), points, lower, upper, tolerance=_TOLERANCE)

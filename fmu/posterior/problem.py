@@ -10,18 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.model import ModalModel
-from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
+from fmu.posterior.assembly import Likelihood, check_names, likelihood_of, paired_model
+from fmu.posterior.errors import ErrorModel
 from fmu.posterior.focus import reduce_model
-from fmu.posterior.likelihood import FrequencyLikelihood, frequency_error
+from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.residual import ModalResidual
 
 FloatArray = NDArray[np.float64]
 
-ERRORS = ("frequency", "modal-residual")
+_LEAST_NOISE = 1e-150
 
 
 class UpdatingProblem:
@@ -34,7 +35,7 @@ class UpdatingProblem:
         modes, already paired.
     data : ModalData
     parameters : sequence of Parameter
-        In the order of theta.
+        Of the model, in the order of theta. Standard deviations that `error` infers come after them.
     pairing : {"shape", "index"}
         Which computed mode answers to which measured one (`fmu.fem.pairing`), for a SeparableModel: by MAC with
         the modes of the model before updating, or by number in the sorted spectrum.
@@ -44,14 +45,17 @@ class UpdatingProblem:
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. For
         frequencies the uncertainty of `data` holds if they have one, and then `beta` must not be given; otherwise
         it is 1, the paper's.
-    error : {"frequency", "modal-residual"}
-        ε = f − f^m in Hz, or the residual of eq. (2) at the sensors, a pseudo-likelihood
-        (`fmu.posterior.residual`) that needs measured shapes and a SeparableModel.
+    error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
+        ε = f − f^m in Hz; or the residual of eq. (2) at the sensors, a pseudo-likelihood
+        (`fmu.posterior.residual`) that needs measured shapes and a SeparableModel; or what is to be summed of
+        `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
     name : str
 
     Attributes
     ----------
     ndim : int
+    n_structural : int
+        How many of them are the model's; inferred standard deviations are the others.
     names, units : tuple of str
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
@@ -79,14 +83,19 @@ class UpdatingProblem:
         pairing: str = "shape",
         reduction: bool = True,
         beta: ArrayLike | None = None,
-        error: str = "frequency",
+        error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
     ) -> None:
         self.data = data
         self.parameters = tuple(parameters)
+        self.n_structural = len(self.parameters)
         self.name = name
-        if error not in ERRORS:
-            raise ValueError(f"error: must be one of {ERRORS} (got {error!r})")
+        check_names(self.parameters)
+        self.model = paired_model(model, data, self.parameters, pairing)
+        self.likelihood: Likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
+        if isinstance(self.likelihood, JointLikelihood):
+            self.parameters += self.likelihood.noise
+            check_names(self.parameters)
         self.ndim = len(self.parameters)
         self.names = tuple(p.name for p in self.parameters)
         self.units = tuple(p.unit for p in self.parameters)
@@ -95,21 +104,14 @@ class UpdatingProblem:
         # as rows, like one theta, which spares it NumPy's broadcasting; open where the prior vanishes at a bound
         self._lowest = np.array([[p.lowest for p in self.parameters]])
         self._highest = np.array([[p.highest for p in self.parameters]])
+        # errors of no size at all have no density, and their square must not vanish
+        self._lowest[:, self.n_structural :] = np.maximum(self._lowest[:, self.n_structural :], _LEAST_NOISE)
         self.start = np.array([p.start for p in self.parameters], dtype=float)
         scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
         self.offset = np.array([offset for offset, _ in scales])
         self.scale = np.array([scale for _, scale in scales])
         self.failures: list[FloatArray] = []
         self._prior = JointPrior(self.parameters)
-        self.model = self._paired(model, pairing)
-        self._check()
-        self.likelihood: FrequencyLikelihood | ModalResidual
-        if error == "frequency":
-            self.likelihood = FrequencyLikelihood(self.model, frequency_error(data, beta))
-        elif isinstance(model, SeparableModel):
-            self.likelihood = ModalResidual(model, data, self.start, 1.0 if beta is None else beta)
-        else:
-            raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
         if reduction and isinstance(self.model, PairedStructure):
             reduce_model(self, self.model)
 
@@ -182,7 +184,7 @@ class UpdatingProblem:
         Works outside the bounds too.
         """
         points, single = self._points(theta)
-        frequencies = self.model.frequencies(points)
+        frequencies = self.model.frequencies(points[:, : self.n_structural])
         return frequencies[0] if single else frequencies
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -190,16 +192,27 @@ class UpdatingProblem:
         draws = np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
         return np.clip(draws, self._lowest, self._highest)
 
-    def simulate_data(self, rng: np.random.Generator, frequencies: FloatArray) -> FloatArray:
-        """Return computed frequencies (Hz) with measurement noise added.
+    def simulate_data(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+    ) -> FloatArray:
+        """Return computed frequencies with measurement noise added, Hz, shape (n, n_modes).
+
+        Parameters
+        ----------
+        rng : Generator
+        frequencies : ndarray, shape (n, n_modes), Hz
+        theta : ndarray, shape (n, ndim), optional
+            Where standard deviations are inferred, they are taken from here.
 
         Raises
         ------
         ValueError
-            If the error model gives no distribution of the frequencies (the modal residual).
+            If the error models give no distribution of the frequencies (shapes alone, the modal residual).
         """
-        if not isinstance(self.likelihood, FrequencyLikelihood):
-            raise ValueError("error: the modal residual is no distribution of the data")
+        if isinstance(self.likelihood, ModalResidual) or not self.likelihood.simulates:
+            raise ValueError("error: must be a distribution of the frequencies to simulate them")
+        if isinstance(self.likelihood, JointLikelihood):
+            return self.likelihood.simulate(rng, frequencies, theta)
         return self.likelihood.error.simulate(rng, frequencies)
 
     def configuration(self) -> dict[str, Any]:
@@ -226,34 +239,6 @@ class UpdatingProblem:
     def solves_per_gradient(self) -> int:
         """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
         return int(getattr(self.model, "solves_per_gradient", 1))
-
-    def _paired(self, model: SeparableModel | BlackBoxModel | ModalModel, pairing: str) -> ModalModel:
-        if not isinstance(model, SeparableModel | BlackBoxModel):
-            return model
-        if model.n_parameters != self.ndim:
-            raise ValueError(f"parameters: the model takes {model.n_parameters} (got {self.ndim})")
-        shapes = None if self.data.shapes is None else np.asarray(self.data.shapes)
-        if isinstance(model, BlackBoxModel):
-            return PairedBlackBox(
-                model,
-                pairing=pairing,
-                start=self.start,
-                numbers=self.data.numbers,
-                shapes=shapes,
-                lower=self.lower,
-                upper=self.upper,
-                scale=self.scale,
-            )
-        if model.names not in (None, self.names):
-            raise ValueError(f"parameters: must be the model's, in its order {model.names} (got {self.names})")
-        return PairedStructure(
-            model,
-            pairing=pairing,
-            numbers=self.data.numbers,
-            sensors=self.data.sensors,
-            reference=self.start,
-            shapes=shapes,
-        )
 
     def _model_description(self) -> Any:
         describe = getattr(self.model, "configuration", None)
@@ -290,12 +275,3 @@ class UpdatingProblem:
         failed = ~finite.all(axis=1)
         self.failures.extend(points[failed & self._within(points).all(axis=1)])
         return np.where(failed[:, None], -np.inf, terms)
-
-    def _check(self) -> None:
-        if len(set(self.names)) < self.ndim:
-            twice = sorted({n for n in self.names if self.names.count(n) > 1})
-            raise ValueError(f"parameters: names must be distinct (got twice: {twice})")
-        if self.model.n_parameters != self.ndim:
-            raise ValueError(f"parameters: the model takes {self.model.n_parameters} (got {self.ndim})")
-        if self.model.n_modes != self.data.n_modes:
-            raise ValueError(f"data: the model pairs {self.model.n_modes} modes (got {self.data.n_modes})")

@@ -43,6 +43,17 @@ class Spread:
         """Return ∂V/∂noise_k, shape (n, *shape), for each inferred one."""
         return {k: 2.0 * _column(noise, k, size.ndim) * size**2 for k, size in self.sizes.items()}
 
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V², Fisher's for Gaussian errors, shape (n, n_noise, n_noise)."""
+        n, n_noise = noise.shape
+        V = self.variance(noise)
+        relative = {k: (dV / V).reshape(n, -1) for k, dV in self.slopes(noise).items()}
+        found = np.zeros((n, n_noise, n_noise))
+        for k, one in relative.items():
+            for m, other in relative.items():
+                found[:, k, m] = 0.5 * np.sum(one * other, axis=1)
+        return found
+
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers in plain Python types."""
         return {

@@ -107,7 +107,7 @@ def test_problem_with_the_modal_residual(beam, data):
         difference = (problem.log_prob(theta + step) - problem.log_prob(theta - step)) / 2e-4
         assert scaled[j] == pytest.approx(difference, abs=1e-5 * np.abs(scaled).max())
     assert problem.configuration()["likelihood"]["error"] == "modal-residual"
-    with pytest.raises(ValueError, match=r"^error: the modal residual is no distribution of the data$"):
+    with pytest.raises(ValueError, match=r"^error: must be a distribution of the frequencies to simulate them$"):
         problem.simulate_data(np.random.default_rng(0), problem.frequencies(theta))
 
 
@@ -140,7 +140,8 @@ def test_wrong_input(beam, data):
         with pytest.raises(ValueError, match=f"^{message}$"):
             ModalResidual(beam, data, THETA, beta=beta)
     with pytest.raises(
-        ValueError, match=r"^error: must be one of \('frequency', 'modal-residual'\) \(got 'mac'\)$"
+        ValueError,
+        match=r"^error: must be one of \('frequency', 'modal-residual'\), or error models \(got 'mac'\)$",
     ):
         UpdatingProblem(beam, data, parameters(), error="mac")
 
