@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from fmu.fem.separable import SeparableModel as SeparableModel
     from fmu.fem.separable import Term as Term
     from fmu.fem.updates import Factor as Factor
+    from fmu.posterior.errors import FrequencyErrors as FrequencyErrors
+    from fmu.posterior.errors import MACErrors as MACErrors
+    from fmu.posterior.errors import ShapeErrors as ShapeErrors
     from fmu.posterior.measurement import ModalData as ModalData
     from fmu.posterior.one_sided_priors import HalfNormal as HalfNormal
     from fmu.posterior.one_sided_priors import LogNormal as LogNormal
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem as UpdatingProblem
     from fmu.posterior.scipy_priors import ScaledBeta as ScaledBeta
     from fmu.posterior.scipy_priors import ScipyPrior as ScipyPrior
+    from fmu.report.export import export as export
     from fmu.report.html import write_report as write_report
     from fmu.samplers.ensemble import Ensemble as Ensemble
     from fmu.samplers.hamiltonian import HamiltonianMonteCarlo as HamiltonianMonteCarlo
@@ -64,10 +68,13 @@ _HOME = {
     "Ensemble": "fmu.samplers.ensemble",
     "Factor": "fmu.fem.updates",
     "Frame": "fmu.fem.frame",
+    "FrequencyErrors": "fmu.posterior.errors",
     "HalfNormal": "fmu.posterior.one_sided_priors",
     "HamiltonianMonteCarlo": "fmu.samplers.hamiltonian",
     "JointSpring": "fmu.fem.joints",
     "LogNormal": "fmu.posterior.one_sided_priors",
+    "MACErrors": "fmu.posterior.errors",
+    "ShapeErrors": "fmu.posterior.errors",
     "Material": "fmu.fem.section",
     "MetropolisHastings": "fmu.samplers.metropolis",
     "ModalData": "fmu.posterior.measurement",
@@ -90,6 +97,7 @@ _HOME = {
     "diagnose": "fmu.analysis.diagnosis",
     "evidence": "fmu.analysis.evidence",
     "expectation": "fmu.analysis.prediction",
+    "export": "fmu.report.export",
     "find_map": "fmu.analysis.search",
     "identifiability": "fmu.analysis.identifiability",
     "load": "fmu.config",
@@ -105,10 +113,12 @@ __all__ = [
     "Ensemble",
     "Factor",
     "Frame",
+    "FrequencyErrors",
     "HalfNormal",
     "HamiltonianMonteCarlo",
     "JointSpring",
     "LogNormal",
+    "MACErrors",
     "Material",
     "MetropolisHastings",
     "ModalData",
@@ -121,6 +131,7 @@ __all__ = [
     "ScipyPrior",
     "Section",
     "SeparableModel",
+    "ShapeErrors",
     "Slice",
     "Tempering",
     "Term",
@@ -133,6 +144,7 @@ __all__ = [
     "diagnose",
     "evidence",
     "expectation",
+    "export",
     "find_map",
     "identifiability",
     "load",

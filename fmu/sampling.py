@@ -126,12 +126,11 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> 
     """Keep in the trace of an updating problem what the model says beside the draws."""
     from fmu.analysis.identifiability import with_identifiability
     from fmu.analysis.modal_states import with_modes
-    from fmu.posterior.likelihood import FrequencyLikelihood
 
     if not hasattr(problem, "likelihood"):
         return trace
     trace = with_modes(trace, problem, maxima)
-    if isinstance(problem.likelihood, FrequencyLikelihood):
+    if hasattr(problem.likelihood, "sensitivity"):
         trace = with_identifiability(trace, problem, maxima)
     return trace
 

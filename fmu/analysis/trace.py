@@ -191,7 +191,7 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
         if hasattr(density, name)
     }
     coordinates: dict[str, Any] = {"parameter": list(names)}
-    if hasattr(density, "likelihood"):
+    if hasattr(getattr(density, "likelihood", None), "beta"):
         variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
         error = getattr(density.likelihood, "error", None)
@@ -216,8 +216,12 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         terms = {"frequency": (dims, error.log_prob_terms(frequency))}
         if isinstance(error, CorrelatedFrequencyError):
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
+    elif hasattr(problem.likelihood, "noise"):
+        terms = {"modes": (dims, distinct.evaluate(problem.log_likelihood_terms))}
+    if getattr(problem.likelihood, "simulates", False):
         noise = _generator(result.seed, NOISE_STREAM)
-        replicate = problem.simulate_data(noise, frequency.reshape(-1, frequency.shape[-1]))
+        theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
+        replicate = problem.simulate_data(noise, hz, theta)
         predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
     else:  # a pseudo-likelihood has terms, but no measurement noise to predict with
         terms = {"residual": (dims, distinct.evaluate(problem.log_likelihood_terms))}
