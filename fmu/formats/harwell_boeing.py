@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.formats.matrix_files import checked
+
 
 def parse(text: str) -> Any:
     """Return the real assembled matrix in the text of a file, right-hand sides left out.
@@ -45,7 +47,7 @@ def parse(text: str) -> Any:
     matrix = sp.csc_array(
         (values.astype(float), rows.astype(np.int64) - 1, starts.astype(np.int64) - 1), shape=(n_rows, n_columns)
     )
-    matrix.check_format(full_check=True)
+    checked(matrix)
     if kind == "RSA":
         matrix = matrix + matrix.T - sp.diags_array(matrix.diagonal())
     return sp.csc_array(matrix)

@@ -30,7 +30,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrix_files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError
+from fmu.formats.matrix_files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError, checked
 
 Triangle = bool | Literal["lower", "upper"]
 
@@ -150,9 +150,9 @@ def _real_square(matrix: Any) -> Any:
         raise ValueError(f"must hold a real square matrix (got {matrix.dtype} of shape {matrix.shape})")
     if not 1 <= matrix.shape[0] <= MOST_DOFS:
         raise ValueError(f"must have 1 to {MOST_DOFS} degrees of freedom (got {matrix.shape[0]})")
-    if hasattr(matrix, "check_format"):
+    if hasattr(matrix, "indptr"):
         try:
-            matrix.check_format(full_check=True)
+            checked(matrix)
         except ValueError as error:
             raise ValueError(f"must hold a matrix ({error})") from error
     square = sp.csr_array(matrix, dtype=float)

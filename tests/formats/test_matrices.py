@@ -74,6 +74,24 @@ def test_matrix_market_symmetric_and_compressed(tmp_path):
     assert_array_equal(read_matrix(tmp_path / "k.mtx.gz").toarray(), K)
 
 
+def test_matrix_market_of_every_kind(tmp_path):
+    path = tmp_path / "k.mtx"
+    for layout in (sp.coo_array(TWO), TWO):
+        for symmetry in ("general", "symmetric"):
+            for comment in ("", "two\n lines"):
+                mmwrite(path, layout, symmetry=symmetry, comment=comment)
+                assert_array_equal(read_matrix(path).toarray(), TWO)
+    for layout in (sp.coo_array(TWO.astype(int)), TWO.astype(int)):
+        mmwrite(path, layout)
+        assert_array_equal(read_matrix(path).toarray(), TWO)
+    for wrong in (np.array([[0.0, 1.0], [-1.0, 0.0]]), sp.coo_array([[0.0, 1.0], [-1.0, 0.0]])):
+        mmwrite(path, wrong, symmetry="skew-symmetric")
+        with pytest.raises(ValueError, match=r"must be symmetric \(row 1, column 2 differs by 2\)"):
+            read_matrix(path)
+    mmwrite(path, sp.coo_array((3, 3)))
+    assert read_matrix(path).nnz == 0
+
+
 def test_harwell_boeing(tmp_path):
     hb_write(tmp_path / "k.rua", sp.csc_array(K))
     assert_array_equal(read_matrix(tmp_path / "k.rua").toarray(), K)
@@ -110,7 +128,14 @@ def test_matlab_by_name_and_alone(tmp_path):
         read_matrix(tmp_path / "model.mat")
     with pytest.raises(ValueError, match=r"^variable: must be one of K1, M, f \(got 'K2'\)$"):
         read_matrix(tmp_path / "model.mat", "K2")
-    savemat(tmp_path / "alone.mat", {"K": K, "f": 3.0})
+    savemat(
+        tmp_path / "whole.mat", {"K": TWO.astype(np.int16), "text": "K", "cell": np.array([1, "a"], dtype=object)}
+    )
+    assert_array_equal(read_matrix(tmp_path / "whole.mat").toarray(), TWO)
+    savemat(tmp_path / "complex.mat", {"K": 1j * K}, do_compression=True)
+    with pytest.raises(ValueError, match=r"must hold a real matrix \(it is complex\)"):
+        read_matrix(tmp_path / "complex.mat")
+    savemat(tmp_path / "alone.mat", {"K": K, "f": 3.0}, do_compression=True)
     assert_array_equal(read_matrix(tmp_path / "alone.mat").toarray(), K)
 
 
