@@ -12,7 +12,6 @@ from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.initial_modes import InitialModes, initial_modes
 from fmu.analysis.mode_text import modes_as_text
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
-from fmu.posterior.likelihood import FrequencyLikelihood
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +35,7 @@ class Check:
         Computed modes at the start beside the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
-        None where errors are not those of frequencies.
+        None where errors are not those of modes, or the gradient is not finite.
     prior : PriorPrediction
         What the prior predicts for the measurement.
     drawing : str
@@ -151,14 +150,15 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
     if not np.all(np.isfinite(problem.frequencies(problem.start))):
         raise ValueError(f"start: the model must have frequencies there (got {problem.start.tolist()})")
-    informed = isinstance(problem.likelihood, FrequencyLikelihood)
+    gradient = check_gradient(problem, seed)
+    informed = hasattr(problem.likelihood, "sensitivity") and bool(np.all(np.isfinite(gradient.exact[0])))
     drawing, colours = structure_drawing(problem)
     return Check(
         name=problem.name,
         model=tuple(model_in_words(problem)),
         parameters=parameter_table(problem),
         modes=initial_modes(problem),
-        gradient=check_gradient(problem, seed),
+        gradient=gradient,
         identifiability=identifiability(problem) if informed else None,
         prior=prior_prediction(problem, draws, seed),
         drawing=drawing,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.fem.drawing import changed_elements, drawing, parameter_colours
+from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.pairing import IndexPairing
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel
@@ -26,7 +27,8 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     """Say what a problem's model is: its size, its decoupled parts, its mass, what answers for it."""
     model = problem.model
     if not isinstance(model, PairedStructure):
-        return [f"The model is {type(model).__name__}, which gives {model.n_modes} frequencies."]
+        name = model.black_box.name if isinstance(model, PairedBlackBox) else type(model).__name__
+        return [f"The model is the function {name}: what it does with its parameters is not known."]
     structure = model.structure
     sizes = [str(len(block)) for block in structure.blocks]
     parts = "in one piece" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"
@@ -48,13 +50,15 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row a parameter: unit, start, bounds (SI units), prior in words, and what it changes."""
+    """Return one row a parameter: unit, start, bounds (SI units), prior in words, what it changes if known."""
     import pandas as pd
 
     structure = getattr(problem.model, "structure", None)
     rows = []
     for j, parameter in enumerate(problem.parameters):
         changes = _changes(structure, j) if isinstance(structure, SeparableModel) else ""
+        if j >= problem.model.n_parameters:
+            changes = "errors of the measurement"
         rows.append(
             {
                 "unit": parameter.unit,
@@ -65,7 +69,8 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
                 "changes": changes,
             }
         )
-    return pd.DataFrame(rows, index=pd.Index(problem.names, name="parameter"))
+    table = pd.DataFrame(rows, index=pd.Index(problem.names, name="parameter"))
+    return table if any(table["changes"]) else table.drop(columns="changes")
 
 
 def prior_in_words(settings: dict[str, Any]) -> str:
@@ -81,7 +86,8 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     structure = getattr(problem.model, "structure", None)
     if not isinstance(structure, SeparableModel) or not _is_drawable(structure):
         return "", [None] * problem.ndim
-    return drawing(structure, problem.data.sensors), parameter_colours(structure)
+    others = [None] * (problem.ndim - structure.n_parameters)
+    return drawing(structure, problem.data.sensors), [*parameter_colours(structure), *others]
 
 
 def _is_drawable(structure: SeparableModel) -> bool:
@@ -95,7 +101,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     rotary inertia takes part in the others.
     """
     directions = np.array([direction for _, direction in structure.dofs])
-    M = structure.M(problem.start)
+    M = structure.M(problem.start[: structure.n_parameters])
     rigid = [(directions == name).astype(float) for name in _TRANSLATIONS if name in directions]
     if not rigid:
         return []
@@ -115,6 +121,8 @@ def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:
 
 def _changes(structure: SeparableModel, j: int) -> str:
     """Say what a parameter changes: ``"stiffness of 10 of 50 elements"``."""
+    if j >= structure.n_parameters:
+        return ""
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
     for kind, terms in (("stiffness", structure.K_terms), ("mass", structure.M_terms)):

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.pairing_doubts import TAKEN_FOR_GRANTED, ComputedMode, close, disordered, unlike, unmeasured
 from fmu.fem.modal import RIGID, frequency_hz, mac
-from fmu.fem.pairing import IndexPairing
+from fmu.fem.paired_black_box import PairedBlackBox
+from fmu.fem.pairing import IndexPairing, assign
 from fmu.fem.separable import selection
 from fmu.fem.structure import PairedStructure
 from fmu.fem.threads import single_thread
@@ -104,8 +105,11 @@ def initial_modes(problem: UpdatingProblem, theta: ArrayLike | None = None) -> I
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     labels = tuple(map(str, problem.data.labels))
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
+    structural = point[: problem.model.n_parameters]  # behind them, what is uncertain of the errors
     if isinstance(problem.model, PairedStructure):
-        return _of_structure(problem, problem.model, point, labels, measured)
+        return _of_structure(problem, problem.model, structural, labels, measured)
+    if isinstance(problem.model, PairedBlackBox):
+        return _of_function(problem.model, structural, labels, measured)
     frequencies = problem.frequencies(point)
     found = tuple(ComputedMode(None, float(frequencies[k]), int(k)) for k in range(len(frequencies)))
     note = "The model itself says which of its modes answer to the measured ones."
@@ -138,6 +142,29 @@ def _of_structure(
     doubts += disordered(labels, paired, measured)
     taken = [] if by_number or problem.data.shapes is not None else [TAKEN_FOR_GRANTED]
     return InitialModes(labels, measured, found, alike, tuple(doubts), (*taken, *unmeasured(found)))
+
+
+def _of_function(
+    model: PairedBlackBox, point: FloatArray, labels: tuple[str, ...], measured: FloatArray
+) -> InitialModes:
+    """Return all modes that a function gives, in its order, and those that answer to the measured ones."""
+    answer = model.black_box.at(point)
+    alike = None
+    if model.reference is not None and answer.shapes is not None:
+        alike = mac(answer.shapes, model.reference)
+        paired = [int(column) for column in assign(alike[None])[0]]
+    else:
+        paired = [number - 1 for number in model.numbers]
+    answers = {number: k for k, number in enumerate(paired)}
+    frequencies = answer.frequencies[: max(paired) + 1 + _BEYOND]
+    found = tuple(ComputedMode(i + 1, float(f), answers.get(i)) for i, f in enumerate(frequencies))
+    alike = None if alike is None else alike[:, : len(found)]
+    seen = np.ones(len(found), dtype=bool)
+    doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, alike is None)]
+    doubts += disordered(labels, paired, measured)
+    how = "by number, as the function gives them" if alike is None else "by MAC with the measured shapes"
+    notes = (f"Modes are paired {how}.", *(unmeasured(found) if alike is not None else ()))
+    return InitialModes(labels, measured, found, alike, tuple(doubts), notes)
 
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]]:

@@ -128,9 +128,24 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
     """
     if draws < 2:
         raise ValueError(f"draws: must be at least 2 (got {draws})")
-    frequencies = problem.frequencies(problem.sample_prior(np.random.default_rng(seed), draws))
+    rng = np.random.default_rng(seed)
+    theta = problem.sample_prior(rng, draws)
+    frequencies = problem.frequencies(theta)
     finite = np.all(np.isfinite(frequencies), axis=1)
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
-    noise = getattr(getattr(problem.likelihood, "error", None), "sd", np.full(len(measured), np.nan))
+    noise = _noise_sd(problem, frequencies[finite], theta[finite], rng)
     labels = tuple(map(str, problem.data.labels))
-    return PriorPrediction(labels, measured, frequencies[finite], np.asarray(noise), int(np.sum(~finite)))
+    return PriorPrediction(labels, measured, frequencies[finite], noise, int(np.sum(~finite)))
+
+
+def _noise_sd(
+    problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the standard deviation of the errors in frequency, over the prior where they are inferred too."""
+    sd = getattr(getattr(problem.likelihood, "error", None), "sd", None)
+    if sd is not None:
+        return np.asarray(sd)
+    if len(frequencies) and getattr(problem.likelihood, "simulates", False):
+        noise = problem.simulate_data(rng, frequencies, theta) - frequencies
+        return np.asarray(np.sqrt(np.mean(noise**2, axis=0)))
+    return np.full(frequencies.shape[1], np.nan)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 from markupsafe import Markup
 
 from fmu.analysis.check import Check
@@ -83,21 +84,21 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
 def _model(found: Check) -> Section:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
-        caption = "Squares: supports. Arrows: sensors and their directions; a dot points at the reader."
+        caption = "Squares: supports. Arrows: sensors and their directions; one at the reader is a dot."
         drawing = Markup(found.drawing) + _legend(found)  # fmu.fem.drawing escapes what it writes
         parts.append(Pictures((Picture(drawing, caption, _DRAWN),)))
+    words = ("prior", "changes") if "changes" in found.parameters else ("prior",)
+    header = ("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds", *words[1:])
     rows = tuple(
         (
             str(name),
             row.unit or MISSING,
             *(significant(value, 4) for value in (row.start, row.lower, row.upper)),
-            row.prior,
-            row.changes or MISSING,
+            *(row[column] or MISSING for column in words),
         )
         for name, row in found.parameters.iterrows()
     )
-    header = ("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds", "changes")
-    parts.append(Table("Parameters, in the units of the file.", header, rows, words=(1, 5, 6)))
+    parts.append(Table("Parameters, in the units of the file.", header, rows, words=(1, *range(5, len(header)))))
     return Section("model", "The model", tuple(parts))
 
 
@@ -158,7 +159,7 @@ def _prior(found: Check) -> Section:
         parts.append(Pictures((picture(axes, "prior", alt, caption),)))
         table = found.prior_table()
         rows = tuple((label, *map(_signed, row)) for label, row in zip(labels, table.to_numpy(), strict=True))
-        noise = "Of a measurement: its error is in the sd." if prior.noise_sd.all() else ""
+        noise = "Of a measurement: its error is in the sd." if np.isfinite(prior.noise_sd).all() else ""
         header = ("mode", "measured, Hz", "the prior predicts, Hz", "distance, sd")
         parts.append(Table(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
     return Section("prior", "What the prior predicts", tuple(parts))

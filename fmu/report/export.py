@@ -109,7 +109,7 @@ def export(
         _values(trace, theta).to_csv(stage / VALUES)
         built = described.model.build(source.folder, described.parameters)
         if isinstance(built.model, SeparableModel):
-            write_matrices(built.model, built.places, theta, f"At the {what}", stage)
+            write_matrices(built.model, built.places, theta[: built.model.n_parameters], f"At the {what}", stage)
         starts = dict(zip(names, theta.tolist(), strict=True))
         text, words = updated_text(
             source.file.read_text(encoding="utf-8"), starts, source.pairing, f"The start values are the {what}"

@@ -79,7 +79,7 @@ def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, ab
     import tomlkit
 
     document = tomlkit.parse(text)
-    for table in document["parameters"]:
+    for table in (*document["parameters"], *document.get("noise", ())):
         table["start"] = tomlkit.value(_toml_number(starts[str(table["name"])]))
     if pairing is not None and document.get("pairing", "shape") != pairing:
         document["pairing"] = pairing

@@ -217,6 +217,45 @@ def test_a_model_without_matrices_and_a_name_that_is_html():
     assert "<b>" not in page
 
 
+def function_of_storeys(theta):
+    """The three masses as a function, all modes with their shapes, the highest first."""
+    lam, phi = scipy.linalg.eigh(theta[0] * K1 + theta[1] * (K2 + K3), M)
+    return {"frequencies": np.sqrt(lam[::-1]) / (2 * np.pi), "shapes": phi[:, ::-1]}
+
+
+def test_a_function_with_shapes_says_which_of_its_modes_is_which():
+    data = ModalData(EXACT[:2], sensors=SENSORS, shapes=SHAPES[:, :2], sd_hz=0.05)
+    parameters = [Parameter(name, 1e4, 5e3, 2e4) for name in ("a", "b")]
+    problem = UpdatingProblem(fmu.BlackBoxModel(function_of_storeys, 2), data, parameters)
+    found = check(problem, draws=5)
+    assert [found.modes.of(k).number for k in (0, 1)] == [3, 2]
+    np.testing.assert_allclose(found.modes.table()["mac"][1:], 1.0)
+    assert any("different orders" in doubt for doubt in found.doubts)  # those of the function, from the highest on
+    assert "function_of_storeys" in found.model[0]
+    assert found.gradient.agrees
+
+
+def test_standard_deviations_that_are_inferred_are_parameters_too():
+    model = storeys().model.structure
+    sd = Parameter("sd", 0.05, 0.01, 0.2, unit="Hz")
+    parameters = [Parameter(name, 1e4, 5e3, 2e4) for name in ("a", "b")]
+    data = ModalData(EXACT[:2], sensors=SENSORS)
+    errors = [fmu.FrequencyErrors("absolute", sd)]
+    problem = UpdatingProblem(model, data, parameters, reduction=False, error=errors)
+    found = check(problem, draws=200)
+    assert list(found.parameters["changes"])[2] == "errors of the measurement"
+    # uniform from 0.01 to 0.2: a mean square of (0.2³ − 0.01³)/(3 · 0.19)
+    np.testing.assert_allclose(found.prior.noise_sd, np.sqrt((0.2**3 - 0.01**3) / 0.57), rtol=0.2)
+    assert found.gradient.agrees
+    assert found.identifiability.names == ("a", "b")
+
+
+def test_a_problem_whose_gradient_is_no_number_is_doubtful():
+    found = check(linear(model=Holey()), draws=20)
+    assert found.identifiability is None
+    assert "The gradient is not finite for a at the start." in found.doubts
+
+
 def test_what_is_no_problem():
     with pytest.raises(ValueError, match=r"problem: must be an UpdatingProblem \(got int\)"):
         check(3)
