@@ -214,6 +214,13 @@ def test_a_free_structure_on_purpose(tmp_path):
     assert_allclose(frequencies, frequency_hz(lam)[6:], rtol=1e-6)
 
 
+def test_several_masses_without_names_at_one_point(tmp_path):
+    two = text().replace("mass = 30.0", 'mass = 10.0\n\n[[model.masses]]\npoint = "damper"\nmass = 20.0')
+    (tmp_path / "hall.toml").write_text(two)
+    M = load(tmp_path / "hall.toml").model.structure.M([2e11])
+    assert_allclose(M.toarray(), hall().separable({"p": [("E", "posts")]}).M([2e11]).toarray(), atol=1e-9)
+
+
 BROKEN = {
     "a mechanism": (
         [", rz = 1e6", "{ y = 1e5 }"],

@@ -79,6 +79,13 @@ def test_a_spinning_member_is_named_alone():
     assert complaint(model) == "in 1 way (2 rx, 3 rx move most)"
 
 
+def test_a_member_that_spins_is_not_the_whole_though_all_else_is_held():
+    hinges = [HINGE, JointSpring("other", (3, 4), {}, tied=("x", "y", "z"))]
+    nodes = [(0, 0, 0), (0, 0, 1), (0, 0, 1), (1, 0, 1), (1, 0, 1), (1, 0, 0)]
+    held = dict.fromkeys((0, 1, 4, 5), DIRECTIONS)
+    assert complaint(frame(nodes, held, hinges, [(0, 1), (2, 3), (4, 5)])) == "in 1 way (2 rx, 3 rx move most)"
+
+
 @pytest.mark.parametrize("n", [1, 8, 60])
 def test_a_slender_structure_is_none(n):
     """Sixty elements of 17 mm, a millimetre thick and inclined, are soft by 1e-9 of their axial stiffness."""
