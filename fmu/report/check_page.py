@@ -84,7 +84,7 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
 def _model(found: Check) -> Section:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
-        caption = "Squares: supports. Arrows: sensors and their directions; one at the reader is a dot."
+        caption = "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors."
         drawing = Markup(found.drawing) + _legend(found)  # fmu.fem.drawing escapes what it writes
         parts.append(Pictures((Picture(drawing, caption, _DRAWN),)))
     words = ("prior", "changes") if "changes" in found.parameters else ("prior",)
@@ -110,7 +110,7 @@ def _legend(found: Check) -> Markup:
             names.setdefault(colour, []).append(str(name))
     entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
     entries = [entry.format(colour, ", ".join(those)) for colour, those in names.items()]
-    if UNCHANGED in found.drawing:
+    if f'stroke="{UNCHANGED}"' in found.drawing:
         entries.append(entry.format(UNCHANGED, "no parameter"))
     return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entries))
 
