@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.fem.joints import DIRECTIONS
 from fmu.fem.separable import RigidArm, SeparableModel
 
 FloatArray = NDArray[np.float64]
 
-_DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 # Motions that agree to this are the same: those of zero energy are known no better where a structure is soft.
 _SAME = 1e-4
 _SHOWN = 4
@@ -116,11 +116,11 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
 
     def row(node: int, direction: str) -> list[float]:
         arm = RigidArm(None, tuple((nodes[node] - centre).tolist())).motion(direction)
-        return [arm.get(d, 0.0) / (length if d.startswith("r") else 1.0) for d in _DIRECTIONS]
+        return [arm.get(d, 0.0) / (length if d.startswith("r") else 1.0) for d in DIRECTIONS]
 
     moved = np.array([row(node, d) for node, d in model.dofs])
     used = np.unique(model.geometry.elements).tolist()
-    known = [d for d in _DIRECTIONS if any(direction == d for _, direction in model.dofs)]
+    known = [d for d in DIRECTIONS if any(direction == d for _, direction in model.dofs)]
     held = [row(node, d) for node in used for d in known if (node, d) not in model.dof_of]
     return moved, np.array(held).reshape(-1, 6)
 
