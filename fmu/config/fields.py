@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
 """No slash: traces keep names as paths."""
@@ -12,6 +12,24 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
+
+def kind_of(value: Any) -> str | None:
+    """Return of which kind a value is, where a key takes several; kinds are in angle brackets, unlike keys."""
+    if isinstance(value, list):
+        return "<rows>" if value and isinstance(value[0], list) else "<list>"
+    if isinstance(value, str):
+        return "<text>"
+    return "<number>" if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def by_kind(words: str) -> Discriminator:
+    """Return what picks the type of a value by its kind, and says in `words` which kinds there are."""
+    return Discriminator(kind_of, custom_error_type="kind", custom_error_message=f"must be {words}")
+
+
+Number = Annotated[Positive, Tag("<number>")]
+Numbers = Annotated[list[Positive], Tag("<list>")]
+NumberOrNumbers = Annotated[Number | Numbers, by_kind("a number or a list of numbers")]
 SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 """A place and a direction."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from fmu.config.fields import Name, Positive, SensorTable, Table
+from fmu.config.fields import Name, NumberOrNumbers, Positive, SensorTable, Table
 from fmu.config.measured_files import FileName, OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built
@@ -54,8 +54,8 @@ class MeasurementTable(Table):
     file: FileName | None = None
     uff: UffTable | None = None
     oma: OmaTable | None = None
-    sd: Positive | list[Positive] | None = None
-    beta: Positive | list[Positive] | None = None
+    sd: NumberOrNumbers | None = None
+    beta: NumberOrNumbers | None = None
     covariance: list[list[float]] | None = None
     numbers: list[Annotated[int, Field(ge=1)]] = []
     labels: list[Name] = []
@@ -79,7 +79,7 @@ class MeasurementTable(Table):
         if len(given) != 1:
             raise ValueError(got(f"must have one of {', '.join(_SOURCES)}", given))
         trust = [key for key in _TRUST if getattr(self, key) is not None]
-        if len(trust) > 1 or (not trust and given[0] in ("frequencies", "uff")):
+        if len(trust) > 1:
             raise ValueError(got(_ONE_TRUST, trust))
         if trust and given[0] == "tests":
             raise ValueError(f"{trust[0]} must not be given beside tests, whose scatter tells the error")
@@ -107,8 +107,24 @@ class MeasurementTable(Table):
             if isinstance(value, list) and value and len(value) != len(rows[0]):
                 raise ValueError(f"{key} must be {len(rows[0])}, one a mode (got {len(value)})")
 
-    def build(self, folder: Path, built: Built) -> ModalData:
-        """Return the data, at sensors of the model; BrokenError with what is wrong. Files are in `folder`."""
+    def mistakes(self, needs_trust: bool) -> list[Mistake]:
+        """Say so if nothing can tell the errors in frequency, and no error model does."""
+        given = [key for key in _TRUST if getattr(self, key) is not None]
+        if given or not needs_trust or (self.frequencies is None and self.uff is None):
+            return []
+        return [Mistake("measurement", got(_ONE_TRUST, given))]
+
+    def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
+        """Return the data, at sensors of the model; BrokenError with what is wrong.
+
+        Parameters
+        ----------
+        folder : Path
+            Where files are.
+        built : Built
+        needs_trust : bool
+            Whether no error model says how large errors are.
+        """
         read = self._read(folder)
         sensors = self._sensors(read.sensors, built)
         n, most = len(read.frequencies), getattr(built.model, "n_dof", np.inf)
@@ -119,7 +135,7 @@ class MeasurementTable(Table):
         trust = {argument: getattr(self, key) for key, argument in given.items() if getattr(self, key) is not None}
         if not trust and self.beta is None:
             trust = read.uncertainty
-            if not trust:
+            if not trust and needs_trust:
                 raise BrokenError(
                     [Mistake("measurement", f"{_ONE_TRUST}, as the file has no standard deviations")]
                 )

@@ -70,6 +70,8 @@ def _of_one(error: dict[str, Any]) -> Mistake:
         return _of_tag(where, error)
     if kind == "value_error":
         return Mistake(where, str(error["ctx"]["error"]))
+    if kind == "kind":
+        return Mistake(where, got(error["msg"], value))
     return Mistake(where, got(_as_rule(error["msg"]), value))
 
 
@@ -90,9 +92,12 @@ def _of_tag(where: str, error: dict[str, Any]) -> Mistake:
 
 
 def _in_the_file(place: tuple[int | str, ...]) -> list[int | str]:
-    """Return a place without the kinds of tables, which pydantic puts after ``model`` and ``prior``."""
-    parts = list(place)
-    for kind, parent in ((1, ["model"]), (3, ["parameters", *parts[1:2], "prior"])):
+    """Return a place without the kinds of values and tables, which pydantic puts after keys that have several."""
+    parts = [part for part in place if not str(part).startswith("<")]
+    where = parts[1:2]
+    several = (["model"], ["parameters", *where, "prior"], ["noise", *where, "prior"], ["error", *where])
+    for parent in several:
+        kind = len(parent)
         if parts[:kind] == parent:
             return parts[:kind] + parts[kind + 1 :]
     return parts

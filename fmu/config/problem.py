@@ -6,10 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, Tag
 
 from fmu.config import parameters as given
-from fmu.config.fields import Name, Table
+from fmu.config.errors import ErrorTable, NoiseTable, built_noise
+from fmu.config.fields import Name, Table, by_kind
 from fmu.config.frame import FrameTable
 from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
@@ -20,6 +21,10 @@ from fmu.config.python import PythonTable
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.problem import UpdatingProblem
 
+NamedError = Annotated[Literal["frequency", "modal-residual"], Tag("<text>")]
+ErrorModels = Annotated[list[ErrorTable], Field(min_length=1), Tag("<list>")]
+NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
+
 
 class ProblemFile(Table):
     """A file."""
@@ -27,7 +32,8 @@ class ProblemFile(Table):
     name: Name
     description: str = ""
     pairing: Literal["shape", "index"] = "shape"
-    error: Literal["frequency", "modal-residual"] = "frequency"
+    error: NamedError | ErrorModels = Field("frequency", discriminator=NAMES_OR_MODELS)
+    noise: list[NoiseTable] = []
     reduction: bool = True
     model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
     measurement: MeasurementTable
@@ -52,19 +58,23 @@ class ProblemFile(Table):
         """
         parameters, found = given.built(self.parameters)
         found += self.model.mistakes(self.parameters)
+        errors = [] if isinstance(self.error, str) else self.error
+        noise, wrong = built_noise(self.noise, errors, [table.name for table in self.parameters])
+        found += wrong + self.measurement.mistakes(needs_trust=not errors)
         if found:
             raise ConfigurationError(source, found)
         try:
             built = self.model.build(folder, self.parameters)
             data = self._data(folder, built, beta)
+            trust = self.measurement.beta if beta is None else beta
             return UpdatingProblem(
                 built.model,
                 data,
                 parameters,
                 pairing=pairing or self.pairing,
                 reduction=self.reduction,
-                beta=self.measurement.beta if beta is None else beta,
-                error=self.error,
+                beta=None if errors else trust,
+                error=[table.build(noise) for table in errors] if errors else self.error,  # type: ignore[arg-type]
                 name=f"{self.name}, by {pairing or self.pairing}",
             )
         except BrokenError as error:
@@ -74,7 +84,7 @@ class ProblemFile(Table):
 
     def _data(self, folder: Path, built: Built, beta: Any) -> ModalData:
         """Return what was measured, without its own uncertainty where `beta` holds instead."""
-        data = self.measurement.build(folder, built)
+        data = self.measurement.build(folder, built, needs_trust=isinstance(self.error, str))
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)
         if self.error == "modal-residual" and self.measurement.beta is None:

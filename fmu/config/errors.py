@@ -1,0 +1,120 @@
+"""``[[error]]`` and ``[[noise]]``: error models, and standard deviations to be inferred with the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, Tag
+
+from fmu.config.fields import Name, Number, Numbers, Positive, Table, by_kind
+from fmu.config.mistakes import Mistake, got
+from fmu.config.priors import PriorTable, UniformTable
+from fmu.posterior.errors import ErrorModel, FrequencyErrors, MACErrors, ShapeErrors
+from fmu.posterior.parameters import Parameter
+
+Weights = list[Positive] | None
+Named = Annotated[Name, Tag("<text>")]
+Rows = Annotated[list[list[Positive]], Tag("<rows>")]
+Deviation = Annotated[Number | Numbers | Named, by_kind("a number, a list of numbers, or the name of a noise")]
+
+
+class NoiseTable(Table):
+    """A standard deviation to be inferred, which error models refer to by its name."""
+
+    name: Name
+    start: Positive
+    lower: Annotated[float, Field(ge=0)] = 0.0
+    upper: Positive | None = None
+    unit: str = ""
+    prior: PriorTable = UniformTable(distribution="uniform")
+
+    def build(self) -> Parameter:
+        """Return the parameter; ValueError if bounds, start and prior do not fit each other."""
+        upper = np.inf if self.upper is None else self.upper
+        return Parameter(self.name, self.start, self.lower, upper, self.prior.build(), self.unit)
+
+
+class FrequencyErrorTable(Table):
+    """Errors of frequencies: ``kind``, and ``sd`` if not the measurement's: a number, one a mode, or a name."""
+
+    of: Literal["frequencies"]
+    kind: Literal["absolute", "relative", "eigenvalue"] = "relative"
+    sd: Deviation | None = None
+    weights: Weights = None
+    discrepancy: Name | None = None
+
+    def build(self, noise: Mapping[str, Parameter]) -> ErrorModel:
+        """Return the error model."""
+        return FrequencyErrors(self.kind, _sd(self.sd, noise), self.weights, noise.get(self.discrepancy or ""))
+
+
+class ShapeErrorTable(Table):
+    """Errors of mode shapes of unit length; ``sd`` a number, one a mode, a row a sensor, or a name."""
+
+    of: Literal["shapes"]
+    sd: (
+        Annotated[Number | Numbers | Rows | Named, by_kind("a number, lists of numbers, or the name of a noise")]
+        | None
+    ) = None
+    weights: Weights = None
+    discrepancy: Name | None = None
+
+    def build(self, noise: Mapping[str, Parameter]) -> ErrorModel:
+        """Return the error model."""
+        return ShapeErrors(_sd(self.sd, noise), self.weights, noise.get(self.discrepancy or ""))
+
+
+class MACErrorTable(Table):
+    """Errors 1 − MAC; ``sd`` a number, one a mode, or a name."""
+
+    of: Literal["mac"]
+    sd: Deviation
+    weights: Weights = None
+
+    def build(self, noise: Mapping[str, Parameter]) -> ErrorModel:
+        """Return the error model."""
+        return MACErrors(_sd(self.sd, noise), self.weights)
+
+
+ErrorTable = Annotated[FrequencyErrorTable | ShapeErrorTable | MACErrorTable, Field(discriminator="of")]
+
+
+def built_noise(
+    tables: Sequence[NoiseTable], errors: Sequence[Any], parameters: Sequence[str]
+) -> tuple[dict[str, Parameter], list[Mistake]]:
+    """Return the standard deviations to be inferred by name, and what is wrong with them or refers to none.
+
+    Parameters
+    ----------
+    tables : sequence of NoiseTable
+    errors : sequence of ErrorTable
+    parameters : sequence of str
+        Names that are taken.
+    """
+    noise: dict[str, Parameter] = {}
+    found, used = [], set()
+    for i, table in enumerate(tables):
+        if table.name in noise or table.name in parameters:
+            found.append(Mistake(f"noise.{i}.name", got("must not be that of another parameter", table.name)))
+        try:
+            noise[table.name] = table.build()
+        except ValueError as error:
+            found.append(Mistake(f"noise.{i}", str(error).removeprefix(f"{table.name}.")))
+    known = ", ".join(table.name for table in tables) or "none that there is"
+    for i, model in enumerate(errors):
+        for key in ("sd", "discrepancy"):
+            name = getattr(model, key, None)
+            if isinstance(name, str):
+                used.add(name)
+                if name not in {table.name for table in tables}:
+                    found.append(Mistake(f"error.{i}.{key}", got(f"must name one of the noise: {known}", name)))
+    for i, table in enumerate(tables):
+        if table.name not in used:
+            found.append(Mistake(f"noise.{i}.name", got("must be the sd or discrepancy of an error", table.name)))
+    return noise, found
+
+
+def _sd(value: Any, noise: Mapping[str, Parameter]) -> Any:
+    return noise[value] if isinstance(value, str) else value

@@ -1,0 +1,104 @@
+"""Error models and inferred standard deviations from files: as from Python, or a mistake."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.config import ConfigurationError, load
+
+ERRORS = """\
+[[error]]
+of = "frequencies"
+kind = "relative"
+sd = "sigma"
+weights = [1.0, 0.5]
+
+[[error]]
+of = "shapes"
+sd = [[0.05, 0.1], [0.1, 0.2]]
+discrepancy = "delta"
+
+[[error]]
+of = "mac"
+sd = 0.05
+
+[[noise]]
+name = "sigma"
+start = 0.02
+prior = { distribution = "half-normal", sd = 0.05 }
+
+[[noise]]
+name = "delta"
+start = 0.1
+lower = 0.01
+upper = 0.5
+
+[model]
+"""
+
+
+@pytest.fixture
+def text(matrices_text):
+    return matrices_text.replace("[model]\n", ERRORS, 1).replace("sd = 0.05\nshapes", "shapes", 1)
+
+
+def test_error_models(text, folder):
+    (folder / "two.toml").write_text(text)
+    from_file = load(folder / "two.toml")
+    sigma = fmu.Parameter("sigma", 0.02, 0.0, prior=fmu.HalfNormal(0.05))
+    delta = fmu.Parameter("delta", 0.1, 0.01, 0.5)
+    errors = [
+        fmu.FrequencyErrors("relative", sigma, [1.0, 0.5]),
+        fmu.ShapeErrors([[0.05, 0.1], [0.1, 0.2]], discrepancy=delta),
+        fmu.MACErrors(0.05),
+    ]
+    k1, k2 = [[1.0, 0.0], [0.0, 0.0]], [[1.0, -1.0], [-1.0, 1.0]]
+    model = fmu.SeparableModel(
+        [fmu.Term(k1, (1, 0)), fmu.Term(k2, (0, 1))],
+        [fmu.Term(np.diag([16.5e3, 16.1e3]), (0, 0))],
+        [("first", "x"), ("second", "x")],
+    )
+    data = fmu.ModalData([3.1, 9.8], sensors=[("first", "x"), ("second", "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
+    parameters = [fmu.Parameter(name, 2.97e7, 1e7, 6e7) for name in ("k1", "k2")]
+    built = fmu.UpdatingProblem(model, data, parameters, error=errors, reduction=False)
+    assert from_file.names == built.names == ("k1", "k2", "sigma", "delta")
+    theta = built.sample_prior(np.random.default_rng(1), 20)
+    assert_allclose(from_file.log_prob(theta), built.log_prob(theta), rtol=1e-12)
+
+
+BROKEN = [
+    ('sd = "sigma"', 'sd = "tau"', "error.0.sd: must name one of the noise: sigma, delta (got 'tau')"),
+    ('discrepancy = "delta"', 'discrepancy = "eps"', "error.1.discrepancy: must name one of the noise"),
+    ('discrepancy = "delta"\n', "", "noise.1.name: must be the sd or discrepancy of an error (got 'delta')"),
+    ('name = "delta"', 'name = "k1"', "noise.1.name: must not be that of another parameter (got 'k1')"),
+    ("lower = 0.01", "lower = 0.2", "noise.1: start: must be finite and within [0.2, 0.5] (got 0.1)"),
+    ("lower = 0.01", "lower = -0.2", "noise.1.lower: must be greater than or equal to 0 (got -0.2)"),
+    ("upper = 0.5\n", "", "noise.1: prior: a uniform prior needs finite bounds"),
+    ('kind = "relative"', 'kind = "cubic"', "error.0.kind: must be 'absolute', 'relative' or 'eigenvalue'"),
+    ('of = "mac"', 'of = "ear"', "error.2.of: must be"),
+    ("sd = 0.05\n", "sd = -0.05\n", "error.2.sd: must be greater than 0 (got -0.05)"),
+    ("sd = 0.05\n", "", "error.2.sd: is missing"),
+    ("weights = [1.0, 0.5]", "weights = [1.0]", "weights: must be 2 positive numbers, one a mode (got [1.0])"),
+    (
+        "sd = [[0.05, 0.1], [0.1, 0.2]]",
+        "sd = [[0.05], [0.1], [0.2]]",
+        "shape errors: sd must be a number or of shape",
+    ),
+    ("shapes = [[0.6, 1.0], [1.0, -0.6]]\n", "", "shape errors: need measured shapes at the sensors"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "expected"), BROKEN)
+def test_a_broken_error_model(text, folder, old, new, expected):
+    assert text.count(old) >= 1
+    (folder / "two.toml").write_text(text.replace(old, new, 1))
+    with pytest.raises(ConfigurationError) as caught:
+        load(folder / "two.toml")
+    assert expected in str(caught.value)
+
+
+def test_an_unknown_name(matrices_text, folder):
+    (folder / "two.toml").write_text('error = "mac"\n' + matrices_text)
+    with pytest.raises(ConfigurationError, match=r"error: must be 'frequency' or 'modal-residual'"):
+        load(folder / "two.toml")
