@@ -3,6 +3,8 @@
 A matrix is a dataset of two dimensions, or a group with the arrays of a sparse one: ``data``, ``indices``,
 ``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
 ``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
+
+A file broken on purpose can take the HDF5 library down, and the process with it: read files that you trust.
 """
 
 from __future__ import annotations
