@@ -10,11 +10,13 @@ from fmu.analysis.description import model_in_words, parameter_table, structure_
 from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.initial_modes import InitialModes, initial_modes
+from fmu.analysis.modal_states import START, modal_states
 from fmu.analysis.mode_text import modes_as_text
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
     from fmu.posterior.problem import UpdatingProblem
 
@@ -42,6 +44,8 @@ class Check:
         The structure as SVG; empty where there is none to draw.
     colours : tuple of (str or None)
         Of the elements that each parameter changes, in the drawing.
+    shapes : xarray.Dataset or None
+        The shapes at the start (`fmu.analysis.modal_states.modal_states`), where there is a structure to draw.
     """
 
     name: str
@@ -53,6 +57,7 @@ class Check:
     prior: PriorPrediction
     drawing: str = ""
     colours: tuple[str | None, ...] = ()
+    shapes: xr.Dataset | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -163,4 +168,5 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         prior=prior_prediction(problem, draws, seed),
         drawing=drawing,
         colours=tuple(colours),
+        shapes=modal_states(problem, {START: problem.start}) if drawing else None,
     )

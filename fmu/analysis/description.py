@@ -106,7 +106,8 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     if not rigid:
         return []
     mass = min(float(motion @ (M @ motion)) for motion in rigid)
-    return [f"At the start a mass of about {mass:.3g} kg moves with the free degrees of freedom."]
+    words = f"{mass:.3g}" if mass < 100 else f"{mass:.0f}"
+    return [f"At the start a mass of about {words} kg moves with the free degrees of freedom."]
 
 
 def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
@@ -18,7 +19,11 @@ from fmu.report.numbers import fixed, percent, significant
 from fmu.report.pages import INDEX
 from fmu.report.svg import picture
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 _DRAWN = 560
+_MOST_SHAPES = 12
 
 
 def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
@@ -126,7 +131,29 @@ def _modes(found: Check) -> Section:
     parts: list[Part] = [Text(_largest_error(found)), Table(caption, tuple(table.columns), rows, words)]
     if modes.notes:
         parts.append(Items(modes.notes))
+    if found.shapes is not None:
+        parts.append(Pictures(_shapes(found, found.shapes)))
     return Section("modes", "Modes at the start", tuple(parts))
+
+
+def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
+    """Return the structure deformed in each measured mode, as many as can be looked at."""
+    from fmu.report.plots.start_modes import plot_mode
+
+    coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
+    pictures = []
+    for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):
+        displacement = shapes["displacement"].isel(state=0, mode=k).to_numpy()
+        mode = found.modes.of(k)
+        node, axis = np.unravel_index(np.argmax(np.abs(displacement)), displacement.shape)
+        place = ", ".join(f"{x:.3g}" for x in coordinates[node])
+        caption = (
+            f"Mode {label}: computed mode {mode.number}, {mode.frequency_hz:.4g} Hz, "
+            f"measured {found.modes.measured_hz[k]:.4g} Hz."
+        )
+        alt = f"{caption} The largest displacement is in {'xyz'[axis]} at ({place}) m."
+        pictures.append(picture(plot_mode(coordinates, ends, displacement), f"mode{k}", alt, caption))
+    return tuple(pictures)
 
 
 def _largest_error(found: Check) -> str:
