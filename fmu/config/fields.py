@@ -35,6 +35,11 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 
 
 class Table(BaseModel):
-    """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted."""
+    """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted.
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    The string below a key describes it in the schema that editors show (`fmu.config.schema`).
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )

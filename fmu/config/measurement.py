@@ -49,19 +49,33 @@ class MeasurementTable(Table):
     """
 
     frequencies: Annotated[list[Positive], Field(min_length=1)] | None = None
+    """Natural frequencies, Hz."""
     tests: Annotated[list[list[Missed]], Field(min_length=2)] | None = None
+    """Frequencies of repeated tests, Hz: a row a test, nan where it missed a mode."""
     scatter: Literal["each", "pooled", "joint"] = "each"
+    """What the scatter of the tests tells: a deviation each mode, one for all, or a covariance."""
     file: FileName | None = None
+    """A table of frequencies, from the folder of this file."""
     uff: UffTable | None = None
+    """A universal file with frequencies and shapes."""
     oma: OmaTable | None = None
+    """What an operational modal analysis wrote."""
     sd: NumberOrNumbers | None = None
+    """Standard deviation of the frequencies, Hz: one, or one a mode."""
     beta: NumberOrNumbers | None = None
+    """Trust in the frequencies, 1/(2 sd²), 1/Hz²: one, or one a mode."""
     covariance: list[list[float]] | None = None
+    """Covariance of the frequencies, Hz²."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
+    """Of the modes in the sorted spectrum, from 1, for pairing by number."""
     labels: list[Name] = []
+    """Names of the modes."""
     sensors: list[SensorTable] = []
+    """Place and direction: x, y, z, rx, ry, rz; with a minus before it if it counts the other way."""
     shapes: list[list[float]] | None = None
+    """A row a mode, a number a sensor, in any scale."""
     shapes_file: FileName | None = None
+    """A table of shapes with their sensors, from the folder of this file."""
 
     @field_validator("covariance")
     @classmethod

@@ -15,11 +15,17 @@ class ParameterTable(Target):
     """A parameter; in a frame, what it is the value of, in which groups."""
 
     name: Name
+    """For tables and figures."""
     start: float
+    """The model before updating."""
     lower: float | None = None
+    """Bounds cut the prior off; a uniform prior needs both."""
     upper: float | None = None
+    """Bounds cut the prior off; a uniform prior needs both."""
     unit: str = ""
+    """For labels; values are in SI units."""
     prior: PriorTable = UniformTable(distribution="uniform")
+    """What was known before the measurement."""
 
     def build(self) -> Parameter:
         """Return the parameter.

@@ -27,17 +27,26 @@ NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
 class ProblemFile(Table):
-    """A file."""
+    """A file: a model, the modes measured, and what is uncertain. SI units throughout."""
 
     name: Name
+    """What reports call it."""
     description: str = ""
+    """In one line."""
     pairing: Literal["shape", "index"] = "shape"
+    """Which computed mode answers to which measured one: by MAC of their shapes, or by number in the spectrum."""
     error: NamedError | ErrorModels = Field("frequency", discriminator=NAMES_OR_MODELS)
+    """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
     noise: list[NoiseTable] = []
+    """Standard deviations to be inferred, which error models refer to by name."""
     reduction: bool = True
+    """Whether a certified reduced model answers within the bounds, much faster than the full one."""
     model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
+    """The structure: type "frame", "matrices" or "python"."""
     measurement: MeasurementTable
+    """The modes of a test."""
     parameters: Annotated[list[ParameterTable], Field(min_length=1)]
+    """What is uncertain, in the order of theta."""
 
     def build(self, source: str, folder: Path, pairing: str | None = None, beta: Any = None) -> UpdatingProblem:
         """Return the problem.

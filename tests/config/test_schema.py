@@ -6,6 +6,7 @@ import pytest
 
 from fmu import cases
 from fmu.config.schema import DIALECT, schema
+from fmu.config.targets import Target
 from fmu.config.template import KINDS, template
 
 jsonschema = pytest.importorskip("jsonschema")
@@ -54,3 +55,7 @@ def test_keys_are_described_and_none_can_be_null():
     assert [name for name, table in tables.items() if not table.get("description")] == []
     member = tables["Member"]
     assert {"from", "to"} <= set(member["required"])
+    for name in ("MeasurementTable", "ParameterTable"):
+        keys = {key: value for key, value in tables[name]["properties"].items() if "description" not in value}
+        assert set(keys) <= set(Target.model_fields)
+    assert schema()["properties"]["pairing"]["description"].startswith("Which computed mode")
