@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fmu.fem.section import Section as Section
     from fmu.fem.separable import RigidArm as RigidArm
     from fmu.fem.separable import SeparableModel as SeparableModel
-    from fmu.fem.separable import Term as Term
+    from fmu.fem.terms import Term as Term
     from fmu.fem.updates import Factor as Factor
     from fmu.posterior.errors import FrequencyErrors as FrequencyErrors
     from fmu.posterior.errors import MACErrors as MACErrors
@@ -89,7 +89,7 @@ _HOME = {
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
     "Tempering": "fmu.samplers.tempering",
-    "Term": "fmu.fem.separable",
+    "Term": "fmu.fem.terms",
     "Uniform": "fmu.posterior.priors",
     "UpdatingProblem": "fmu.posterior.problem",
     "check": "fmu.analysis.check",

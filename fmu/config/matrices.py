@@ -16,8 +16,9 @@ from pydantic import Field, StringConstraints
 from fmu.config.fields import Name, SensorTable, Table
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built, without_targets
-from fmu.fem.separable import SeparableModel, Term, selection
+from fmu.fem.separable import SeparableModel, selection
 from fmu.fem.stability import require_stable
+from fmu.fem.terms import Term
 from fmu.formats.abaqus import HELD
 from fmu.formats.matrices import read_labelled
 from fmu.formats.matrix_files import Labelled

@@ -17,7 +17,8 @@ from fmu.fem.joints import PointMass as PointMass
 from fmu.fem.numbering import Numbering, require_node
 from fmu.fem.section import Material as Material
 from fmu.fem.section import Section as Section
-from fmu.fem.separable import Geometry, RigidArm, SeparableModel, Term, merge_terms
+from fmu.fem.separable import Geometry, RigidArm, SeparableModel
+from fmu.fem.terms import Term, merge_terms
 from fmu.fem.updates import PROPERTIES as PROPERTIES
 from fmu.fem.updates import Factor as Factor
 from fmu.fem.updates import Ownership, Quantity, Target, ownership

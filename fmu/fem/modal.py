@@ -11,8 +11,9 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from numpy.typing import NDArray
 
-from fmu.fem.separable import CoefficientMap, SeparableModel, Term, coefficient_gradients, weighted_sum
+from fmu.fem.separable import SeparableModel
 from fmu.fem.shape_derivatives import by_bordered_system
+from fmu.fem.terms import CoefficientMap, Term, coefficient_gradients, weighted_sum
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

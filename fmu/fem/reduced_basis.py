@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.modal import RIGID, FullBlock, Seen, frequency_hz
-from fmu.fem.separable import CoefficientMap, Term, coefficients, weighted_sum
 from fmu.fem.shape_derivatives import by_all_modes
+from fmu.fem.terms import CoefficientMap, Term, coefficients, weighted_sum
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

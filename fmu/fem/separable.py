@@ -6,7 +6,6 @@ monomials of the parameters, so that derivatives are exact.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,39 +16,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
+from fmu.fem.terms import Term, coefficients, named_term, weighted_sum
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Term:
-    """One matrix with its coefficient, the monomial Π theta_j ** powers[j].
-
-    Attributes
-    ----------
-    matrix : array_like or sparse, shape (n_dof, n_dof)
-        Symmetric; holds the constant factor of the coefficient. Kept as a csr_array of float.
-    powers : sequence of int or float, length n_parameters
-        All zero for a term that no parameter changes.
-
-    Raises
-    ------
-    ValueError
-        If the matrix is no real matrix.
-    """
-
-    matrix: Any
-    powers: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if not (isinstance(self.matrix, sp.csr_array) and self.matrix.dtype == np.float64):
-            object.__setattr__(self, "matrix", _as_csr(self.matrix))
-        object.__setattr__(self, "powers", tuple(self.powers))
-
-    @property
-    def constant(self) -> bool:
-        """Whether no parameter changes this term."""
-        return not any(self.powers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +154,7 @@ class SeparableModel:
         """
         names = tuple(parameters)
         K_terms, M_terms = (
-            [_named_term(term, names, f"{key}.{k}") for k, term in enumerate(given)]
+            [named_term(term, names, f"{key}.{k}") for k, term in enumerate(given)]
             for key, given in (("stiffness", stiffness), ("mass", mass))
         )
         model = cls(K_terms, M_terms, dofs, geometry)
@@ -302,123 +272,10 @@ class SeparableModel:
         return index | {name: index[other] for name, other in self.ties.items()}
 
 
-def _as_csr(matrix: Any) -> Any:
-    if not sp.issparse(matrix):
-        matrix = np.asarray(matrix)
-    if matrix.ndim != 2 or matrix.dtype.kind not in "fiub":
-        raise ValueError(f"matrix: must be a real matrix (got {matrix.dtype} of shape {matrix.shape})")
-    return sp.csr_array(matrix, dtype=float)
-
-
-def _named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
-    if isinstance(given, Term):
-        return given
-    paired = isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], str | Mapping)
-    matrix, powers = given if paired else (given, {})
-    by_name = {powers: 1} if isinstance(powers, str) else dict(powers)
-    unknown = sorted(set(by_name) - set(names))
-    if unknown:
-        raise ValueError(f"{where}: must name parameters among {', '.join(names)} (got {', '.join(unknown)})")
-    try:
-        return Term(matrix, tuple(by_name.get(name, 0) for name in names))
-    except ValueError as error:
-        raise ValueError(f"{where}.{error}") from error
-
-
 def selection(dofs: ArrayLike, n_dof: int) -> Any:
     """Return the rows that pick degrees of freedom (q,) out of a motion, a csr_array of shape (q, n_dof)."""
     picked = np.asarray(dofs, dtype=np.int64)
     return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
-
-
-def coefficients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return the coefficients of `terms`, shape (n, n_terms), for theta of shape (n, n_parameters)."""
-    return np.stack([monomial(theta, t.powers) for t in terms], axis=1)
-
-
-def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return ∂c_k/∂theta_j, shape (n, n_terms, n_parameters)."""
-    result = np.zeros((len(theta), len(terms), theta.shape[1]))
-    for k, term in enumerate(terms):
-        for j, power in enumerate(term.powers):
-            if power:
-                lowered = tuple(p - (i == j) for i, p in enumerate(term.powers))
-                result[:, k, j] = power * monomial(theta, lowered)
-    return result
-
-
-def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j]; whole powers by multiplication, so that a batch changes no bit.
-
-    Not finite, but never an exception, where a power does not exist or overflows.
-    """
-    value = np.ones(len(theta))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for j, power in enumerate(powers):
-            if power == 0:
-                continue
-            if power == int(power) and 0 < power <= 8:
-                for _ in range(int(power)):
-                    value = value * theta[:, j]
-            else:
-                value = value * np.array([_power(float(x), power) for x in theta[:, j]])
-    return value
-
-
-def _power(x: float, power: float) -> float:
-    try:
-        return math.pow(x, power)
-    except OverflowError:
-        return math.inf
-    except ValueError:  # zero to a negative power, or a negative number to a fractional one
-        return math.nan
-
-
-class CoefficientMap:
-    """The coefficients of a set of terms and their derivatives, with the common case (c_k = theta_j) made fast."""
-
-    def __init__(self, terms: Sequence[Term]) -> None:
-        self.terms = tuple(terms)
-        self.n_parameters = len(self.terms[0].powers)
-        self._linear = [k for k, t in enumerate(self.terms) if sorted(filter(None, t.powers)) == [1]]
-        self._source = [self.terms[k].powers.index(1) for k in self._linear]
-        self._general = [k for k, t in enumerate(self.terms) if k not in self._linear and not t.constant]
-        self._slopes = np.zeros((len(self.terms), self.n_parameters))
-        self._slopes[self._linear, self._source] = 1.0
-
-    def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return c_k(theta), shape (n, n_terms)."""
-        if len(self._linear) == len(self.terms):
-            return theta.take(self._source, axis=1)
-        value = np.ones((len(theta), len(self.terms)))
-        value[:, self._linear] = theta[:, self._source]
-        for k in self._general:
-            value[:, k] = monomial(theta, self.terms[k].powers)
-        return value
-
-    def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
-        # einsum without `optimize` adds term by term: a batch changes no bit
-        if self._general:
-            return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
-        return np.einsum("nkm,kj->nmj", forms, self._slopes)
-
-
-def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Add up the matrices of terms with the same coefficient."""
-    merged: dict[tuple[float, ...], Any] = {}
-    for term in terms:
-        merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
-    return tuple(Term(sp.csr_array(matrix), powers) for powers, matrix in merged.items())
-
-
-def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
-    """Return the sparse Σ weights[k] · K_k, with entries that are not finite where it overflows."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = terms[0].matrix * weights[0]
-        for term, weight in zip(terms[1:], weights[1:], strict=True):
-            total = total + term.matrix * weight
-    return total
 
 
 def _check_terms(model: SeparableModel) -> None:

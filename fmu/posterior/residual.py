@@ -9,7 +9,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.fem.separable import CoefficientMap, SeparableModel, Term, weighted_sum
+from fmu.fem.separable import SeparableModel
+from fmu.fem.terms import CoefficientMap, Term, weighted_sum
 from fmu.posterior.measurement import ModalData
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,8 @@ from fmu.analysis.check import check
 from fmu.analysis.gradient_check import check_gradient
 from fmu.analysis.initial_modes import initial_modes
 from fmu.analysis.prior_prediction import prior_prediction
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel
+from fmu.fem.terms import Term
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem

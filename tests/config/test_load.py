@@ -11,7 +11,7 @@ import fmu
 from fmu import cases
 from fmu.config import load
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.separable import Term
+from fmu.fem.terms import Term
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import Normal
 from tests import cantilever

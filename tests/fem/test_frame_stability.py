@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from fmu.fem import modal
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, Section
 from fmu.fem.modal import FullBlock, frequency_hz
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel
 from fmu.fem.stability import free_motions, require_stable
+from fmu.fem.terms import Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 TUBE = Section.tube(0.1, 0.005)

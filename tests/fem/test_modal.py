@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 from fmu.fem import modal
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modal import FullBlock, SingularMassError, eigen, frequency_gradient, frequency_hz, mac
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel
+from fmu.fem.terms import Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

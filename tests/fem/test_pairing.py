@@ -14,7 +14,8 @@ from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modal import frequency_hz
 from fmu.fem.model import BlockModel
 from fmu.fem.pairing import IndexPairing, RankPairing, ShapePairing, assign, reference_modes
-from fmu.fem.separable import SeparableModel, Term, selection
+from fmu.fem.separable import SeparableModel, selection
+from fmu.fem.terms import Term
 from tests import cantilever
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
 from fmu.fem.modal import FullBlock, frequency_hz
 from fmu.fem.reduced_basis import ReducedBlock, Snapshots, proper_orthogonal_basis, smallest_basis
-from fmu.fem.separable import SeparableModel, Term, selection
+from fmu.fem.separable import SeparableModel, selection
+from fmu.fem.terms import Term
 
 COUNT = 4
 SIZES = (1, 2, 3, 16, 64, 513)

@@ -11,7 +11,8 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.analysis.diagnostics import parameter_draws
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel
+from fmu.fem.terms import Term
 from fmu.formats.modes import ModesError
 from fmu.formats.pyoma import load_pyoma, pyoma_modes, save_pyoma
 from fmu.posterior.measurement import ModalData

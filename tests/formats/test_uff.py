@@ -6,7 +6,8 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import eigh
 
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel
+from fmu.fem.terms import Term
 from fmu.formats.modes import ModesError
 from fmu.formats.uff import read_uff
 from fmu.posterior.measurement import ModalData

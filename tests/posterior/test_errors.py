@@ -7,8 +7,9 @@ from scipy import stats
 from scipy.integrate import quad
 
 from fmu.fem.observed import Observed
-from fmu.fem.separable import SeparableModel, Term
+from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
+from fmu.fem.terms import Term
 from fmu.posterior.errors import FrequencyErrors, MACErrors, ShapeErrors
 from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.measurement import ModalData

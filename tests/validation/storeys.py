@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import fmu
 from fmu.fem.model import ModalModel
-from fmu.fem.separable import Term
+from fmu.fem.terms import Term
 from fmu.posterior.priors import Normal
 
 FloatArray = NDArray[np.float64]
