@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -176,11 +177,20 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
 def with_identifiability(
     trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None
 ) -> xr.DataTree:
-    """Return the trace with the identifiability at the start, and at the highest maximum if known, kept in it."""
+    """Return the trace with the identifiability at the start, and at the highest maximum if known, kept in it.
+
+    Where the model has no derivative there is none to keep: the draws must not be lost for that.
+    """
     import xarray as xr
 
     states = {START: problem.start} | ({} if maxima is None else {MAXIMUM: maxima[0].theta})
-    found = [identifiability(problem, theta) for theta in states.values()]
+    linearised = {}
+    for name, theta in states.items():
+        with suppress(ValueError):
+            linearised[name] = identifiability(problem, theta)
+    if not linearised:
+        return trace
+    found = list(linearised.values())
     variables = {
         name: (("state", *dims), np.array([getattr(one, name) for one in found]))
         for name, dims in (
@@ -190,7 +200,7 @@ def with_identifiability(
         )
     }
     coordinates = {
-        "state": list(states),
+        "state": list(linearised),
         "parameter": list(found[0].names),
         "unit": ("parameter", list(found[0].units)),
         "mode": list(found[0].labels),

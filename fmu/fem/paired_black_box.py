@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
 from fmu.fem.modal import mac
+from fmu.fem.observed import Observed
 from fmu.fem.pairing import assign
 from fmu.fem.structure import PAIRINGS
 
@@ -70,6 +72,8 @@ class PairedBlackBox:
             answer = black_box.at(start)
             self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
             self._columns(answer)
+            has_shapes = answer.shapes is not None and shapes is not None and len(answer.shapes) == len(shapes)
+            self._n_sensors = len(shapes) if has_shapes else None  # type: ignore[arg-type]
         except AnswerError as error:
             raise ValueError(f"model.function: {error} at the start {start.tolist()}") from error
         except ValueError as error:
@@ -99,20 +103,58 @@ class PairedBlackBox:
         The function's own gradient, or central differences: the perturbations of eq. (15) of the paper, of the
         frequencies themselves. At a bound, or where the function fails on one side, they are one-sided.
         """
-        frequencies, gradient = self._paired(theta)
+        frequencies, gradient, _ = self._paired(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
         if missing.any():
-            gradient[missing] = self._differences(theta[missing], frequencies[missing])
+            gradient[missing] = self._differences(
+                theta[missing], frequencies[missing], lambda points, _: self.frequencies(points)
+            )
         return frequencies, gradient
+
+    @property
+    def gives_shapes(self) -> bool:
+        """Whether the function gives shapes, at as many sensors as were measured."""
+        return self._n_sensors is not None
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.
+
+        Those of shapes are central differences, as are those of frequencies that the function does not give.
+
+        Raises
+        ------
+        ValueError
+            If the function gives no shapes.
+        """
+        if self._n_sensors is None:
+            raise ValueError("model.function: must give shapes where they have errors (it gives none)")
+        frequencies, slopes, shapes = self._paired(theta)
+        if not gradient:
+            return Observed(frequencies, shapes)
+        values = np.concatenate([frequencies[:, None], shapes], axis=1)
+        n, rows, m = values.shape
+
+        def nearby(points: FloatArray, of: IntArray) -> FloatArray:
+            f, _, s = self._paired(points)
+            # shapes have either sign: that of the point between
+            s = s * np.where(np.sum(s * shapes[of], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+            return np.concatenate([f[:, None], s], axis=1).reshape(len(points), -1)
+
+        all_slopes = self._differences(theta, values.reshape(n, -1), nearby).reshape(n, rows, m, -1)
+        own = ~np.isnan(slopes).all(axis=(1, 2))
+        return Observed(
+            frequencies, shapes, np.where(own[:, None, None], slopes, all_slopes[:, 0]), all_slopes[:, 1:]
+        )
 
     def configuration(self) -> dict[str, Any]:
         """Return what identifies the model, in plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
-    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return paired frequencies and the function's own gradients; NaN where it failed or has none."""
+    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none."""
         frequencies = np.full((len(theta), self.n_modes), np.nan)
         gradient = np.full((len(theta), self.n_modes, self.n_parameters), np.nan)
+        shapes = np.full((len(theta), self._n_sensors or 0, self.n_modes), np.nan)
         for i, answer in enumerate(self.black_box.answers(theta)):
             if answer is None:
                 continue
@@ -124,7 +166,9 @@ class PairedBlackBox:
             frequencies[i] = answer.frequencies[columns]
             if answer.gradient is not None:
                 gradient[i] = answer.gradient[columns]
-        return frequencies, gradient
+            if answer.shapes is not None and len(answer.shapes) == shapes.shape[1]:
+                shapes[i] = answer.shapes[:, columns]
+        return frequencies, gradient, shapes
 
     def _columns(self, answer: Answer) -> IntArray:
         """Return which of the modes given answers to each measured one; AnswerError if one of them is no mode."""
@@ -149,7 +193,10 @@ class PairedBlackBox:
             raise AnswerError(f"frequencies: must be finite and not negative (got {frequencies.tolist()})")
         return columns
 
-    def _differences(self, theta: FloatArray, frequencies: FloatArray) -> FloatArray:
+    def _differences(
+        self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
+    ) -> FloatArray:
+        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by those at points near row `of`."""
         n, ndim = theta.shape
         shift = np.diag(self.black_box.step * self.scale)
         centre = theta[:, None, :]
@@ -159,9 +206,10 @@ class PairedBlackBox:
                 np.maximum(centre - shift, np.minimum(self.lower, centre)),
             ]
         )
-        values = self.frequencies(points.reshape(-1, ndim)).reshape(2, n, ndim, self.n_modes)
+        of = np.broadcast_to(np.arange(n)[:, None], (2, n, ndim)).ravel()
+        values = nearby(points.reshape(-1, ndim), of).reshape(2, n, ndim, -1)
         failed = np.isnan(values).any(axis=3)
-        values = np.where(failed[..., None], frequencies[:, None, :], values)
+        values = np.where(failed[..., None], here[:, None, :], values)
         at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
         with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]

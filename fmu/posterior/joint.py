@@ -57,7 +57,8 @@ class JointLikelihood:
 
         self.terms_of = tuple(error.bind(data, index) for error in errors)
         self.noise = tuple(noise)
-        if any(term.needs_shapes for term in self.terms_of) and not hasattr(model, "observed"):
+        sees = hasattr(model, "observed") and getattr(model, "gives_shapes", True)
+        if any(term.needs_shapes for term in self.terms_of) and not sees:
             raise ValueError(
                 f"error: errors of shapes need a model that gives shapes (got {type(model).__name__})"
             )

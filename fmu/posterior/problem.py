@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.model import ModalModel
+from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
 from fmu.posterior.assembly import Likelihood, check_names, likelihood_of, paired_model
@@ -238,7 +239,8 @@ class UpdatingProblem:
     @property
     def solves_per_gradient(self) -> int:
         """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
-        return int(getattr(self.model, "solves_per_gradient", 1))
+        differences = getattr(self.likelihood, "needs_shapes", False) and isinstance(self.model, PairedBlackBox)
+        return 2 * self.n_structural + 1 if differences else int(getattr(self.model, "solves_per_gradient", 1))
 
     def _model_description(self) -> Any:
         describe = getattr(self.model, "configuration", None)

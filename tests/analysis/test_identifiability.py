@@ -5,7 +5,13 @@ import pytest
 from scipy.stats import truncnorm
 
 import fmu
-from fmu.analysis.identifiability import contraction, identifiability, kept_identifiability, truncated_sd
+from fmu.analysis.identifiability import (
+    contraction,
+    identifiability,
+    kept_identifiability,
+    truncated_sd,
+    with_identifiability,
+)
 from fmu.analysis.search import find_map
 from fmu.analysis.trace import to_trace
 from fmu.posterior.parameters import Parameter
@@ -132,3 +138,14 @@ def test_many_directions_are_counted(found):
     wide = type(found)(tuple("abcdefghi"), ("",) * n, ("1",), np.zeros(n), np.ones(n), np.eye(1, n) * 5)
     assert wide.sentences()[-1] == "So are 5 more."
     assert len(wide.sentences()) == 5
+
+
+def test_a_state_without_a_derivative_is_left_out(problem, make_result, monkeypatch):
+    """The draws of a long run are not lost because the model cannot be linearised somewhere."""
+    trace = to_trace(make_result(np.random.default_rng(1).normal(size=(2, 8, 2))), problem)
+    monkeypatch.setattr(
+        problem.model,
+        "frequencies_and_gradient",
+        lambda theta: (100.0 + theta @ SLOPES.T, np.full((1, 3, 2), np.nan)),
+    )
+    assert kept_identifiability(with_identifiability(trace, problem)) == {}

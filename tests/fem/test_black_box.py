@@ -335,3 +335,26 @@ def test_maxima_identifiability_and_verdict(matrices):
     assert_allclose(found, exact, rtol=1e-6)
     trace = fmu.sample(posed, "mh", draws=20, warmup=20, chains=2, seed=1, maxima=maxima)
     assert fmu.diagnose(trace).verdict
+
+
+@pytest.mark.parametrize(
+    "function", [everything, lambda theta: {"frequencies": solved(theta)[0], "shapes": solved(theta)[1]}]
+)
+def test_errors_of_shapes(theta, function):
+    """Shapes have errors as those of a structure do; their slopes are differences."""
+    errors = [fmu.FrequencyErrors(sd=0.02), fmu.ShapeErrors(sd=0.05)]
+    of_function, of_matrices = (
+        fmu.UpdatingProblem(model, DATA, PARAMETERS, error=errors, reduction=False)
+        for model in (BlackBoxModel(function, 2), SEPARABLE)
+    )
+    value, gradient = of_function.log_prob_and_grad(theta)
+    exact, slope = of_matrices.log_prob_and_grad(theta)
+    assert_allclose(value, exact, rtol=1e-9)
+    assert_allclose(gradient, slope, rtol=1e-4, atol=1e-5 * np.abs(slope).max())
+    assert (of_function.solves_per_gradient, of_matrices.solves_per_gradient) == (5, 1)
+    assert_array_equal(of_function.log_prob(theta), [of_function.log_prob(row) for row in theta])
+
+
+def test_errors_of_shapes_need_shapes():
+    with pytest.raises(ValueError, match=r"^error: errors of shapes need a model that gives shapes"):
+        fmu.UpdatingProblem(BlackBoxModel(frequencies, 2), DATA, PARAMETERS, error=fmu.ShapeErrors(sd=0.05))
