@@ -50,10 +50,10 @@ def test_the_path_of_a_user_with_a_structure(invoke, tmp_path):
         "Written to check/beam/index.html",
     ]
     page = (tmp_path / "check" / "beam" / "index.html").read_text(encoding="utf-8")
-    assert "E columns" in page
+    assert "k feet" in page
     assert "<script" not in page
     (tmp_path / "beam.toml").write_text(
-        text.replace('"E"', '"e"').replace('"steel"', '"wood"', 1), encoding="utf-8"
+        text.replace('"stiffness"', '"stiff"').replace('"E"', '"e"'), encoding="utf-8"
     )
     broken = invoke("check", "beam.toml")
     assert broken.exit_code == 2
