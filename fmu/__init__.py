@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from fmu.analysis.diagnostics import summary as summary
     from fmu.analysis.evidence import evidence as evidence
     from fmu.analysis.identifiability import identifiability as identifiability
+    from fmu.analysis.pairing_changes import pairing_changes as pairing_changes
     from fmu.analysis.prediction import expectation as expectation
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
@@ -102,6 +103,7 @@ _HOME = {
     "identifiability": "fmu.analysis.identifiability",
     "load": "fmu.config",
     "load_trace": "fmu.analysis.trace",
+    "pairing_changes": "fmu.analysis.pairing_changes",
     "sample": "fmu.sampling",
     "summary": "fmu.analysis.diagnostics",
     "write_report": "fmu.report.html",
@@ -149,6 +151,7 @@ __all__ = [
     "identifiability",
     "load",
     "load_trace",
+    "pairing_changes",
     "sample",
     "summary",
     "write_report",

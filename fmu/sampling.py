@@ -69,7 +69,8 @@ def sample(
     xarray.DataTree
         The trace, see `fmu.analysis.trace.to_trace`; its attributes include the certificate of the reduced model
         where there is one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
-        (`fmu.analysis.modal_states`) and ``identifiability`` (`fmu.analysis.identifiability`) go with it.
+        (`fmu.analysis.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`) and ``identifiability``
+        (`fmu.analysis.identifiability`) go with it.
 
     Raises
     ------
@@ -126,10 +127,11 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> 
     """Keep in the trace of an updating problem what the model says beside the draws."""
     from fmu.analysis.identifiability import with_identifiability
     from fmu.analysis.modal_states import with_modes
+    from fmu.analysis.pairing_changes import with_pairing
 
     if not hasattr(problem, "likelihood"):
         return trace
-    trace = with_modes(trace, problem, maxima)
+    trace = with_pairing(with_modes(trace, problem, maxima), problem)
     if hasattr(problem.likelihood, "sensitivity"):
         trace = with_identifiability(trace, problem, maxima)
     return trace

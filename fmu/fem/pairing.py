@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,7 @@ class IndexPairing:
     """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum."""
 
     numbers: tuple[int, ...]
+    name: ClassVar[str] = "index"
 
     def __post_init__(self) -> None:
         if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
@@ -56,6 +57,10 @@ class IndexPairing:
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
         return partial(self._pair, model)
+
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return how many of the lowest modes of which blocks may be among those paired."""
+        return {b: min(max(self.numbers), block.size) for b, block in enumerate(model.blocks)}
 
     def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
         picked = np.array(self.numbers) - 1
@@ -129,6 +134,7 @@ class ShapePairing:
     rows: Any
     shapes: FloatArray
     margin: int = 3
+    name: ClassVar[str] = "shape"
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""
@@ -159,6 +165,10 @@ class ShapePairing:
     def offered(self, model: BlockModel, b: int) -> int:
         """Return how many modes block `b` offers as candidates."""
         return min(self.shapes.shape[1] + self.margin, model.blocks[b].size)
+
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return how many of the lowest modes of which blocks may be among those paired."""
+        return {b: self.offered(model, b) for b in self.observe(model)}
 
     def observe(self, model: BlockModel) -> dict[int, Observation]:
         """Return, for every block that a reference moves in, how its shapes are compared."""

@@ -19,6 +19,7 @@ from fmu.fem.threads import single_thread
 from fmu.fem.training import Trained, Training
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 PAIRINGS = ("shape", "index")
 
@@ -152,6 +153,35 @@ class PairedStructure:
             if everywhere and np.count_nonzero(failed) == 0:
                 return modes
             return self._repaired(theta, modes, failed.any(axis=1) | ~within.all(axis=1))
+
+    def within(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """Say, shape (n,), where the reduced model answers; nowhere if there is none."""
+        if self.reduced is None:
+            return np.zeros(len(theta), dtype=bool)
+        return np.asarray(np.all((theta >= self._lower) & (theta <= self._upper), axis=1))
+
+    def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return all modes that might have answered to a measured one, and one more a block.
+
+        Returns
+        -------
+        eigenvalues : ndarray, shape (n, n_candidates)
+            NaN where a solve failed, and for modes that the reduced model was not trained for.
+        block, rank : ndarray of int, shape (n_candidates,)
+        """
+        counts = {b: min(count + 1, self.full.blocks[b].size) for b, count in self.rule.counts(self.full).items()}
+        found = np.full((len(theta), sum(counts.values())), np.nan)
+        within = self.within(theta)
+        with single_thread():
+            for model, rows in ((self.full, ~within), (self.reduced, within)):
+                start = 0
+                for b, count in counts.items():
+                    if model is not None and rows.any():
+                        solved = min(count, model.blocks[b].trusted)
+                        found[rows, start : start + solved] = model.blocks[b].eigenvalues(theta[rows], solved)
+                    start += count
+        ranks = np.concatenate([np.arange(count) for count in counts.values()])
+        return found, np.repeat(list(counts), list(counts.values())), ranks
 
     def full_modes(self, theta: FloatArray) -> Modes:
         """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""

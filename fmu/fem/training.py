@@ -120,12 +120,8 @@ class Training:
 
     def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
         """Solve the blocks that the rule looks at, for all modes that might be needed."""
-        if isinstance(self.rule, ShapePairing):
-            counts = {b: self.rule.offered(self.full, b) for b in self.rule.observe(self.full)}
-        else:
-            most = max(self.rule.numbers)
-            counts = {b: min(most, block.size) for b, block in enumerate(self.full.blocks)}
-        return {b: Snapshots.solve(self._block(b), theta, count) for b, count in counts.items()}
+        counts = self.rule.counts(self.full).items()
+        return {b: Snapshots.solve(self._block(b), theta, count) for b, count in counts}
 
     def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
         """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""

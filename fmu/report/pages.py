@@ -36,6 +36,7 @@ def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) ->
         updating.maxima(run),
         structure.identifiability(run),
         structure.mac(run),
+        structure.pairing(run),
         structure.shapes(run),
         prediction.predictive(run),
         prediction.left_out(run),

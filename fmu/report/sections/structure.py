@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
 from fmu.analysis.modal_states import GROUP, MEAN, START
+from fmu.analysis.pairing_changes import pairing_changes
 from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.numbers import decimals, fixed, percent, significant
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
@@ -82,6 +83,36 @@ def mac(run: Run) -> Section | Omitted:
                       f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
     said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
     return Section("mac", title, (said, Pictures((drawing,))))
+
+
+def pairing(run: Run) -> Section | Omitted:
+    """Return how often computed modes changed places over the draws."""
+    title = "Pairing over the draws"
+    if GROUP not in run.trace.children or "posterior_predictive" not in run.trace.children:
+        return Omitted(title, "the trace keeps no frequencies at the draws and before updating")
+    found = pairing_changes(run.trace)
+    parts: list[Part] = [Items(found.sentences())]
+    if found.swapped.any() or found.jumps:
+        rows = tuple(
+            (
+                str(mode),
+                _share(row["swapped_percent"]),
+                str(row["swapped_with"]),
+                _share(row["other_mode_percent"]),
+            )
+            for mode, row in found.table().iterrows()
+        )
+        caption = (
+            "Shares of the draws in which modes come in another order than before updating, and of those looked "
+            "at in which another computed mode answers than at the most probable draw."
+        )
+        header = ("mode", "order swapped", "with mode", "other computed mode")
+        parts.append(Details("The changes mode by mode", (Table(caption, header, rows, words=(2,)),)))
+    return Section("pairing", title, tuple(parts))
+
+
+def _share(per_cent: float) -> str:
+    return f"{per_cent:.2g} %"
 
 
 def shapes(run: Run) -> Section | Omitted:
