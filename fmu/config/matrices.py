@@ -1,4 +1,4 @@
-"""``[model] type = "matrices"``: stiffness and mass terms from files, as finite-element programs export them.
+"""``[model] type = "matrices"``: stiffness and mass terms, from files as other programs export them or by rows.
 
 `fmu.formats.matrices` says which files are read and how to come by them.
 """
@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 import scipy.sparse as sp
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
 from fmu.config.fields import Name, SensorTable, Table
 from fmu.config.mistakes import BrokenError, Mistake, got
@@ -20,7 +20,7 @@ from fmu.fem.separable import SeparableModel, selection
 from fmu.fem.stability import require_stable
 from fmu.fem.terms import Term
 from fmu.formats.abaqus import HELD
-from fmu.formats.matrices import read_labelled
+from fmu.formats.matrices import read_labelled, symmetric_matrix
 from fmu.formats.matrix_files import Labelled
 
 if TYPE_CHECKING:
@@ -35,11 +35,40 @@ FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, patte
 class TermTable(Table):
     """One matrix, in SI units, times the product of parameters to their powers."""
 
-    file: FileName
+    file: FileName | None = None
+    """From the folder of this file."""
+    matrix: Annotated[list[list[float]], Field(min_length=1)] | None = None
+    """Instead of a file, of a small model: its rows."""
     variable: FileName | None = None
+    """Which matrix, where a file holds several."""
     triangle: bool | Literal["lower", "upper"] = False
+    """Whether each pair of symmetric entries is there once."""
     factor: float = 1.0
+    """Times a number."""
     powers: dict[Name, float] = {}
+    """Times these parameters to these powers."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.file is None) == (self.matrix is None):
+            raise ValueError("must have either file or matrix")
+        if self.matrix is not None and self.variable is not None:
+            raise ValueError("variable must not be given beside matrix")
+        return self
+
+    @property
+    def source(self) -> str:
+        """The key that says where the matrix is."""
+        return "matrix" if self.file is None else "file"
+
+    def read(self, folder: Path) -> Labelled:
+        """Return the matrix; ValueError with what is wrong with it."""
+        if self.file is not None:
+            return read_labelled(folder / self.file, self.variable, self.triangle)
+        rows = self.matrix or []
+        if len({len(row) for row in rows}) > 1:
+            raise ValueError(got("must have rows of one length", [len(row) for row in rows]))
+        return Labelled(symmetric_matrix(np.array(rows), self.triangle), None)
 
 
 class MatricesTable(Table):
@@ -73,10 +102,10 @@ class MatricesTable(Table):
         found: list[Mistake] = []
         for where, table in self._terms():
             try:
-                read.append(read_labelled(folder / table.file, table.variable, table.triangle))
+                read.append(table.read(folder))
             except ValueError as error:
                 key, _, rule = str(error).partition(": ")
-                at = (key, rule) if key in ("variable", "triangle") else ("file", str(error))
+                at = (key, rule) if key in ("variable", "triangle") else (table.source, str(error))
                 found.append(Mistake(f"{where}.{at[0]}", at[1]))
         if found:
             raise BrokenError(found)
@@ -139,8 +168,8 @@ class MatricesTable(Table):
 
     def _check_labels(self, read: Sequence[Labelled]) -> None:
         found = [
-            Mistake(f"{where}.file", "must name its degrees of freedom, as the other files do")
-            for (where, _), one in zip(self._terms(), read, strict=True)
+            Mistake(f"{where}.{table.source}", "must name its degrees of freedom, as the other files do")
+            for (where, table), one in zip(self._terms(), read, strict=True)
             if one.dofs is None
         ]
         if self.dofs is not None:
@@ -151,8 +180,11 @@ class MatricesTable(Table):
     def _check_sizes(self, read: Sequence[Labelled]) -> None:
         n = read[0].matrix.shape[0]
         found = [
-            Mistake(f"{where}.file", f"must have {n} rows, as model.stiffness.0 has (got {one.matrix.shape[0]})")
-            for (where, _), one in zip(self._terms(), read, strict=True)
+            Mistake(
+                f"{where}.{table.source}",
+                f"must have {n} rows, as model.stiffness.0 has (got {one.matrix.shape[0]})",
+            )
+            for (where, table), one in zip(self._terms(), read, strict=True)
             if one.matrix.shape[0] != n
         ]
         if self.dofs is not None and len(self.dofs) != n:

@@ -97,7 +97,19 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
     except Exception as error:  # whatever a broken file makes the readers raise
         raise ValueError(f"must hold a matrix ({path.name}: {error})") from error
     matrix, dofs = found if isinstance(found, Labelled) else Labelled(found, None)
-    return Labelled(_symmetric(_real_square(matrix), triangle), dofs)
+    return Labelled(symmetric_matrix(matrix, triangle), dofs)
+
+
+def symmetric_matrix(matrix: Any, triangle: Triangle = False) -> Any:
+    """Return a symmetric real matrix as a csr_array of float; ValueError if it is none.
+
+    Parameters
+    ----------
+    matrix : ndarray or sparse array
+    triangle : bool or {"lower", "upper"}
+        See `read_labelled`.
+    """
+    return _symmetric(_real_square(matrix), triangle)
 
 
 def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:

@@ -162,6 +162,16 @@ BROKEN = [
     (K, 'file = "STIF1.mtx"', "model.stiffness.1.file: must name its degrees of freedom, as the other files do"),
     (K, 'file = "STIF1.mtx"', "model.dofs: must not be given: the files name the degrees of freedom"),
     (K, 'file = ""', "model.stiffness.0.file: must have at least 1 character"),
+    (K, "", "model.stiffness.0: must have either file or matrix"),
+    (K, f"{K}\nmatrix = [[1.0, 0.0], [0.0, 0.0]]", "model.stiffness.0: must have either file or matrix"),
+    (K, 'matrix = [[1.0]]\nvariable = "K"', "model.stiffness.0: variable must not be given beside matrix"),
+    (K, "matrix = [[1.0, 2.0], [3.0]]", "model.stiffness.0.matrix: must have rows of one length (got [2, 1])"),
+    (K, "matrix = [[1.0, 2.0]]", "model.stiffness.0.matrix: must hold a real square matrix (got float64 of shape"),
+    (K, "matrix = []", "model.stiffness.0.matrix: must have at least 1 item"),
+    (K, "matrix = [[]]", "model.stiffness.0.matrix: must hold a real square matrix (got float64 of shape (1, 0))"),
+    (K, "matrix = [[1.0, 5.0], [4.0, 1.0]]", "model.stiffness.0.matrix: must be symmetric (row 1, column 2"),
+    (K, "matrix = [[1.0, nan], [nan, 1.0]]", "model.stiffness.0.matrix"),
+    (M, "matrix = [[1.0]]", "model.mass.0.matrix: must have 2 rows, as model.stiffness.0 has (got 1)"),
     ('["second", "x"]]', '["second", "w"]]', "model.dofs.1: must be a node and one of x, y, z, rx, ry, rz (got"),
     ('["second", "x"]]', '["first", "x"]]', "model.dofs.1: must not be that of another row (got ['first', 'x'])"),
     ('name = "k1"', 'name = "k1"\nproperty = "E"\ngroups = ["a"]', "parameters.0.groups: is for frames alone"),
@@ -187,6 +197,14 @@ def test_a_triangle_alone_and_files_in_folders(broken, matrices_text):
     write_matrix(broken / "parts" / "m.npz", [[16.5e3, 0.0], [5e3, 16.1e3]])
     whole = changed(broken, matrices_text, M, 'file = "parts/m.npz"\ntriangle = true')
     assert_allclose(whole.model.structure.M(whole.start).toarray(), [[16.5e3, 5e3], [5e3, 16.1e3]])
+
+
+def test_a_small_matrix_is_given_by_its_rows(folder, matrices_text):
+    from_file = changed(folder, matrices_text)
+    for rows in ("[[16.5e3, 0.0], [0.0, 16.1e3]]", "[[16.5e3, 0.0], [0.0, 16.1e3]]\ntriangle = true"):
+        given = changed(folder, matrices_text, M, f"matrix = {rows}")
+        theta = from_file.sample_prior(np.random.default_rng(2), 5)
+        assert_allclose(given.log_prob(theta), from_file.log_prob(theta), rtol=1e-12)
 
 
 def test_what_a_support_holds_is_left_out(broken, matrices_text):
@@ -217,6 +235,7 @@ NASTY = st.sampled_from(
         '"x"',
         "[[]]",
         '"model.mat"',
+        "[[1.0, 0.0], [0.0, 1.0]]",
         '"STIF1.mtx"',
         '"lower"',
     ]

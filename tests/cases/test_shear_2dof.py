@@ -1,0 +1,160 @@
+"""The two-storey shear building of Beck & Au (2002) against quadrature, which is independent of fmu throughout."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.analysis import effective
+
+SD = 1 / 16
+MODES_OF_PRIORS, SD_OF_PRIORS = (1.3, 0.8), 1.0
+BETWEEN = 0.9
+"""Of the lower storey's factor: between both modes of the posterior, where there is next to nothing."""
+
+
+def frequencies(theta, masses):
+    """Both roots of the characteristic equation; the lower one from the product, free of cancellation."""
+    (k1, k2), (m1, m2) = 29.7e6 * theta.T, masses
+    total, product = (k1 + k2) / m1 + k2 / m2, k1 * k2 / (m1 * m2)
+    upper = 0.5 * (total + np.sqrt(total**2 - 4 * product))
+    return np.sqrt(np.stack([product / upper, upper], axis=1)) / (2 * np.pi)
+
+
+class Posterior(NamedTuple):
+    unnormalised_evidence: float  # with the likelihood exp(−J/(2 sd²)) of the paper
+    mean: np.ndarray
+    sd: np.ndarray
+    stiff_below: float  # the probability of θ1 > BETWEEN
+
+    @property
+    def log_evidence(self):
+        """With the errors' density normalised."""
+        return np.log(self.unnormalised_evidence / (2 * np.pi * SD**2))
+
+
+def quadrature(nodes, masses=(16.5e3, 16.1e3)):
+    """Gauss–Legendre, in the standard normal variables that the logarithms have under the prior."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    half = 7.0
+    z = half * np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    variances = []
+    for mode in MODES_OF_PRIORS:  # mode² v (1 + v)³ = sd², with v = exp(variance of the logarithm) − 1
+        roots = np.roots([1, 3, 3, 1, -((SD_OF_PRIORS / mode) ** 2)])
+        variances.append(np.log1p(roots[np.isreal(roots)].real.max()))
+    theta = np.exp(np.log(MODES_OF_PRIORS) + variances + np.sqrt(variances) * z)
+    J = np.sum(((frequencies(theta, masses) / [3.13, 9.83]) ** 2 - 1) ** 2, axis=1)
+    mass = half**2 * np.outer(w, w).ravel() * np.exp(-0.5 * np.sum(z**2, axis=1) - 0.5 * J / SD**2) / (2 * np.pi)
+    evidence = mass.sum()
+    mean = mass @ theta / evidence
+    sd = np.sqrt(mass @ (theta - mean) ** 2 / evidence)
+    return Posterior(evidence, mean, sd, mass[theta[:, 0] > BETWEEN].sum() / evidence)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return quadrature(400)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return fmu.cases.load("shear-2dof")
+
+
+@pytest.fixture(scope="module")
+def maxima(problem):
+    return fmu.find_map(problem)
+
+
+@pytest.fixture(scope="module")
+def tempered(problem):
+    return fmu.sample(problem, fmu.Tempering(), draws=160, warmup=120, chains=32, seed=1, init="prior")
+
+
+def theta_of(trace):
+    return np.stack([trace["posterior"][name].to_numpy() for name in ("theta1", "theta2")], axis=-1)
+
+
+def test_the_quadrature_has_converged(exact):
+    coarser = quadrature(300)
+    for fine, coarse in zip(exact[:3], coarser[:3], strict=True):
+        assert_allclose(coarse, fine, rtol=1e-10)
+    assert coarser.stiff_below == pytest.approx(exact.stiff_below, rel=1e-7)  # of a step function
+
+
+def test_published_reference_values():
+    """Straub & Papaioannou (2015), J. Eng. Mech. 141(3), 04014134: mean 1.12, sd 0.66, evidence 1.52e-3.
+
+    Their masses are 16.531 t and 16.131 t, and their likelihood is that of Beck & Au, without its normaliser.
+    """
+    found = quadrature(400, (16.531e3, 16.131e3))
+    assert found.mean[0] == pytest.approx(1.12, abs=0.005)
+    assert found.sd[0] == pytest.approx(0.66, abs=0.005)
+    assert found.unnormalised_evidence == pytest.approx(1.52e-3, abs=0.005e-3)
+
+
+def test_the_case_is_the_problem_of_the_paper(problem, exact):
+    x, w = np.polynomial.legendre.leggauss(170)
+    theta = 1.5 * (1.0 + np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2))
+    mass = 1.5**2 * np.outer(w, w).ravel() * np.exp(problem.log_prob(theta))
+    evidence = mass.sum()
+    assert np.log(evidence) == pytest.approx(exact.log_evidence, abs=1e-9)
+    assert_allclose(mass @ theta / evidence, exact.mean, rtol=1e-8)
+    assert evidence * 2 * np.pi * SD**2 == pytest.approx(1.5095047624e-3, rel=1e-8)
+    assert fmu.cases.describe("shear-2dof").startswith("Beck & Au (2002)")
+
+
+def test_both_modes_are_found_and_weighed(maxima, exact):
+    assert len(maxima) == 2
+    assert_allclose([m.theta for m in maxima], [[0.498, 0.904], [1.821, 0.245]], atol=1e-3)
+    assert all(np.all(m.gradient * m.sd < 1e-3) for m in maxima)
+    soft, stiff = maxima
+    assert stiff.share == pytest.approx(exact.stiff_below, abs=0.01)
+    assert maxima.log_evidence == pytest.approx(exact.log_evidence, abs=0.01)
+    # the Laplace approximation, from the curvature alone
+    laplace = [m.log_prob + np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(m.hessian)[1] for m in (soft, stiff)]
+    assert_allclose(
+        np.exp(laplace), np.exp(exact.log_evidence) * np.array([1 - stiff.share, stiff.share]), rtol=0.03
+    )
+
+
+def test_tempering_gets_moments_weights_and_evidence_right(tempered, exact):
+    theta = theta_of(tempered)
+    for k in range(2):
+        x = theta[..., k]
+        for found, quantity in ((exact.mean[k], x), (exact.sd[k] ** 2, (x - exact.mean[k]) ** 2)):
+            error = effective.mcse_mean(quantity)
+            assert error < 0.08 * quantity.std()
+            assert abs(quantity.mean() - found) < 3 * error
+    stiff_below = (theta[..., 0] > BETWEEN).astype(float)
+    assert abs(stiff_below.mean() - exact.stiff_below) < 3 * effective.mcse_mean(stiff_below)
+    for method in ("stepping-stone", "thermodynamic"):
+        found = fmu.evidence(tempered, method)
+        assert found.error < 0.1
+        assert abs(found.log_evidence - exact.log_evidence) < 3 * found.error
+
+
+def test_chains_in_one_mode_are_not_taken_for_converged(problem, maxima):
+    """They agree with each other perfectly; the other maximum is what tells."""
+    for k, other in ((0, 1), (1, 0)):
+        start = np.repeat(maxima[k].theta[None], 4, axis=0)
+        trace = fmu.sample(problem, "mh", draws=1000, warmup=200, chains=4, seed=1, init=start, maxima=maxima)
+        assert len(set(np.ravel(theta_of(trace)[..., 0] > BETWEEN))) == 1
+        assert np.all(fmu.summary(trace)["rhat"] < 1.05)
+        verdict = fmu.diagnose(trace)
+        assert not verdict.converged
+        assert f"maximum {other + 1}" in verdict.reasons[0]
+        assert "was never visited; it holds about" in verdict.reasons[0]
+
+
+def test_hmc_from_the_prior_is_not_taken_for_converged(problem, maxima):
+    """It cannot cross; its chains hold the modes in the proportions of their starts."""
+    trace = fmu.sample(problem, "hmc", draws=60, warmup=60, chains=4, seed=1, init="prior", maxima=maxima)
+    homes = theta_of(trace)[..., 0] > BETWEEN
+    assert np.all(homes == homes[:, :1])
+    assert len(set(homes[:, 0])) == 2
+    verdict = fmu.diagnose(trace)
+    assert not verdict.converged
+    assert "R-hat" in str(verdict)
