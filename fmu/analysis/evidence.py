@@ -24,6 +24,8 @@ FloatArray = NDArray[np.float64]
 GROUP = "tempering"
 """Group of a trace that keeps what the rungs of a ladder saw."""
 METHODS = ("stepping-stone", "thermodynamic")
+RHAT_LIMIT = 1.05
+"""R-hat of the log-likelihood at a rung, above which its chains disagree too much for an evidence."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +40,17 @@ class Evidence:
     log_evidence : float
         Natural logarithm.
     error : float
-        Its standard error, the larger of `within` and `between`. What no replica has found is in neither.
+        Its standard error, the larger of `within` and `between`. Nothing that the replicas have yet to find is in
+        it: mind the `warnings`.
     method : {"stepping-stone", "thermodynamic"}
     within : float
         Standard error from the autocorrelation along the chains, all rungs together.
     between : float
         Standard error from the chains' own estimates, NaN for a single chain.
     table : pandas.DataFrame
-        One row a rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there, ``ess`` of its
-        mean, ``rejection`` of swaps with the next rung, ``log_ratio`` of the evidence there to the one here.
+        One row a rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (where the model
+        did not fail), ``rhat`` of it and ``ess`` of its mean, ``rejection`` of swaps with the next rung, and
+        ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
     """
 
     log_evidence: float
@@ -56,15 +60,32 @@ class Evidence:
     between: float
     table: pd.DataFrame
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the error is not to be relied on, one sentence each: rungs at which the chains do not agree."""
+        rhat = self.table["rhat"].to_numpy()[1:]  # the prior is drawn from independently
+        if np.all(rhat < RHAT_LIMIT):
+            return ()
+        if not np.any(np.isfinite(rhat)):
+            return ("R-hat of the log-likelihood is not known: it takes several chains that move",)
+        worst = 1 + int(np.argmax(np.nan_to_num(rhat, nan=np.inf)))
+        t = self.table["inverse_temperature"][worst]
+        return (
+            f"R-hat {rhat[worst - 1]:.3g} of the log-likelihood at rung {worst}, t = {t:.2g}, is not below "
+            f"{RHAT_LIMIT}: modes have yet to find their share there, and the error is too small",
+        )
+
     def __str__(self) -> str:
         within, between = (f"{error:.2g}" for error in (self.within, self.between))
-        return (
+        line = (
             f"log-evidence {self.log_evidence:.{self._decimals}f} ± {self.error:.2g} "
             f"({self.method}, {len(self.table)} rungs; standard error within chains {within}, between {between})"
         )
+        return "\n".join([line, *(f"  - {warning}" for warning in self.warnings)])
 
     def _repr_html_(self) -> str:
-        return f"<p>{html.escape(str(self))}</p>{self.table.to_html(float_format=lambda x: f'{x:.4g}')}"
+        lines = "<br>".join(html.escape(line) for line in str(self).splitlines())
+        return f"<p>{lines}</p>{self.table.to_html(float_format=lambda x: f'{x:.4g}')}"
 
     @property
     def _decimals(self) -> int:
@@ -116,7 +137,7 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
     estimate = {"stepping-stone": _stepping_stone, "thermodynamic": _thermodynamic}[method]
     whole = estimate(draws, t)
     alone = np.array([estimate(chain[None], t).value for chain in draws])
-    within = effective.mcse_mean(whole.influence) if np.all(np.isfinite(whole.influence)) else np.nan
+    within = effective.mcse_mean(whole.influence)
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     error = float(np.fmax(within, between))
     return Evidence(whole.value, error, method, within, between, _table(draws, t))
@@ -172,25 +193,29 @@ def _stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return ∫ m dt, m and v being mean and variance of l at t; minus infinity if the model fails in the prior.
+    """Return ∫ m dt, m and v being mean and variance of l at t.
 
     The rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a) instead of t, for m
     falls towards the prior as d/(2 (t + a)) where the likelihood is Gaussian in d dimensions: then g = m (t + a)
     is a straight line, with g' = v (t + a)² + m (t + a) because dm/dt = v. The a that fits is told by the first
-    three rungs, which are equidistant in s.
+    three rungs, which are equidistant in s. Where the model fails in a share of the prior, the logarithm of the
+    other share adds to the integral, whose lower end is the mean over that.
     """
-    if not np.all(np.isfinite(draws)):
-        return _Estimate(-np.inf, np.full(draws.shape[:2], np.nan))
+    known = np.isfinite(draws)
+    share = known.mean(axis=(0, 1))
     curved = len(t) > 2 and t[2] > 2.0 * t[1]
     w = t + (min(1.0, t[1] ** 2 / (t[2] - 2.0 * t[1])) if curved else 1.0)
     h = np.diff(np.log(w))
     of_g = 0.5 * (np.append(h, 0.0) + np.append(0.0, h))
     of_slope = (np.append(h**2, 0.0) - np.append(0.0, h**2)) / 12.0
     of_mean, of_variance = w * (of_g + of_slope), w**2 * of_slope
-    away = draws - draws.mean(axis=(0, 1))
-    variance = np.mean(away**2, axis=(0, 1))
-    value = draws.mean(axis=(0, 1)) @ of_mean + variance @ of_variance
-    return _Estimate(float(value), away @ of_mean + (away**2 - variance) @ of_variance)
+    finite = np.where(known, draws, 0.0)
+    mean = finite.mean(axis=(0, 1)) / share
+    away = np.where(known, finite - mean, 0.0)
+    variance = np.mean(away**2, axis=(0, 1)) / share
+    value = mean @ of_mean + variance @ of_variance + np.sum(np.log(share))
+    moved = away * of_mean + np.where(known, away**2 - variance, 0.0) * of_variance + known - share
+    return _Estimate(float(value), moved @ (1.0 / share))
 
 
 def _table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
@@ -201,8 +226,9 @@ def _table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "inverse_temperature": t,
-            "mean": finite.mean(axis=(0, 1)),
-            "sd": finite.std(axis=(0, 1)),
+            "mean": np.nanmean(finite, axis=(0, 1)),
+            "sd": np.nanstd(finite, axis=(0, 1)),
+            "rhat": [effective.rhat(x) for x in np.moveaxis(draws, 2, 0)],
             "ess": [effective.ess_mean(x) for x in np.moveaxis(draws, 2, 0)],
             "rejection": np.append(rejections(draws, t).mean(axis=0), np.nan),
             "log_ratio": np.append(_stones(draws, t)[1], np.nan),

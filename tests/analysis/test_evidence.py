@@ -1,0 +1,110 @@
+"""Evidences from the log-likelihoods of a ladder: against closed forms, with errors worth their name."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import fmu
+from fmu.analysis.evidence import GROUP, Evidence, evidence
+from fmu.analysis.search import find_map
+from fmu.analysis.trace import load_trace, save_trace
+
+SD, DIMENSIONS = 0.1, 3  # likelihood N(0, SD²) in each of the dimensions, standard normal prior
+
+
+def exact_evidence():
+    return -0.5 * DIMENSIONS * np.log(2 * np.pi * (1 + SD**2))
+
+
+def ladder_of_draws(rng, chains=4, draws=500, rungs=12, shift=0.0):
+    """A trace of independent draws at every rung; `shift` moves the log-likelihood of the second chain."""
+    t = np.linspace(0, 1, rungs) ** 5
+    sd = 1 / np.sqrt(1 + t / SD**2)
+    x = sd[:, None] * rng.standard_normal((chains, draws, rungs, DIMENSIONS))
+    log_likelihood = -0.5 * np.sum(x**2, axis=-1) / SD**2 - 0.5 * DIMENSIONS * np.log(2 * np.pi * SD**2)
+    log_likelihood[1:2] += shift
+    group = xr.Dataset(
+        {"log_likelihood": (("chain", "draw", "rung"), log_likelihood), "inverse_temperature": ("rung", t)}
+    )
+    return xr.DataTree.from_dict({GROUP: group})
+
+
+@pytest.mark.parametrize("method", ["stepping-stone", "thermodynamic"])
+def test_both_methods_are_right_and_so_are_their_errors(method):
+    rng = np.random.default_rng(1)
+    found = [evidence(ladder_of_draws(rng), method) for _ in range(36)]
+    away = np.array([f.log_evidence for f in found]) - exact_evidence()
+    errors = np.array([f.within for f in found])
+    assert errors.max() < 0.1
+    assert abs(away.mean()) < 4 * errors.mean() / 6
+    assert 0.6 < away.std() / errors.mean() < 1.5
+    assert np.all([f.error >= max(f.within, f.between) for f in found])
+    assert not any(f.warnings for f in found)
+
+
+def test_the_methods_differ():
+    trace = ladder_of_draws(np.random.default_rng(2))
+    one, other = evidence(trace), evidence(trace, "thermodynamic")
+    assert one.log_evidence != other.log_evidence
+    assert one.method == "stepping-stone"
+    assert other.method == "thermodynamic"
+
+
+def test_chains_that_disagree_show_in_the_error_and_in_a_warning():
+    found = evidence(ladder_of_draws(np.random.default_rng(3), shift=-3.0))
+    assert found.between > 0.5
+    assert found.error == found.between
+    (warning,) = found.warnings
+    assert warning.startswith("R-hat ")
+    assert warning in str(found)
+
+
+def test_one_chain_has_no_error_between_chains():
+    found = evidence(ladder_of_draws(np.random.default_rng(3), chains=1))
+    assert np.isnan(found.between)
+    assert found.error == found.within
+    assert "not known" in found.warnings[0]
+
+
+def test_the_table_has_a_row_a_rung():
+    found = evidence(ladder_of_draws(np.random.default_rng(4), rungs=9))
+    assert found.table["log_ratio"].sum() == pytest.approx(found.log_evidence)
+    assert len(found.table) == 9
+    assert np.all(np.diff(found.table["mean"])[2:] > 0)
+    assert np.all((found.table["rejection"][:-1] > 0) & (found.table["rejection"][:-1] < 1))
+    assert np.isnan(found.table["rejection"].iloc[-1])
+
+
+def test_it_says_what_it_is():
+    table = evidence(ladder_of_draws(np.random.default_rng(4))).table
+    found = Evidence(-117.14159, 0.123, "stepping-stone", 0.1, 0.123, table)
+    assert str(found) == (
+        "log-evidence -117.14 ± 0.12 (stepping-stone, 12 rungs; standard error within chains 0.1, between 0.12)"
+    )
+    assert found._repr_html_().startswith("<p>log-evidence -117.14 ± 0.12 ")
+    assert "<table" in found._repr_html_()
+    assert str(Evidence(-5.5, np.nan, "stepping-stone", np.nan, np.nan, table)).startswith(
+        "log-evidence -5.50 ± nan"
+    )
+
+
+def test_bad_input_is_refused(make_trace):
+    with pytest.raises(ValueError, match="method: must be one of stepping-stone, thermodynamic"):
+        evidence(ladder_of_draws(np.random.default_rng(4)), "harmonic")
+    with pytest.raises(ValueError, match="trace: must come from parallel tempering"):
+        evidence(make_trace(np.zeros((2, 10, 2))))
+
+
+def test_a_run_on_a_problem(problem, tmp_path):
+    """Against the maximum's importance-sampled mass, which is exact to a thousandth for one Gaussian mode."""
+    trace = fmu.sample(problem, "tempering", draws=200, warmup=100, chains=8, seed=2)
+    found = evidence(load_trace(save_trace(trace, tmp_path / "tempering.nc")))
+    assert found.error < 0.1
+    assert abs(found.log_evidence - find_map(problem).log_evidence) < 4 * found.error
+    group = trace[GROUP]
+    assert group["log_likelihood"].dims == ("chain", "draw", "rung")
+    assert group["inverse_temperature"].to_numpy()[[0, -1]].tolist() == [0.0, 1.0]
+    assert group.attrs["barrier"] == pytest.approx(float(group["rejection"].sum()))
+    assert 0 < group.attrs["round_trip_rate"] < 1.5 * group.attrs["round_trip_limit"]
+    assert group.attrs["round_trips"] == int(trace["sample_stats"]["round_trips"].sum())
+    assert all(values.dims == ("chain", "draw") for values in trace["sample_stats"].values())
