@@ -123,7 +123,7 @@ def test_physical_modes_behind_the_numbers(section_by_number, mode):
 
 
 def test_registry_of_cases():
-    assert cases.names() == ("cantilever-section", "cantilever-young", "shear-2dof")
+    assert {"cantilever-section", "cantilever-young", "shear-10dof", "shear-2dof"} <= set(cases.names())
     assert "5.1" in cases.describe("cantilever-young")
     assert "5.2" in cases.describe("cantilever-section")
     assert cases.load("cantilever-young").name == "cantilever-young, by shape"
@@ -133,7 +133,8 @@ def test_registry_of_cases():
 @pytest.mark.parametrize("call", [cases.load, cases.describe])
 def test_unknown_case(call):
     with pytest.raises(
-        ValueError, match=r"^case: must be one of cantilever-section, cantilever-young, shear.* \(got 'bridge'\)$"
+        ValueError,
+        match=r"^case: must be one of cantilever-section, cantilever-young, .*shear-2dof \(got 'bridge'\)$",
     ):
         call("bridge")
 
