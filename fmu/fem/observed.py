@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.modal import Seen, frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel
-from fmu.fem.pairing import Pairing, RankPairing
+from fmu.fem.pairing import IndexPairing, Pairing, RankPairing
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -89,12 +89,20 @@ class SensorView:
 
     def _paired(self, theta: FloatArray) -> tuple[IntArray, IntArray]:
         """Return block and rank of the paired modes, shape (n, n_modes); −1 in rows where a solve failed."""
-        if isinstance(self.pairing, RankPairing):
-            block, rank = np.array(self.pairing.block), np.array(self.pairing.rank)
+        fixed = self._fixed()
+        if fixed is not None:
+            block, rank = np.array(fixed.block), np.array(fixed.rank)
             return np.tile(block, (len(theta), 1)), np.tile(rank, (len(theta), 1))
         modes = self._solve(theta)
         failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
         return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank)
+
+    def _fixed(self) -> RankPairing | None:
+        """Return the pairing if it is the same everywhere: in a single block a number is a rank."""
+        if isinstance(self.pairing, IndexPairing) and len(self.model.blocks) == 1:
+            numbers = self.pairing.numbers
+            return RankPairing((0,) * len(numbers), tuple(number - 1 for number in numbers))
+        return self.pairing if isinstance(self.pairing, RankPairing) else None
 
 
 def _parts(observed: Observed) -> tuple[FloatArray | None, ...]:

@@ -143,3 +143,13 @@ def test_arms_and_signs():
     assert not model.sees((0, "z"))
     with pytest.raises(ValueError, match=r"no free degree of freedom \(got node 0, 'z'\)"):
         model.observation([(0, "z")])
+
+
+def test_in_one_block_a_number_is_a_rank(monkeypatch):
+    """No further solve to sort the spectrum: there is nothing to sort it with."""
+    structure = paired("index")
+    structure.train(0.8 * START, 1.2 * START, tolerance=1e-9)
+    assert len(structure.reduced.blocks) == 1
+    expected = structure.frequencies(points(4))
+    monkeypatch.setattr("fmu.fem.model.BlockModel.spectrum", None)
+    assert_allclose(structure.observed(points(4)).frequencies, expected, rtol=1e-12)
