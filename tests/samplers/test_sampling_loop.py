@@ -31,7 +31,7 @@ class TestNames:
         assert named(name).name == name
 
     def test_an_unknown_name_lists_the_known_ones(self):
-        with pytest.raises(ValueError, match=r"sampler: must be one of mh, slice, hmc, emcee \(got 'nuts'\)"):
+        with pytest.raises(ValueError, match=r"sampler: must be one of mh, slice, hmc, emcee, tempering \(got 'nuts'\)"):
             named("nuts")
 
 
