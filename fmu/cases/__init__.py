@@ -76,8 +76,8 @@ def load(name: str, pairing: str | None = None, beta: ArrayLike | None = None) -
     ----------
     name : str
         One of `names`.
-    pairing : {"shape", "index"}, optional
-        By MAC, or by number in the sorted spectrum as in the paper; as its file says if not given.
+    pairing : {"shape", "index", "soft"}, optional
+        By MAC, by number in the sorted spectrum as in the paper, or softly; as its file says if not given.
     beta : float or array_like, shape (n_modes,), optional
         Weight of a squared frequency error, 1/Hz², instead of the trust in the data that the file gives.
 

@@ -11,9 +11,9 @@ from fmu.cli.source import source
 
 @click.command("check")
 @click.argument("case")
-@click.option("--pairing", type=click.Choice(("shape", "index")),
-              help="Pair computed with measured modes by shape, or by number in the spectrum.  [default: what the "
-              "file says]")  # fmt: skip
+@click.option("--pairing", type=click.Choice(("shape", "index", "soft")),
+              help="Pair computed with measured modes by shape, by number in the spectrum, or softly by shape, "
+              "without jumps.  [default: what the file says]")  # fmt: skip
 @click.option("--draws", type=click.IntRange(min=2), default=200, show_default=True,
               help="Draws from the prior at which the model is solved; fewer where a solve is slow.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 @click.argument("case")
 @click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=("hmc",),
               show_default=True, help="May be given several times.")  # fmt: skip
-@click.option("--pairing", type=click.Choice(("shape", "index")),
-              help="Pair computed with measured modes by shape, or by number in the spectrum.  [default: what the "
-              "file says]")  # fmt: skip
+@click.option("--pairing", type=click.Choice(("shape", "index", "soft")),
+              help="Pair computed with measured modes by shape, by number in the spectrum, or softly by shape, "
+              "without jumps.  [default: what the file says]")  # fmt: skip
 @click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Steps kept.")
 @click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
 @click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")

@@ -24,7 +24,7 @@ def load(path: str | os.PathLike[str], pairing: str | None = None, beta: Any = N
     Parameters
     ----------
     path : path-like
-    pairing : {"shape", "index"}, optional
+    pairing : {"shape", "index", "soft"}, optional
         Instead of that of the file.
     beta : float or array_like, shape (n_modes,), optional
         Instead of the trust in the data that the file gives, 1/Hz².

@@ -10,7 +10,7 @@ from pydantic import Field, Tag
 
 from fmu.config import parameters as given
 from fmu.config.errors import ErrorTable, NoiseTable, built_noise
-from fmu.config.fields import Name, Table, by_kind
+from fmu.config.fields import Name, Positive, Table, by_kind
 from fmu.config.frame import FrameTable
 from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
@@ -18,6 +18,7 @@ from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.model import Built
 from fmu.config.parameters import ParameterTable
 from fmu.config.python import PythonTable
+from fmu.fem.candidates import SOFTNESS
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.problem import UpdatingProblem
 
@@ -33,8 +34,11 @@ class ProblemFile(Table):
     """What reports call it."""
     description: str = ""
     """In one line."""
-    pairing: Literal["shape", "index"] = "shape"
-    """Which computed mode answers to which measured one: by MAC of their shapes, or by number in the spectrum."""
+    pairing: Literal["shape", "index", "soft"] = "shape"
+    """Which computed mode answers to which measured one: by MAC of their shapes, by number in the spectrum, or all
+    of them with weights exp(MAC/softness), so that the log-probability does not jump where modes veer."""
+    softness: Positive = SOFTNESS
+    """Of soft pairing: the smaller, the nearer to pairing by MAC one to one."""
     error: NamedError | ErrorModels = Field("frequency", discriminator=NAMES_OR_MODELS)
     """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
     noise: list[NoiseTable] = []
@@ -81,6 +85,7 @@ class ProblemFile(Table):
                 data,
                 parameters,
                 pairing=pairing or self.pairing,
+                softness=self.softness,
                 reduction=self.reduction,
                 beta=None if errors else trust,
                 error=[table.build(noise) for table in errors] if errors else self.error,  # type: ignore[arg-type]

@@ -92,7 +92,10 @@ class ReducedBlock:
 
     def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
         """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
-        sensors = rows @ self.basis
+        return self.seen_in_basis(theta, count, rows @ self.basis, gradient)
+
+    def seen_in_basis(self, theta: FloatArray, count: int, sensors: FloatArray, gradient: bool = False) -> Seen:
+        """Return `seen` for sensors that are given by what they see of the basis, shape (n_sensors, size)."""
         if not gradient:
             lam, phi = self.modes(theta, count)
             return Seen(lam, sensors @ phi)

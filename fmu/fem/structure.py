@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.fem.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
 from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel, Modes
 from fmu.fem.observed import Observed, SensorView
@@ -22,6 +23,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 PAIRINGS = ("shape", "index")
+SOFT = "soft"
 
 
 class PairedStructure:
@@ -30,10 +32,11 @@ class PairedStructure:
     Parameters
     ----------
     model : SeparableModel
-    pairing : {"shape", "index"}
+    pairing : {"shape", "index", "soft"}
         ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
         measured, at all translations with the modes of the model at `reference` that the sensors can see.
-        ``"index"``: by `numbers` in the sorted spectrum.
+        ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates` gives
+        all that might have answered.
     numbers : tuple of int
         Number (from 1) of each measured mode.
     sensors : tuple of (node, direction)
@@ -42,6 +45,9 @@ class PairedStructure:
         The model before updating.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured shapes.
+
+    softness : float
+        Temperature of the weights of ``"soft"``: `fmu.fem.candidates`.
 
     Attributes
     ----------
@@ -65,9 +71,10 @@ class PairedStructure:
         sensors: tuple[tuple[Any, str], ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
+        softness: float = SOFTNESS,
     ) -> None:
-        if pairing not in PAIRINGS:
-            raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
+        if pairing not in (*PAIRINGS, SOFT):
+            raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
         self.structure = model
         self.n_parameters = model.n_parameters
         self.n_modes = len(numbers)
@@ -86,10 +93,14 @@ class PairedStructure:
             seen = model.observation(sensors) if sensors else rows
             with single_thread():
                 self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes)
+        if pairing == SOFT and isinstance(self.rule, ShapePairing):
+            self.rule = SoftPairing(self.rule.rows, self.rule.shapes, self.rule.margin, softness)
+        self.softness = softness
         self.pairing: Pairing = self.rule
         self._solve_full = self.rule.bind(self.full)
         self._sensors = model.observation(sensors)
         self._see_full = SensorView(self.full, self.rule, self._sensors)
+        self._at_sensors = shapes is not None
 
     def __repr__(self) -> str:
         reduced = "not reduced"
@@ -222,6 +233,27 @@ class PairedStructure:
         with single_thread():
             return self._see_full(theta)
 
+    def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
+        """Return all modes that might answer to a measured one, at theta (n, n_parameters).
+
+        With derivatives if wanted; for a pairing by shape, soft or not.
+        """
+        with single_thread():
+            if self.reduced is None:
+                return self._candidates_of(self.full)(theta, gradient)
+            inside = self.within(theta)
+            found = self._reduced_candidates(np.where(inside[:, None], theta, self._lower), gradient)
+            rows = ~inside | np.isnan(found.frequencies).any(axis=1)
+            if not rows.any():
+                return found
+            self.full_solves += int(np.sum(rows))
+            return found.with_rows(rows, self._candidates_of(self.full)(theta[rows], gradient))
+
+    def full_seen_candidates(self, theta: FloatArray) -> Candidates:
+        """Return all modes that might answer to a measured one by the full model."""
+        with single_thread():
+            return self._candidates_of(self.full)(theta)
+
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
         return frequency_hz(self.modes(theta).eigenvalues)
@@ -263,7 +295,13 @@ class PairedStructure:
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
         self._see_reduced = SensorView(trained.model, trained.pairing, self._sensors)
+        if isinstance(self.rule, SoftPairing):
+            self._reduced_candidates = self._candidates_of(trained.model)
         self.full_solves = 0
+
+    def _candidates_of(self, model: BlockModel) -> CandidateView:
+        assert isinstance(self.rule, ShapePairing)  # narrowed for the type checker: others have no candidates
+        return CandidateView(model, self.rule, self._at_sensors)
 
     def _repaired(self, theta: FloatArray, modes: Modes, rows: NDArray[np.bool_]) -> Modes:
         exact = self._solve_full(theta[rows], modes.gradient is not None)

@@ -9,16 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.candidates import SOFTNESS, SoftPairing
 from fmu.fem.model import ModalModel
 from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.separable import SeparableModel
-from fmu.fem.structure import PairedStructure
-from fmu.posterior.errors import ErrorModel
+from fmu.fem.structure import SOFT, PairedStructure
+from fmu.posterior.errors import ErrorModel, FrequencyErrors
 from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.likelihood import FrequencyLikelihood, frequency_error
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.residual import ModalResidual
+from fmu.posterior.soft import SoftLikelihood
 
 ERRORS = ("frequency", "modal-residual")
 
@@ -38,6 +40,7 @@ def paired_model(
     data: ModalData,
     parameters: Sequence[Parameter],
     pairing: str,
+    softness: float = SOFTNESS,
 ) -> ModalModel:
     """Return the model of the measured modes.
 
@@ -48,13 +51,19 @@ def paired_model(
     data : ModalData
     parameters : sequence of Parameter
         The model's.
-    pairing : {"shape", "index"}
+    pairing : {"shape", "index", "soft"}
+    softness : float
+        Of the last.
 
     Raises
     ------
     ValueError
         If the model does not fit the parameters or the data.
     """
+    if pairing == SOFT and not isinstance(model, SeparableModel):
+        raise ValueError(
+            f"pairing: soft needs a SeparableModel, with slopes of shapes (got {type(model).__name__})"
+        )
     n = len(parameters)
     if model.n_parameters != n:
         raise ValueError(f"parameters: the model takes {model.n_parameters} (got {n})")
@@ -77,7 +86,13 @@ def paired_model(
         if model.names not in (None, names):
             raise ValueError(f"parameters: must be the model's, in its order {model.names} (got {names})")
         paired = PairedStructure(
-            model, pairing=pairing, numbers=data.numbers, sensors=data.sensors, reference=start, shapes=shapes
+            model,
+            pairing=pairing,
+            numbers=data.numbers,
+            sensors=data.sensors,
+            reference=start,
+            shapes=shapes,
+            softness=softness,
         )
     if paired.n_modes != data.n_modes:
         raise ValueError(f"data: the model pairs {paired.n_modes} modes (got {data.n_modes})")
@@ -111,14 +126,20 @@ def likelihood_of(
     ValueError
         If the error model is unknown or does not fit the data or the model, or `beta` is not wanted.
     """
+    is_soft = isinstance(getattr(paired, "rule", None), SoftPairing)
     if not isinstance(error, str):
         if beta is not None:
             raise ValueError(f"beta: must not be given beside error models, which have sd (got {beta})")
         errors: Any = error if isinstance(error, Sequence) else [error]
-        return JointLikelihood(paired, data, errors)
+        return (SoftLikelihood if is_soft else JointLikelihood)(paired, data, errors)  # type: ignore[arg-type]
     if error not in ERRORS:
         raise ValueError(f"error: must be one of {ERRORS}, or error models (got {error!r})")
     if error == "frequency":
+        if is_soft:
+            if data.covariance_hz2 is not None:
+                raise ValueError("pairing: soft needs errors independent from mode to mode (got covariance_hz2)")
+            sd = np.sqrt(0.5 / np.asarray(frequency_error(data, beta).beta))
+            return SoftLikelihood(paired, data, [FrequencyErrors("absolute", sd)])  # type: ignore[arg-type]
         return FrequencyLikelihood(paired, frequency_error(data, beta))
     if not isinstance(model, SeparableModel):
         raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")

@@ -131,13 +131,16 @@ class JointLikelihood:
         """
         seen = self._observed(theta, True)
         terms, gradient = self._terms_and_gradient(seen, theta)
-        _, J = self._residuals_and_slopes(seen, theta)
+        J = self._residuals_and_slopes(seen, theta)[1]
+        return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
+
+    def _information(self, J: FloatArray, theta: FloatArray) -> FloatArray:
         n, s = self.n_structural, theta[:, self.n_structural :]
         information = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
         information[:, :n, :n] = np.einsum("nrk,nrl->nkl", J, J)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             information[:, n:, n:] = sum(term.information(s) for term in self.terms_of)
-        return terms.sum(axis=1), gradient.sum(axis=1), information
+        return information
 
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.candidates import SOFTNESS
 from fmu.fem.model import ModalModel
 from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.separable import SeparableModel
@@ -37,9 +38,13 @@ class UpdatingProblem:
     data : ModalData
     parameters : sequence of Parameter
         Of the model, in the order of theta. Standard deviations that `error` infers come after them.
-    pairing : {"shape", "index"}
+    pairing : {"shape", "index", "soft"}
         Which computed mode answers to which measured one (`fmu.fem.pairing`), for a SeparableModel: by MAC with
-        the modes of the model before updating, or by number in the sorted spectrum.
+        the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
+        weights exp(MAC/τ), so that the log-probability does not jump where modes veer: read what is given up for
+        that in `fmu.posterior.soft`.
+    softness : float
+        τ, of ``"soft"`` alone.
     reduction : bool
         Whether a SeparableModel is answered by a certified reduced model inside the bounds.
     beta : float or array_like, shape (n_modes,), optional
@@ -82,6 +87,7 @@ class UpdatingProblem:
         parameters: Sequence[Parameter],
         *,
         pairing: str = "shape",
+        softness: float = SOFTNESS,
         reduction: bool = True,
         beta: ArrayLike | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
@@ -92,7 +98,7 @@ class UpdatingProblem:
         self.n_structural = len(self.parameters)
         self.name = name
         check_names(self.parameters)
-        self.model = paired_model(model, data, self.parameters, pairing)
+        self.model = paired_model(model, data, self.parameters, pairing, softness)
         self.likelihood: Likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
         if isinstance(self.likelihood, JointLikelihood):
             self.parameters += self.likelihood.noise
