@@ -43,6 +43,7 @@ class LinearGaussian(Tempered):
     sd, noise = 2.0, 0.1
     matrix = np.array([[1.0, 0.4, 0.0], [0.2, 1.0, 0.5], [0.3, 0.0, 1.0]])
     data = np.array([1.0, -0.5, 2.0])
+    offset, scale = np.array([1.0, 0.0, -1.0]), np.array([2.0, 0.5, 3.0])
 
     def __init__(self):
         super().__init__(np.full(3, -np.inf), np.full(3, np.inf))
