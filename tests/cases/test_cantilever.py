@@ -151,7 +151,7 @@ def test_weights_of_the_modes():
 
 
 def test_unknown_pairing():
-    with pytest.raises(ValueError, match=r"pairing: must be one of \('shape', 'index'\) \(got 'name'\)$"):
+    with pytest.raises(ValueError, match=r"pairing: must be one of \('shape', 'index', 'soft'\) \(got 'name'\)$"):
         cases.load("cantilever-young", "name")
 
 

@@ -148,7 +148,7 @@ def test_fingerprint_tells_structures_apart():
 def test_unknown_pairing_and_sensor():
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
     options = {"numbers": (1,), "reference": np.array([2.1e11])}
-    with pytest.raises(ValueError, match=r"^pairing: must be one of \('shape', 'index'\) \(got 'mac'\)$"):
+    with pytest.raises(ValueError, match=r"^pairing: must be one of \('shape', 'index', 'soft'\) \(got 'mac'\)$"):
         PairedStructure(model, pairing="mac", sensors=(), **options)
     with pytest.raises(ValueError, match=r"^sensor: the model has no free degree of freedom \(got node 0, 'z'\)$"):
         PairedStructure(model, pairing="shape", sensors=((0, "z"),), **options)

@@ -212,7 +212,7 @@ WRONG = {
         r"parameters: names must be distinct \(got twice: \['k0'\]\)",
     ),
     "too few parameters": ({"parameters": BOUNDED[:1]}, r"parameters: the model takes 2 \(got 1\)"),
-    "pairing": ({"pairing": "name"}, r"pairing: must be one of \('shape', 'index'\) \(got 'name'\)"),
+    "pairing": ({"pairing": "name"}, r"pairing: must be one of \('shape', 'index', 'soft'\) \(got 'name'\)"),
     "beta": ({"beta": [1.0, 2.0, 3.0]}, r"beta: must be a number or 2 numbers \(got shape \(3,\)\)"),
     "sensor": (
         {"data": ModalData([0.1], sensors=((9, "z"),))},
