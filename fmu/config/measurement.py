@@ -68,6 +68,8 @@ class MeasurementTable(Table):
     """Covariance of the frequencies, Hz²."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
     """Of the modes in the sorted spectrum, from 1, for pairing by number."""
+    counterparts: list[Annotated[int, Field(ge=1)]] = []
+    """Of the elastic modes before updating that the sensors see, from 1, for pairing by shape without shapes."""
     labels: list[Name] = []
     """Names of the modes."""
     sensors: list[SensorTable] = []
@@ -116,7 +118,7 @@ class MeasurementTable(Table):
             )
         if not rows:
             return
-        for key in ("sd", "beta", "covariance", "numbers", "labels", "shapes"):
+        for key in ("sd", "beta", "covariance", "numbers", "counterparts", "labels", "shapes"):
             value = getattr(self, key)
             if isinstance(value, list) and value and len(value) != len(rows[0]):
                 raise ValueError(f"{key} must be {len(rows[0])}, one a mode (got {len(value)})")
@@ -155,7 +157,15 @@ class MeasurementTable(Table):
                 )
         numbers, labels = tuple(self.numbers) or read.numbers, tuple(self.labels) or read.labels
         try:
-            return ModalData(read.frequencies, numbers, sensors, labels, read.shapes, **trust)
+            return ModalData(
+                read.frequencies,
+                numbers,
+                sensors,
+                labels,
+                read.shapes,
+                counterparts=tuple(self.counterparts),
+                **trust,
+            )
         except ValueError as error:
             raise BrokenError([Mistake("measurement", str(error))]) from None
 

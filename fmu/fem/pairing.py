@@ -23,6 +23,9 @@ from fmu.fem.model import Block, BlockModel, Modes
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+SPARE = 3
+"""How many modes beyond the highest reference of a block may be candidates."""
+
 # what maps a block's shapes to the coordinates of comparison, and the reference shapes there
 Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
 
@@ -128,12 +131,13 @@ class ShapePairing:
     shapes : ndarray, shape (q, n_modes)
         Reference shapes there: measured ones, or those of the model before updating.
     margin : int
-        How many modes beyond the number of references each block offers as candidates.
+        How many modes beyond the number of references each block offers as candidates: those below them that
+        were not measured, as rigid-body modes, and a few above.
     """
 
     rows: Any
     shapes: FloatArray
-    margin: int = 3
+    margin: int = SPARE
     name: ClassVar[str] = "shape"
 
     def bind(self, model: BlockModel) -> PairedSolve:
@@ -209,11 +213,18 @@ class ShapePairing:
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
 
-def reference_modes(model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, n_modes: int) -> ShapePairing:
-    """Return the pairing with the first `n_modes` elastic modes of a reference model that the sensors can see.
+def reference_modes(
+    model: BlockModel,
+    theta: FloatArray,
+    sensors: Any,
+    rows: Any,
+    n_modes: int,
+    counterparts: tuple[int, ...] = (),
+) -> ShapePairing:
+    """Return the pairing with elastic modes of a reference model that the sensors can see.
 
     Where no shapes were measured, a mode that moves none of the sensors cannot have been measured either;
-    of the others the lowest are taken, in ascending order.
+    of the others the lowest `n_modes` are taken, in ascending order, or the `counterparts`.
 
     Parameters
     ----------
@@ -223,21 +234,36 @@ def reference_modes(model: BlockModel, theta: FloatArray, sensors: Any, rows: An
         The reference: as a rule the model before updating.
     sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
         What the sensors see, and the coordinates at which the shapes will be compared.
+    n_modes : int
+        How many modes were measured.
+    counterparts : tuple of int, optional
+        Which of the modes that the sensors can see, from 1, each measured one answers to.
 
     Raises
     ------
     ValueError
-        If the sensors see fewer than `n_modes` modes.
+        If the sensors see fewer modes.
     """
+    picked = counterparts or tuple(range(1, n_modes + 1))
     n_total = sum(block.size for block in model.blocks)
-    count = min(4 * n_modes, n_total)
+    count = min(4 * max(picked), n_total)
     while True:
-        shapes = _visible_shapes(model, theta, sensors, rows, count)
-        if len(shapes) >= n_modes:
-            return ShapePairing(rows, np.stack(shapes[:n_modes], axis=1))
+        shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
+        if len(shapes) >= max(picked):
+            columns = np.array(picked) - 1
+            margin = SPARE + max(0, int(ranks[columns].max()) + 1 - n_modes)
+            return ShapePairing(rows, shapes[columns].T, margin)
         if count == n_total:
-            raise ValueError(f"sensors: must see the {n_modes} measured modes (they see {len(shapes)})")
+            what = f"mode {max(picked)}" if counterparts else f"the {n_modes} measured modes"
+            raise ValueError(f"sensors: must see {what} (they see {len(shapes)})")
         count = min(2 * count, n_total)
+
+
+def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int) -> int:
+    """Return how many rigid-body modes lie below the elastic ones at theta (n_parameters,)."""
+    count = min(n_modes + 7, sum(block.size for block in model.blocks))  # six at most, and one that is elastic
+    lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
+    return int(np.sum(lam <= RIGID * lam[-1]))
 
 
 def assign(mac: FloatArray) -> IntArray:
@@ -263,7 +289,10 @@ def assign(mac: FloatArray) -> IntArray:
     return best
 
 
-def _visible_shapes(model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, count: int) -> list[FloatArray]:
+def _visible_modes(
+    model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, count: int
+) -> tuple[FloatArray, IntArray]:
+    """Return shapes (n, q) at `rows` and ranks (n,) in their blocks, of the elastic modes that the sensors see."""
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
     solved = {
@@ -277,4 +306,4 @@ def _visible_shapes(model: BlockModel, theta: FloatArray, sensors: Any, rows: An
     # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
     elastic = spectrum.eigenvalues[0] > RIGID * spectrum.eigenvalues[0, -1]
     visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
-    return list(compared[elastic & visible])
+    return compared[elastic & visible], spectrum.rank[0][elastic & visible]

@@ -13,7 +13,7 @@ from fmu.fem.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
 from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel, Modes
 from fmu.fem.observed import Observed, SensorView
-from fmu.fem.pairing import IndexPairing, Pairing, ShapePairing, reference_modes
+from fmu.fem.pairing import SPARE, IndexPairing, Pairing, ShapePairing, count_rigid, reference_modes
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel, selection
 from fmu.fem.threads import single_thread
@@ -45,6 +45,9 @@ class PairedStructure:
         The model before updating.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured shapes.
+    counterparts : tuple of int, optional
+        Where no shapes were measured: which of the modes at `reference` that the sensors can see, from 1, each
+        measured one answers to; the lowest in ascending order if empty.
 
     softness : float
         Temperature of the weights of ``"soft"``: `fmu.fem.candidates`.
@@ -71,6 +74,7 @@ class PairedStructure:
         sensors: tuple[tuple[Any, str], ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
+        counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
     ) -> None:
         if pairing not in (*PAIRINGS, SOFT):
@@ -87,12 +91,14 @@ class PairedStructure:
             if max(numbers) > model.n_dof:
                 raise ValueError(f"numbers: must lie in 1..{model.n_dof}, the modes of the model (got {numbers})")
         elif shapes is not None:
-            self.rule = ShapePairing(model.observation(sensors), shapes)
+            with single_thread():
+                rigid = count_rigid(self.full, reference, self.n_modes)
+            self.rule = ShapePairing(model.observation(sensors), shapes, SPARE + rigid)
         else:
             rows = selection(model.translations, model.n_dof)
             seen = model.observation(sensors) if sensors else rows
             with single_thread():
-                self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes)
+                self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes, counterparts)
         if pairing == SOFT and isinstance(self.rule, ShapePairing):
             self.rule = SoftPairing(self.rule.rows, self.rule.shapes, self.rule.margin, softness)
         self.softness = softness

@@ -92,6 +92,7 @@ def paired_model(
             sensors=data.sensors,
             reference=start,
             shapes=shapes,
+            counterparts=data.counterparts,
             softness=softness,
         )
     if paired.n_modes != data.n_modes:

@@ -45,12 +45,17 @@ class ModalData:
     shapes_sd : ndarray, shape (n_sensors, n_modes), optional
         Standard deviation of the shapes' errors, in units of a shape that has unit length at the sensors. A scalar
         stands for everything, one number a mode for all sensors.
+    counterparts : tuple of int, optional
+        For pairing by shape where no shapes were measured: which mode of the model before updating each measured
+        one answers to, from 1, among the elastic ones that the sensors can see. The lowest by default, in
+        ascending order.
 
     Raises
     ------
     ValueError
         If a frequency is not positive and finite, a shape is not finite or zero, the lengths differ, a standard
-        deviation is not positive or a covariance not positive definite.
+        deviation is not positive, a covariance not positive definite, or counterparts are not distinct numbers
+        from 1 or not needed.
     """
 
     frequencies_hz: ArrayLike
@@ -61,6 +66,7 @@ class ModalData:
     sd_hz: ArrayLike | None = None
     covariance_hz2: ArrayLike | None = None
     shapes_sd: ArrayLike | None = None
+    counterparts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
@@ -92,6 +98,17 @@ class ModalData:
             shapes.flags.writeable = False
             object.__setattr__(self, "shapes", shapes)
         self._check_uncertainty(n)
+        self._check_counterparts(n)
+
+    def _check_counterparts(self, n: int) -> None:
+        given = tuple(self.counterparts)
+        object.__setattr__(self, "counterparts", given)
+        if not given:
+            return
+        if len(given) != n or len(set(given)) < n or min(given) < 1:
+            raise ValueError(f"counterparts: must be {n} distinct numbers from 1, one a mode (got {given})")
+        if self.shapes is not None:
+            raise ValueError("counterparts: must not be given beside shapes, which pair the modes")
 
     def _check_uncertainty(self, n: int) -> None:
         if self.sd_hz is not None and self.covariance_hz2 is not None:
@@ -268,6 +285,7 @@ class ModalData:
             "sensors": [[_plain(part) for part in sensor] for sensor in self.sensors],
             "labels": list(self.labels),
             **{name: value.tolist() for name, value in given.items()},
+            **({"counterparts": [int(number) for number in self.counterparts]} if self.counterparts else {}),
         }
 
 

@@ -106,6 +106,14 @@ def test_fewer_modes_than_the_model_has(problem):
     assert found.frequencies(theta)[0] == pytest.approx(both.frequencies(theta)[1])
 
 
+def test_modes_in_another_order_than_the_model_has_them(problem):
+    text = "frequencies = [9.8, 3.1]\nsd = 0.05\n"
+    theta = np.array([3.1e7, 2.8e7])
+    found = problem(text + "counterparts = [2, 1]\n")
+    assert found.data.counterparts == (2, 1)
+    assert_allclose(found.frequencies(theta), problem(text).frequencies(theta)[::-1])
+
+
 def test_universal_file(problem, folder):
     pytest.importorskip("pyuff")
     data = ModalData([3.1, 9.8], (4, 7), ((11, "x"), (12, "x"), (13, "y")), shapes=[*SHAPES, [0.1, 0.2]])

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.model import BlockModel
-from fmu.fem.pairing import ShapePairing, reference_modes
+from fmu.fem.pairing import ShapePairing, count_rigid, reference_modes
 from fmu.fem.separable import SeparableModel, selection
+from fmu.fem.structure import PairedStructure
 from fmu.fem.terms import Term
 from tests import cantilever
 
@@ -84,3 +85,50 @@ def test_rigid_body_modes_of_a_free_structure_were_not_measured():
     bending = full.blocks[plane].eigenvalues(theta[None], 4)[0, 2:]
     assert_allclose(modes.eigenvalues[0], bending, rtol=1e-6)
     assert bending[0] == pytest.approx(elastic[0], rel=1e-6)
+
+
+def free_frame():
+    """Return an L in space that nothing holds and no plane of motion decouples."""
+    leg = np.linspace(0.0, 1.0, 6)
+    corner = np.array([1.2, 0.1, 0.0])
+    nodes = np.concatenate([np.outer(leg, corner), np.outer(leg[1:], [0.1, 0.7, 0.3]) + corner])
+    elements = np.stack([np.arange(10), np.arange(1, 11)], axis=1)
+    group = ElementGroup("L", elements, Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6), STEEL, (0, 0.3, 1))
+    return Frame(nodes, [group]).separable({"E": [("E", "L")]})
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_rigid_body_modes_leave_room_for_all_measured_ones(measured):
+    """They are of the same block as the elastic ones, and below them."""
+    model, n, theta = free_frame(), 6, np.array([2.1e11])
+    full = BlockModel.full(model)
+    assert len(full.blocks) == 1
+    assert count_rigid(full, theta, n) == 6
+    lam, phi = full.blocks[0].modes(theta[None], 6 + n)
+    sensors = tuple((node, direction) for node in (0, 5, 8, 10) for direction in "xyz")
+    shapes = model.observation(sensors) @ phi[0, :, 6:] if measured else None
+    structure = PairedStructure(
+        model,
+        pairing="shape",
+        numbers=tuple(range(1, n + 1)),
+        sensors=sensors,
+        reference=theta,
+        shapes=shapes,
+    )
+    assert_allclose(structure.modes(theta[None]).eigenvalues[0], lam[0, 6:], rtol=1e-6)
+
+
+def test_measured_modes_may_answer_to_others_than_the_lowest_in_order():
+    """Counted among the elastic modes that the sensors see."""
+    model, theta = free_frame(), np.array([2.1e11])
+    lam = BlockModel.full(model).spectrum(theta[None], 12).eigenvalues[0, 6:]
+
+    def paired(counterparts):
+        return PairedStructure(
+            model, pairing="shape", numbers=(1, 2, 3), sensors=(), reference=theta, counterparts=counterparts
+        )
+
+    assert_allclose(paired((5, 1, 2)).modes(theta[None]).eigenvalues[0], lam[[4, 0, 1]], rtol=1e-6)
+    assert_allclose(paired(()).modes(theta[None]).eigenvalues[0], lam[:3], rtol=1e-6)
+    with pytest.raises(ValueError, match=r"^sensors: must see mode 61 \(they see 60\)$"):
+        paired((61, 1, 2))

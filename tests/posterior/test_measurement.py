@@ -1,6 +1,7 @@
 """Measured modes: defaults, plain description, wrong input."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -48,6 +49,8 @@ def test_measured_shapes():
     data = ModalData([31.9, 197.9], sensors=((3, "z"), (5, "z")), shapes=given)
     assert data.as_dict()["shapes"] == [[1.0, 0.5], [0.0, -2.0]]
     assert "shapes" not in ModalData([31.9]).as_dict()
+    assert "counterparts" not in ModalData([31.9]).as_dict()
+    assert ModalData([31.9, 32.0], counterparts=(2, 1)).as_dict()["counterparts"] == [2, 1]
     given[0] = 9.0
     assert_array_equal(data.shapes, [[1.0, 0.5], [0.0, -2.0]])
 
@@ -76,6 +79,17 @@ def test_measured_shapes():
             r"shapes: must be finite, and no mode zero at every sensor",
         ),
         ({"frequencies_hz": [1.0], "labels": ("a", "b")}, r"labels: must be 1, one a mode \(got 2\)"),
+        *(
+            (
+                {"frequencies_hz": [1.0, 2.0], "counterparts": wrong},
+                rf"counterparts: must be 2 distinct numbers from 1, one a mode \(got {re.escape(str(wrong))}\)",
+            )
+            for wrong in ((1,), (2, 2), (0, 1))
+        ),
+        (
+            {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[1.0]], "counterparts": (2,)},
+            r"counterparts: must not be given beside shapes, which pair the modes",
+        ),
     ],
 )
 def test_wrong_data(arguments, message):
