@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fmu.analysis.prediction import expectation as expectation
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
+    from fmu.analysis.trace import save_trace as save_trace
     from fmu.config import load as load
     from fmu.fem.black_box import BlackBoxModel as BlackBoxModel
     from fmu.fem.frame import ElementGroup as ElementGroup
@@ -105,6 +106,7 @@ _HOME = {
     "load_trace": "fmu.analysis.trace",
     "pairing_changes": "fmu.analysis.pairing_changes",
     "sample": "fmu.sampling",
+    "save_trace": "fmu.analysis.trace",
     "summary": "fmu.analysis.diagnostics",
     "write_report": "fmu.report.html",
 }
@@ -153,6 +155,7 @@ __all__ = [
     "load_trace",
     "pairing_changes",
     "sample",
+    "save_trace",
     "summary",
     "write_report",
 ]

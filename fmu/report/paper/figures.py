@@ -36,7 +36,7 @@ ENOUGH = 0.05
 
 def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) -> None:
     """Draw and write all figures of an experiment."""
-    from fmu.report.corner_plot import plot_corner
+    from fmu.report.plots.corner import plot_corner
 
     heading = f"Section {result.published.section}, paired {PAIRED_BY[result.pairing]}"
     for name, trace in result.long.items():

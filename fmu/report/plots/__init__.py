@@ -4,6 +4,7 @@ Functions take traces and draw on a matplotlib Figure of their own or one that i
 and touch no global state of matplotlib.
 """
 
+from fmu.report.plots.corner import plot_corner as plot_corner
 from fmu.report.plots.frequencies import Frequencies as Frequencies
 from fmu.report.plots.frequencies import plot_frequency_errors as plot_frequency_errors
 from fmu.report.plots.frequencies import plot_frequency_updates as plot_frequency_updates

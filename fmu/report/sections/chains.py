@@ -8,9 +8,9 @@ import numpy as np
 
 from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_draws
 from fmu.analysis.movement import energy_fraction
-from fmu.report.corner_plot import plot_corner
 from fmu.report.document import Omitted, Part, Picture, Pictures, Section, Table, Text
 from fmu.report.numbers import decimals, fixed, significant, span
+from fmu.report.plots.corner import plot_corner
 from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
 from fmu.report.plots.paths import plot_traces
 from fmu.report.plots.running import plot_running_means, plot_running_rhat
