@@ -27,7 +27,7 @@ def problem_card(problem: UpdatingProblem) -> str:
     structure = getattr(problem.model, "structure", None)
     if isinstance(structure, SeparableModel) and _is_drawable(structure):
         parts.append(f"<div>{drawing(structure, problem.data.sensors)}</div>")
-        colours = parameter_colours(structure)
+        colours[: structure.n_parameters] = parameter_colours(structure)  # what is inferred of errors comes after
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
 
@@ -66,7 +66,8 @@ def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
 def _modes(problem: UpdatingProblem) -> str:
     measured = np.asarray(problem.data.frequencies_hz)
     initial = problem.frequencies(problem.start)
-    sd = getattr(getattr(problem.likelihood, "error", None), "sd", np.full(len(measured), np.nan))
+    sd = getattr(getattr(problem.likelihood, "error", None), "sd", problem.data.sd_hz)
+    sd = np.full(len(measured), np.nan) if sd is None else sd
     rows = [
         [
             html.escape(str(label)),

@@ -82,3 +82,16 @@ def test_unbounded_parameters(young):
     free = [replace(p, lower=-np.inf, upper=np.inf) for p in young.parameters]
     problem = fmu.UpdatingProblem(young.model.structure, young.data, free, reduction=False)
     assert cells(problem._repr_html_())[1][3:5] == ["-inf", "inf"]
+
+
+def test_inferred_errors_come_after_what_is_drawn(young):
+    data = replace(young.data, sd_hz=0.1 * np.arange(1, 6))
+    scatter = fmu.Parameter("scatter", 0.01, 1e-4, 0.1, fmu.LogNormal(0.01, 0.5))
+    errors = [fmu.FrequencyErrors(discrepancy=scatter)]
+    model = young.model.structure
+    problem = fmu.UpdatingProblem(model, data, young.parameters, error=errors, reduction=False)
+    html = problem._repr_html_()
+    table = cells(html)
+    assert [row[0] for row in table[1:7]] == [*young.names, "scatter"]
+    assert html.count("&#9632;") == 5
+    assert [row[2] for row in table[8:]] == ["0.1", "0.2", "0.3", "0.4", "0.5"]
