@@ -14,7 +14,9 @@ from fmu.analysis.missed import missed_maxima
 from fmu.analysis.trace import to_trace
 from fmu.samplers import run
 from fmu.samplers.ladder import adapted, rejections, stages
+from fmu.samplers.rungs import side_by_side
 from fmu.samplers.scaled import ScaledDensity
+from fmu.samplers.tempered import PriorAndLikelihood, TemperedDensity
 from fmu.samplers.tempering import LOG_LIKELIHOOD, Tempering
 
 KERNELS = {
@@ -278,3 +280,39 @@ def test_the_mode_that_no_other_sampler_reaches_from_the_papers_start():
     assert not any("never visited" in reason for reason in missed_maxima(trace, maxima))
     best = trace["sample_stats"]["lp"].max("draw").to_numpy()
     assert np.any(best > maxima[0].log_prob - 10)  # a chain that has been at the top
+
+
+def test_where_a_replica_was_not_evaluated_last_it_is_evaluated_again():
+    """As after an interval of the coordinate-wise slice that was given up."""
+    target, rng = LinearGaussian(), np.random.default_rng(1)
+    parts = PriorAndLikelihood(target, with_gradients=False)
+    start, between, last = (rng.standard_normal((3, 3)) for _ in range(3))
+    density = TemperedDensity(parts, np.array([0.1, 0.5, 1.0]), parts.points(start))
+    density.log_prob(between)
+    density.log_prob(last)
+    arrived = np.stack([start[0], between[1], last[2]])
+    points, n_solves = density.at(arrived)
+    assert n_solves.tolist() == [0, 1, 0]
+    np.testing.assert_array_equal(points.position, arrived)
+    np.testing.assert_array_equal(points.log_likelihood, target.likelihood(arrived)[0])
+
+
+def test_every_replica_moves_with_the_settings_of_its_rung():
+    target = LinearGaussian()
+    turned = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+    slices = [fmu.Slice(width=w, axes=a).bind(target) for w, a in ((1.0, np.eye(3)), (2.0, turned))]
+    joined = side_by_side(slices, 2)
+    np.testing.assert_array_equal(joined.width[:, 0], [1, 1, 2, 2])
+    np.testing.assert_array_equal(joined.axes, [np.eye(3), np.eye(3), turned, turned])
+    walks = [fmu.MetropolisHastings(fmu.RandomWalk(s)).bind(target) for s in (0.1, 4.0 * np.eye(3))]
+    factors = side_by_side(walks, 2).proposal.factor
+    np.testing.assert_allclose(factors[:, 0, 0], [0.1, 0.1, 2.0, 2.0])
+    settings = ((0.1, 2, 3.0 * np.ones(3)), (0.2, 4, np.ones(3)))
+    masses = [fmu.HamiltonianMonteCarlo(h, n, inverse_mass=m).bind(target) for h, n, m in settings]
+    joined = side_by_side(masses, 2)
+    np.testing.assert_array_equal(joined.step_size, [0.1, 0.1, 0.2, 0.2])
+    np.testing.assert_array_equal(joined.metric.inverse[:, 0, 0], [3, 3, 1, 1])
+    assert joined.n_steps == 3
+    momentum = np.random.default_rng(3).standard_normal((4, 3))
+    own = [kernel.metric.velocity(momentum[2 * k : 2 * k + 2]) for k, kernel in enumerate(masses)]
+    np.testing.assert_allclose(joined.metric.velocity(momentum), np.concatenate(own))
