@@ -72,10 +72,12 @@ class MACErrorTable(Table):
     of: Literal["mac"]
     sd: Deviation
     weights: Weights = None
+    together: list[list[Name]] = []
+    """Groups of modes, by name, too close to have shapes of their own: compared with the space that each spans."""
 
     def build(self, noise: Mapping[str, Parameter]) -> ErrorModel:
         """Return the error model."""
-        return MACErrors(_sd(self.sd, noise), self.weights)
+        return MACErrors(_sd(self.sd, noise), self.weights, self.together)
 
 
 ErrorTable = Annotated[FrequencyErrorTable | ShapeErrorTable | MACErrorTable, Field(discriminator="of")]

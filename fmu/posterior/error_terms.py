@@ -12,6 +12,7 @@ from scipy.special import erf
 
 from fmu.fem.observed import Observed
 from fmu.posterior.spread import Spread
+from fmu.posterior.subspace import Groups, in_span
 
 FloatArray = NDArray[np.float64]
 
@@ -59,6 +60,10 @@ class ErrorTerm(Protocol):
         """Whether the errors are of shapes."""
         ...
 
+    def looked_at(self, seen: Observed) -> Observed:
+        """Return what of the modes seen the errors are of: what the other methods, and their derivatives, take."""
+        ...
+
     def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms for inferred standard deviations (n, n_noise), with the derivatives if wanted."""
         ...
@@ -88,6 +93,10 @@ class FrequencyTerm:
     measured: FloatArray
     spread: Spread
     needs_shapes: bool = False
+
+    def looked_at(self, seen: Observed) -> Observed:
+        """Return the modes as they are seen."""
+        return seen
 
     def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
@@ -141,6 +150,10 @@ class ShapeTerm:
     spread: Spread
     needs_shapes: bool = True
 
+    def looked_at(self, seen: Observed) -> Observed:
+        """Return the modes as they are seen."""
+        return seen
+
     def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
         s, u = seen.shapes, self.unit
@@ -190,6 +203,11 @@ class MACTerm:
     unit: FloatArray
     spread: Spread
     needs_shapes: bool = True
+    groups: Groups = ()
+
+    def looked_at(self, seen: Observed) -> Observed:
+        """Return the modes, those of a group as what their span has of the measured ones."""
+        return in_span(seen, self.unit, self.groups) if self.groups else seen
 
     def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
@@ -219,7 +237,8 @@ class MACTerm:
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
-        return {"error": "MAC", "spread": self.spread.as_dict()}
+        together = {"together": [list(group) for group in self.groups]} if self.groups else {}
+        return {"error": "MAC", "spread": self.spread.as_dict(), **together}
 
     def _errors(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return 1 − MAC, shape (n, n_modes), and its derivative by the shapes, (n, n_sensors, n_modes)."""

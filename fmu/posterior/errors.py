@@ -5,6 +5,7 @@ Each is a choice of ε and of the size of its spread; all are log-densities, nor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,6 +16,7 @@ from fmu.posterior.error_terms import ErrorTerm, FrequencyTerm, MACTerm, ShapeTe
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.spread import NoiseIndex, spread
+from fmu.posterior.subspace import groups_of
 
 FloatArray = NDArray[np.float64]
 
@@ -146,10 +148,15 @@ class MACErrors:
         Size of 1 − MAC.
     weights : array_like, shape (n_modes,), optional
         Trust in each mode: the variance of ε_i is sd²/w_i.
+    together : sequence of sequence of str
+        Groups of modes, by their labels, too close in frequency to have shapes of their own, as the pairs of a
+        nearly symmetric structure. Each is compared with all that the computed modes of its group span, for which
+        it does not matter how the shapes turn into each other (`fmu.posterior.subspace`).
     """
 
     sd: ArrayLike | Parameter
     weights: ArrayLike | None = None
+    together: Sequence[Sequence[str]] = ()
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the model of the errors of `data`.
@@ -164,11 +171,12 @@ class MACErrors:
         Raises
         ------
         ValueError
-            If no shapes were measured, or standard deviations or weights do not fit the data.
+            If no shapes were measured, or standard deviations, weights or groups do not fit the data.
         """
         unit = _unit_shapes(data, "MAC errors")
         size = 1.0 / np.sqrt(_weights(self.weights, unit.shape[1]))
-        return MACTerm(unit, spread("MAC errors", self.sd, None, size, index))
+        groups = groups_of(self.together, data.labels, len(unit))
+        return MACTerm(unit, spread("MAC errors", self.sd, None, size, index), groups=groups)
 
 
 def _weights(weights: ArrayLike | None, n: int) -> FloatArray:

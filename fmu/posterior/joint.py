@@ -76,7 +76,7 @@ class JointLikelihood:
         """Return the log-likelihood of each mode, shape (n, n_modes), for what a model of one's own observes."""
         noise = theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            parts = [term.evaluate(seen, noise, gradient=False).terms for term in self.terms_of]
+            parts = [term.evaluate(term.looked_at(seen), noise, gradient=False).terms for term in self.terms_of]
         return np.asarray(sum(parts))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -160,8 +160,12 @@ class JointLikelihood:
     def _terms_and_gradient(self, seen: Observed, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         noise = theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            parts = [term.evaluate(seen, noise, gradient=True) for term in self.terms_of]
-            slopes = np.asarray(sum(self._chained(part, seen, theta.shape[1]) for part in parts))
+            views = [term.looked_at(seen) for term in self.terms_of]
+            parts = [
+                term.evaluate(of, noise, gradient=True) for term, of in zip(self.terms_of, views, strict=True)
+            ]
+            chained = (self._chained(part, of, theta.shape[1]) for part, of in zip(parts, views, strict=True))
+            slopes = np.asarray(sum(chained))
         return np.asarray(sum(part.terms for part in parts)), np.where(np.isfinite(slopes), slopes, np.nan)
 
     def _residuals_and_slopes(self, seen: Observed, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -169,13 +173,14 @@ class JointLikelihood:
         values, slopes = [], []
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for term in self.terms_of:
-                r = term.residuals(seen, noise)
+                of = term.looked_at(seen)
+                r = term.residuals(of, noise)
                 n, m, q = r.values.shape
                 J = np.zeros((n, m, q, self.n_structural))
-                if r.by_frequency is not None and seen.frequency_slopes is not None:
-                    J = J + r.by_frequency[..., None] * seen.frequency_slopes[:, :, None]
-                if r.by_shape is not None and seen.shape_slopes is not None:
-                    J = J + np.einsum("nmqs,nsmk->nmqk", r.by_shape, seen.shape_slopes)
+                if r.by_frequency is not None and of.frequency_slopes is not None:
+                    J = J + r.by_frequency[..., None] * of.frequency_slopes[:, :, None]
+                if r.by_shape is not None and of.shape_slopes is not None:
+                    J = J + np.einsum("nmqs,nsmk->nmqk", r.by_shape, of.shape_slopes)
                 values.append(r.values.reshape(n, m * q))
                 slopes.append(J.reshape(n, m * q, -1))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)

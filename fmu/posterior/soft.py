@@ -62,6 +62,11 @@ class SoftLikelihood(JointLikelihood):
     errors : sequence of ErrorModel
         Independent from mode to mode.
 
+    Raises
+    ------
+    ValueError
+        If an error model compares groups of modes.
+
     Notes
     -----
     - It is *not* one to one: two measured modes may claim one candidate. That costs them the difference in MAC
@@ -83,6 +88,8 @@ class SoftLikelihood(JointLikelihood):
 
     def __init__(self, model: PairedStructure, data: ModalData, errors: Sequence[ErrorModel]) -> None:
         super().__init__(model, data, errors)
+        if any(getattr(term, "groups", ()) for term in self.terms_of):
+            raise ValueError("together: must be empty where pairing is soft, and modes answer one by one")
         self.softness = model.softness
 
     def terms(self, theta: FloatArray) -> FloatArray:
