@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.basis_cache import load_basis, store_basis
+from fmu.fem.candidates import SoftPairing
 from fmu.fem.structure import PairedStructure
 from fmu.posterior.maxima import local_maxima
 
@@ -26,7 +27,8 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
     """Train the reduced model of `structure`, or fetch it from the cache.
 
     Frequencies are good to `FREQUENCY_TOLERANCE` (relative) over the whole box, and the log-probability to
-    `LOG_PROB_TOLERANCE` wherever it is within `PLAUSIBLE` of its maximum, at every point that was tried.
+    `LOG_PROB_TOLERANCE` wherever it is within `PLAUSIBLE` of its maximum, at every point that was tried. Points on
+    a jump, where modes swap and either model may take either of them, say nothing of the basis.
     """
     tolerances = (FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE, PLAUSIBLE)
     key = {"problem": problem.configuration(), "tolerances": tolerances}
@@ -42,13 +44,43 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
     def wanting() -> FloatArray | None:
         points = plausible_points(problem, 64, rng)
         difference = np.sum(likelihood.terms(points) - likelihood.full_terms(points), axis=1)
-        return None if np.max(np.abs(difference)) <= LOG_PROB_TOLERANCE else points[:, :n]
+        wrong = ~(np.abs(difference) <= LOG_PROB_TOLERANCE)
+        if not isinstance(structure.rule, SoftPairing):
+            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], FREQUENCY_TOLERANCE)
+        return points[:, :n] if wrong.any() else None
 
     # without such terms the computed modes take no part in the log-probability
     state = structure.train(
         lower, upper, FREQUENCY_TOLERANCE, wanting if hasattr(likelihood, "full_terms") else None
     )
     store_basis(key, state)
+
+
+def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> NDArray[np.bool_]:
+    """Say, shape (n,), where the reduced model has the modes that the full one pairs, and yet pairs others.
+
+    Parameters
+    ----------
+    structure : PairedStructure
+        Trained.
+    theta : ndarray, shape (n, n_parameters)
+    tolerance : float
+        Largest relative difference between frequencies that are the same.
+    """
+    reduced, full = structure.modes(theta), structure.full_modes(theta)
+    answers = np.full(full.eigenvalues.shape, np.nan)
+    for b in np.unique(full.block):
+        block = structure.reduced.blocks[b] if structure.reduced is not None else structure.full.blocks[b]
+        row, column = np.nonzero(full.block == b)
+        rank = full.rank[row, column]
+        known = rank < block.trusted
+        if known.any():
+            lam = block.eigenvalues(theta, int(rank[known].max()) + 1)
+            answers[row[known], column[known]] = lam[row[known], rank[known]]
+    # of an eigenvalue, twice as much
+    same = np.abs(answers - full.eigenvalues) <= 2.0 * tolerance * np.abs(full.eigenvalues)
+    others = (reduced.block != full.block) | (reduced.rank != full.rank)
+    return np.asarray(others.any(axis=1) & same.all(axis=1))
 
 
 def plausible_points(problem: UpdatingProblem, n: int, rng: np.random.Generator) -> FloatArray:

@@ -4,11 +4,17 @@ from itertools import product
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu import cases
 from fmu.fem.modal import frequency_gradient, frequency_hz
+from fmu.fem.model import BlockModel
+from fmu.fem.reduced_basis import ReducedBlock
+from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
+from fmu.fem.terms import Term
+from fmu.fem.training import Trained, Training
 from fmu.posterior import focus
 from fmu.posterior.focus import LOG_PROB_TOLERANCE, plausible_points
 from fmu.posterior.measurement import ModalData
@@ -213,3 +219,49 @@ def test_training_goes_on_until_the_log_probability_is_right(bases, monkeypatch)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
     monkeypatch.setattr(focus, "LOG_PROB_TOLERANCE", 1e9)
     assert sum(b.size for b in build().model.reduced.blocks) < sum(size)
+
+
+def two_chains():
+    """Return a problem of two chains side by side, whose first modes veer apart where they are equally stiff.
+
+    The measured modes are of one chain each and of one frequency, so that the best fit is on the jump.
+    """
+    n, coupling = 12, 0.002
+    springs = sp.diags_array([[2.0] * (n - 1) + [1.0], [-1.0] * (n - 1), [-1.0] * (n - 1)], offsets=[0, 1, -1])
+    first, second = sp.diags_array([1.0, 0.0]), sp.diags_array([0.0, 1.0])
+    links = sp.kron([[1.0, -1.0], [-1.0, 1.0]], sp.diags_array(np.full(n, coupling)))
+    stiffness = [Term(sp.kron(first, springs).tocsr(), (1, 0)), Term(sp.kron(second, springs).tocsr(), (0, 1))]
+    dofs = [((side, i), "x") for side in (1, 2) for i in range(n)]
+    model = SeparableModel(
+        [*stiffness, Term(links.tocsr(), (0, 0))], [Term(sp.eye_array(2 * n, format="csr"), (0, 0))], dofs
+    )
+    sensors = tuple(((side, i), "x") for side in (1, 2) for i in (3, 7, n - 1))
+    shape = np.sin(np.pi * np.array([4, 8, 12]) / 25)
+    middle = frequency_hz(np.array(0.0158 + coupling))  # of a chain by itself, and its links
+    data = ModalData([middle, middle], sensors=sensors, shapes=np.kron(np.eye(2), shape).T, sd_hz=[0.0004, 0.0012])
+    return UpdatingProblem(model, data, [Parameter(name, 1.0, 0.7, 1.3) for name in ("k1", "k2")])
+
+
+def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, monkeypatch):
+    rounds, refined = [], Training.refined
+    monkeypatch.setattr(Training, "refined", lambda self, theta: rounds.append(theta) or refined(self, theta))
+    problem = two_chains()
+    structure = problem.model
+    assert rounds == []
+    theta = plausible_points(problem, 64, np.random.default_rng(0))  # those that training tried
+    full = frequency_hz(structure.full_modes(theta).eigenvalues)
+    exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
+    differ = np.abs(problem.log_likelihood(theta) - exact) > LOG_PROB_TOLERANCE
+    assert differ.any()
+    assert focus.on_a_jump(structure, theta[differ], focus.FREQUENCY_TOLERANCE).all()
+    assert not focus.on_a_jump(structure, theta[~differ], focus.FREQUENCY_TOLERANCE).any()
+
+
+def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
+    structure = two_chains().model
+    theta = np.array([[0.8, 1.2], [1.2, 0.8]])
+    poor = structure.reduced.blocks[0]
+    half = poor.basis[:, : poor.basis.shape[1] // 2]
+    changed = ReducedBlock(structure.full.blocks[0], half, poor.trusted)
+    structure._install(Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3)))
+    assert not focus.on_a_jump(structure, theta, focus.FREQUENCY_TOLERANCE).any()
