@@ -67,7 +67,7 @@ def _modes(problem: UpdatingProblem) -> str:
     measured = np.asarray(problem.data.frequencies_hz)
     initial = problem.frequencies(problem.start)
     sd = getattr(getattr(problem.likelihood, "error", None), "sd", problem.data.sd_hz)
-    sd = np.full(len(measured), np.nan) if sd is None else sd
+    sd = np.full(len(measured), np.nan) if sd is None else np.asarray(sd)
     rows = [
         [
             html.escape(str(label)),
