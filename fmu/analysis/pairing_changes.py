@@ -269,4 +269,4 @@ def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray
 
 def _share(x: float) -> str:
     """Return a share as a percentage of two digits, a very small one as a power of ten."""
-    return f"{100 * x:.2g} %" if x >= 1e-4 or x == 0 else f"{x:.1e}"
+    return f"{float(f'{100 * x:.2g}'):g} %" if x >= 1e-4 or x == 0 else f"{x:.1e}"

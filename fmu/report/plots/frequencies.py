@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
+
+_LETTER = 0.1
+"""Width in inches of a letter of a label, with its share of the gaps between labels."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,10 @@ def plot_frequency_errors(
             x, error, linestyle="none", marker="o", markersize=7, color=entry.colour, label=entry.label, zorder=3,
             markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5,
         )  # fmt: skip
-    axes.set_xticks(centre, [f"{label}\n{hz:g} Hz" for label, hz in zip(labels, measured, strict=True)])
+    turned = _turned(labels, figure.get_figwidth())
+    between = ", " if turned else "\n"
+    names = [f"{label}{between}{hz:g} Hz" for label, hz in zip(labels, measured, strict=True)]
+    axes.set_xticks(centre, names, **turned)
     axes.set_xlim(-0.5, len(measured) - 0.5)
     axes.set_xlabel("mode, measured frequency", fontsize=FONT)
     axes.set_ylabel("(computed − measured)/measured, %", fontsize=FONT)
@@ -125,7 +131,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     label = f"after: mean, 90 % interval {kind} measurement noise"
     series.append(Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends))
     labels = [literal(str(mode)) for mode in table.index]
-    figure = figure or new_figure(NARROW, 4.2)
+    figure = figure or new_figure(NARROW, 5.2 if _turned(labels, NARROW) else 4.2)
     return plot_frequency_errors(table["measured"], series, labels, figure)
 
 
@@ -181,10 +187,18 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     measured = scaled(narrow["measured"])
     axes.plot(x, measured, linestyle="none", marker="D", color=BLACK, markersize=6, label="measured")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-    axes.set_xticks(x, [literal(str(mode)) for mode in narrow.index])
+    labels = [literal(str(mode)) for mode in narrow.index]
+    axes.set_xticks(x, labels, **_turned(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
     axes.set_xlabel("mode", fontsize=FONT)
     axes.set_ylabel("(frequency − predicted mean)\n/ predictive sd", fontsize=FONT)
     finish(axes)
     legend_below(axes)
     return axes
+
+
+def _turned(labels: Sequence[str], width: float) -> dict[str, Any]:
+    """Return how labels are set that do not fit beside one another below axes of a width in inches."""
+    if max(map(len, labels)) * _LETTER <= width / len(labels):
+        return {}
+    return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

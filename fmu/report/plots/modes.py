@@ -32,6 +32,12 @@ _SWING = 0.12
 """Largest displacement drawn, as a part of a frame's extent."""
 _READABLE = 12
 """The most modes whose MAC is written into its cell."""
+_CELL = 0.42
+"""The least width of a cell, inches."""
+_SHORT = 3
+"""The longest label that has room below a cell."""
+_ONE_COLUMN = 6
+"""The most modes of a structure in space that are drawn below one another."""
 
 
 def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None = None) -> Axes:
@@ -62,16 +68,20 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
         raise ValueError(f"state: must be one of {', '.join(map(str, modes['state'].to_numpy()))} (got {state!r})")
     values = modes["mac"].sel(state=state).transpose("reference_mode", "mode").to_numpy()
     n, m = values.shape
-    figure = figure or new_figure(NARROW, 0.6 + 0.75 * NARROW * n / m)
+    labels = [literal(str(label)) for label in modes["mode"].to_numpy()]
+    is_long = max(map(len, labels)) > _SHORT
+    side = max(0.75 * NARROW, _CELL * m)
+    figure = figure or new_figure(side + (2.4 if is_long else 0.25 * NARROW), 0.6 + side * n / m + 0.8 * is_long)
     axes = figure.subplots()
     # Drawn cell by cell, so that an SVG stays sharp.
     mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0)
     if max(n, m) <= _READABLE:
-        for i in range(n):
-            for j in range(m):
-                axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.2f}", ha="center", va="center", fontsize=FONT - 1,
-                          color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
-    axes.set_xticks(np.arange(m) + 0.5, [literal(str(label)) for label in modes["mode"].to_numpy()])
+        # zeros say nothing, and of many modes they are most
+        for i, j in np.argwhere(values >= (0.005 if max(n, m) > _ONE_COLUMN else 0.0)).tolist():
+            axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.2f}", ha="center", va="center", fontsize=FONT - 1,
+                      color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
+    turned: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
+    axes.set_xticks(np.arange(m) + 0.5, labels, **turned)
     axes.set_yticks(np.arange(n) + 0.5, [literal(str(label)) for label in modes["reference_mode"].to_numpy()])
     axes.invert_yaxis()
     axes.set_aspect("equal")
@@ -86,7 +96,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     """Draw the structure deformed in each mode, before updating (dashed) and at the posterior mean.
 
     A structure along a line is drawn with its largest displacement upwards; any other one in isometric projection,
-    its displacements scaled.
+    its displacements scaled, and where there are many modes in two columns.
 
     Parameters
     ----------
@@ -111,7 +121,10 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     base = colour(str(trace.attrs["sampler"]))
     is_line = np.linalg.matrix_rank(coordinates - coordinates[0], tol=_FLAT * np.ptp(coordinates)) <= 1
     draw = _draw_along if is_line else _draw_isometric
-    axes = stacked(len(labels), figure, 1.3 if is_line else 2.6)
+    if is_line or len(labels) <= _ONE_COLUMN:
+        axes = stacked(len(labels), figure, 1.3 if is_line else 2.6)
+    else:
+        axes = _in_pairs(len(labels), figure)
     states = ((START, GREY, "--"), (MEAN, base, "-"))
     for label, axis in zip(labels, axes, strict=True):
         one = modes.sel(mode=label)
@@ -123,10 +136,23 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
         axis.set_title(f"mode {literal(label)}: {before:.1f} Hz before, {after:.1f} Hz after",
                        fontsize=FONT, loc="left")  # fmt: skip
         finish(axis)
-    axes[-1].set_xlabel("position along the structure / m" if is_line else "projected position / m", fontsize=FONT)
+        if not axis.get_subplotspec().is_first_col():
+            axis.set_ylabel("")
+    for axis in axes[-2:] if len(axes) > 1 and axes[-2].get_subplotspec().is_last_row() else axes[-1:]:
+        axis.set_xlabel("position along the structure / m" if is_line else "projected position / m", fontsize=FONT)
     legend_below(axes[0])
     axes[0].figure.align_ylabels(axes)
     return axes
+
+
+def _in_pairs(n: int, figure: Figure | None) -> NDArray[Any]:
+    """Return `n` axes, two in a row, with common ordinate and abscissa, shape (n,)."""
+    rows = (n + 1) // 2
+    figure = figure or new_figure(2 * NARROW, 2.8 * rows + 0.5)
+    axes = figure.subplots(rows, 2, sharex=True, sharey=True).ravel()
+    for spare in axes[n:]:
+        spare.remove()
+    return np.asarray(axes[:n])
 
 
 def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:

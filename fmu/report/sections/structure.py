@@ -112,7 +112,7 @@ def pairing(run: Run) -> Section | Omitted:
 
 
 def _share(per_cent: float) -> str:
-    return f"{per_cent:.2g} %"
+    return f"{float(f'{per_cent:.2g}'):g} %"
 
 
 def shapes(run: Run) -> Section | Omitted:
