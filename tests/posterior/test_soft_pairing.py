@@ -91,6 +91,27 @@ def test_gradient_right_through_the_veering(name, reduction, switch):
     assert np.max(np.abs(gradient - reference) / size) < 1e-6
 
 
+@pytest.mark.parametrize("reduction", [True, False], ids=["reduced", "full"])
+def test_gradient_where_sensors_see_a_part_and_masses_change(reduction):
+    rng = np.random.default_rng(6)
+    A, B, C, D = (x @ x.T for x in rng.standard_normal((4, 5, 5)))
+    K = [fmu.Term(1e3 * A, (1.0, 0.0)), fmu.Term(1e3 * B, (0.0, 0.0))]
+    M = [fmu.Term(np.eye(5) + 0.1 * C, (0.0, 0.0)), fmu.Term(0.2 * D, (0.0, 1.0))]
+    data = fmu.ModalData([2.0, 6.0], sensors=((0, "x"), (2, "x"), (3, "x")), shapes=rng.standard_normal((3, 2)))
+    problem = fmu.UpdatingProblem(
+        fmu.SeparableModel(K, M),
+        data,
+        [fmu.Parameter("k", 1.0, 0.5, 2.0), fmu.Parameter("m", 1.0, 0.5, 2.0)],
+        pairing="soft",
+        softness=0.2,
+        error=[fmu.FrequencyErrors(sd=0.3), fmu.ShapeErrors(sd=0.5)],
+        reduction=reduction,
+    )
+    theta = rng.uniform(0.6, 1.8, size=(6, 2))
+    gradient, reference = problem.log_prob_and_grad(theta)[1], differences(problem, theta, 1e-3)
+    assert np.max(np.abs(gradient - reference)) / np.max(np.abs(reference)) < 1e-6
+
+
 def test_far_from_the_veering_soft_is_hard(veering):
     """Where every measured shape has one mode that is like it, MAC above 0.95, to a millionth of a nat."""
     rng = np.random.default_rng(1)
