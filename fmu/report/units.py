@@ -1,10 +1,16 @@
-"""Units that people read: moduli in GPa, second moments of area in mm⁴, areas in mm²."""
+"""Units that people read: moduli in GPa, second moments of area in mm⁴, areas in mm², springs in kN/m."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-_SHOWN = {"N/m²": (1e9, "GPa"), "m⁴": (1e-12, "mm⁴"), "m²": (1e-6, "mm²")}
+_SHOWN = {
+    "N/m²": (1e9, "GPa"),
+    "m⁴": (1e-12, "mm⁴"),
+    "m²": (1e-6, "mm²"),
+    "N/m": (1e3, "kN/m"),
+    "N·m/rad": (1e3, "kN·m/rad"),
+}
 
 
 class Unit(NamedTuple):

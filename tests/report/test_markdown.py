@@ -34,6 +34,7 @@ def test_numbers():
 @pytest.mark.parametrize(
     ("unit", "value", "expected", "label"),
     [("N/m²", 2.1e11, 210.0, "x / GPa"), ("m⁴", 5e-9, 5000.0, "x / mm⁴"), ("m²", 6e-4, 600.0, "x / mm²"),
+     ("N/m", 5.7e7, 57e3, "x / kN/m"), ("N·m/rad", 1.2e7, 12e3, "x / kN·m/rad"),
      ("kg", 3.0, 3.0, "x / kg"), ("", 2.0, 2.0, "x")],
 )  # fmt: skip
 def test_units(unit, value, expected, label):
