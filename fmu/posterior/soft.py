@@ -17,6 +17,7 @@ from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.measurement import ModalData
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 class _Pairs(NamedTuple):
@@ -107,20 +108,24 @@ class SoftLikelihood(JointLikelihood):
         return self._mixed(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return errors over their standard deviations, and their slopes, of the candidates that answer most."""
+        """Return errors over their standard deviations, and their slopes, of the candidates of the best MAC.
+
+        Those are what the data are about, also where frequencies are still so far off that others contribute more.
+        """
         candidates = self._candidates(theta, True)
-        answering = self._answering(self._pairs(candidates, theta, False), candidates)
-        return self._residuals_and_slopes(answering, theta)
+        best = _best(np.swapaxes(candidates.mac, 1, 2))
+        return self._residuals_and_slopes(_picked(candidates, best), theta)
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The information is that of the candidates that answer most.
+        The information is that of the candidates that contribute most.
         """
         candidates = self._candidates(theta, True)
         pairs = self._pairs(candidates, theta, True)
         terms, gradient = self._mixed(pairs, candidates, theta)
-        J = self._residuals_and_slopes(self._answering(pairs, candidates), theta)[1]
+        answering = _picked(candidates, _best(pairs.log_weight + pairs.log_density))
+        J = self._residuals_and_slopes(answering, theta)[1]
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
     def as_dict(self) -> dict[str, Any]:
@@ -172,16 +177,21 @@ class SoftLikelihood(JointLikelihood):
                     gradient[..., n_structural + j] += np.sum(_weighted(share, slope.reshape(n, k, m)), axis=1)
         return terms, np.where(np.isfinite(gradient), gradient, np.nan)
 
-    def _answering(self, pairs: _Pairs, candidates: Candidates) -> Observed:
-        """Return what the sensors see of the candidate that contributes most to each measured mode."""
-        best = np.argmax(np.nan_to_num(pairs.log_weight + pairs.log_density, nan=-np.inf), axis=1)
-        at, slopes = candidates, (candidates.frequency_slopes, candidates.shape_slopes)
-        return Observed(
-            np.take_along_axis(at.frequencies, best, axis=1),
-            np.take_along_axis(at.shapes, best[:, None], axis=2),
-            None if slopes[0] is None else np.take_along_axis(slopes[0], best[..., None], axis=1),
-            None if slopes[1] is None else np.take_along_axis(slopes[1], best[:, None, :, None], axis=2),
-        )
+
+def _best(score: FloatArray) -> IntArray:
+    """Return the candidate of the highest score (n, k, m) for each measured mode, shape (n, m)."""
+    return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
+
+
+def _picked(candidates: Candidates, best: IntArray) -> Observed:
+    """Return what the sensors see of one candidate for each measured mode, with its slopes."""
+    of: Any = candidates
+    return Observed(
+        np.take_along_axis(of.frequencies, best, axis=1),
+        np.take_along_axis(of.shapes, best[:, None], axis=2),
+        np.take_along_axis(of.frequency_slopes, best[..., None], axis=1),
+        np.take_along_axis(of.shape_slopes, best[:, None, :, None], axis=2),
+    )
 
 
 def _log_sum_exp(x: FloatArray) -> FloatArray:
