@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.analysis.pairing_doubts import TAKEN_FOR_GRANTED, ComputedMode, close, disordered, unlike, unmeasured
+from fmu.analysis.pairing_doubts import (
+    COUNTERPARTS_GIVEN,
+    TAKEN_FOR_GRANTED,
+    ComputedMode,
+    close,
+    disordered,
+    unlike,
+    unmeasured,
+)
 from fmu.fem.modal import RIGID, frequency_hz, mac
 from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.pairing import IndexPairing, assign
@@ -139,8 +147,10 @@ def _of_structure(
         alike = mac(observation @ shapes, np.asarray(problem.data.shapes))
     by_number = isinstance(model.rule, IndexPairing)
     doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, by_number)]
-    doubts += disordered(labels, paired, measured)
-    taken = [] if by_number or problem.data.shapes is not None else [TAKEN_FOR_GRANTED]
+    given = bool(problem.data.counterparts) and not by_number
+    doubts += [] if given else disordered(labels, paired, measured)
+    granted = COUNTERPARTS_GIVEN if given else TAKEN_FOR_GRANTED
+    taken = [] if by_number or problem.data.shapes is not None else [granted]
     return InitialModes(labels, measured, found, alike, tuple(doubts), (*taken, *unmeasured(found)))
 
 

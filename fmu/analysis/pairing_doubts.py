@@ -20,6 +20,7 @@ TAKEN_FOR_GRANTED = (
     "No shapes were measured: that the measured modes are the lowest that the sensors see, in this order, is "
     "taken for granted."
 )
+COUNTERPARTS_GIVEN = "No shapes were measured: which modes before updating answer is as the counterparts say."
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
+from fmu.analysis.initial_modes import initial_modes
+from fmu.analysis.pairing_doubts import COUNTERPARTS_GIVEN
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame import DIRECTIONS
 from fmu.fem.pairing import count_rigid
@@ -80,6 +82,13 @@ def test_measured_modes_answer_to_modes_of_their_kind(problem, best):
     before, after = problem.frequencies(problem.start), problem.frequencies(best)
     assert list(np.argsort(before)) == [0, 1, 2, 3, 4, 6, 5, 7, 9, 8]
     assert list(np.argsort(after)) == list(range(10))
+
+
+def test_a_look_at_it_before_updating_takes_the_order_as_given(problem):
+    found = initial_modes(problem)
+    assert found.notes[0] == COUNTERPARTS_GIVEN
+    assert [found.of(k).number for k in range(10)] == [7, 8, 9, 10, 11, 13, 12, 14, 16, 15]
+    assert not any("order" in doubt for doubt in found.doubts)
 
 
 def kind(problem, theta, k):
