@@ -216,15 +216,15 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         terms = {"frequency": (dims, error.log_prob_terms(frequency))}
         if isinstance(error, CorrelatedFrequencyError):
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
-    elif hasattr(problem.likelihood, "noise"):
-        terms = {"modes": (dims, distinct.evaluate(problem.log_likelihood_terms))}
+    else:
+        name = "modes" if hasattr(problem.likelihood, "noise") else "residual"
+        terms = {name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
+    # a pseudo-likelihood, and shapes alone, have no measurement noise of frequencies to predict with
     if getattr(problem.likelihood, "simulates", False):
         noise = _generator(result.seed, NOISE_STREAM)
         theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
         replicate = problem.simulate_data(noise, hz, theta)
         predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
-    else:  # a pseudo-likelihood has terms, but no measurement noise to predict with
-        terms = {"residual": (dims, distinct.evaluate(problem.log_likelihood_terms))}
     return {
         "log_likelihood": xr.Dataset(terms, coords=coordinates),
         "posterior_predictive": xr.Dataset(predicted, coords=coordinates),

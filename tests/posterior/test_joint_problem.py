@@ -162,3 +162,13 @@ def test_names_of_noise_and_model_must_differ():
         fmu.UpdatingProblem(
             storeys(), fmu.ModalData([1.0, 2.0, 3.0, 4.0]), parameters(), error=fmu.FrequencyErrors(sd=sigma)
         )
+
+
+def test_a_trace_of_errors_of_shapes_alone():
+    data = measured(np.random.default_rng(1))
+    of_shapes = fmu.UpdatingProblem(storeys(), data, parameters(), error=fmu.ShapeErrors(sd=0.1), reduction=False)
+    trace = fmu.sample(of_shapes, "mh", draws=20, warmup=20, chains=2)
+    assert set(trace["log_likelihood"].data_vars) == {"modes"}
+    assert set(trace["posterior_predictive"].data_vars) == {"model_frequency"}
+    with pytest.raises(ValueError, match="must be a distribution of the frequencies"):
+        of_shapes.simulate_data(np.random.default_rng(1), np.ones((1, 4)))
