@@ -207,9 +207,20 @@ class FullBlock:
         gradient = self._K_map.contract(theta, _quadratic_forms(self.K_terms, phi))
         return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))
 
-    def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
+    def needed(self, count: int, gradient: bool) -> int:
+        """Return `count`."""
+        return count
+
+    def seen(
+        self,
+        theta: FloatArray,
+        count: int,
+        rows: Any,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Seen:
         """Return the lowest modes as sensors see them, derivatives by a bordered system a mode."""
-        lam, phi = self.modes(theta, count)
+        lam, phi = self.modes(theta, count) if solved is None else (solved[0][:, :count], solved[1][:, :, :count])
         shapes = np.stack([rows @ shape for shape in phi]) if len(phi) else np.empty((0, rows.shape[0], count))
         if not gradient:
             return Seen(lam, shapes)

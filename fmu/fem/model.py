@@ -65,8 +65,22 @@ class Block(Protocol):
         """
         ...
 
-    def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
-        """Return the lowest modes as the sensors of sparse `rows` (n_sensors, size) see them."""
+    def needed(self, count: int, gradient: bool) -> int:
+        """Return how many modes it takes to say how the lowest are seen, and how they move if `gradient`."""
+        ...
+
+    def seen(
+        self,
+        theta: FloatArray,
+        count: int,
+        rows: Any,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Seen:
+        """Return the lowest modes as the sensors of sparse `rows` (n_sensors, size) see them.
+
+        With `solved`, what `modes` returned for `needed` modes or more, if that is at hand.
+        """
         ...
 
 

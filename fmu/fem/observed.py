@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from fmu.fem.modal import Seen, frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel
-from fmu.fem.pairing import IndexPairing, Pairing, RankPairing
+from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+
+Solved = dict[int, tuple[FloatArray, FloatArray]]
+"""Eigenvalues and shapes by block."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +62,13 @@ class SensorView:
     def __init__(self, model: BlockModel, pairing: Pairing, sensors: Any) -> None:
         self.model, self.pairing = model, pairing
         self._solve = pairing.bind(model)
+        self._compared = pairing.observe(model) if isinstance(pairing, ShapePairing) else {}
         self._rows = [sensors[:, block.dofs] for block in model.blocks]
         self._n_sensors = sensors.shape[0]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> Observed:
         """Return what the sensors see at theta (n, n_parameters)."""
-        block, rank = self._paired(theta)
+        block, rank, solved = self._paired(theta, gradient)
         n, m = block.shape
         p = self.model.n_parameters
         seen = Seen(np.full((n, m), np.nan), np.full((n, self._n_sensors, m), np.nan))
@@ -74,7 +78,8 @@ class SensorView:
         for b in np.unique(block[block >= 0]):
             row, column = np.nonzero(block == b)
             ranks = rank[row, column]
-            found = self.model.blocks[b].seen(theta, int(ranks.max()) + 1, self._rows[b], gradient)
+            count = int(ranks.max()) + 1
+            found = self.model.blocks[b].seen(theta, count, self._rows[b], gradient, solved.get(int(b)))
             seen.eigenvalues[row, column] = found.eigenvalues[row, ranks]
             seen.shapes[row, :, column] = found.shapes[row, :, ranks]
             if gradient:
@@ -87,15 +92,28 @@ class SensorView:
         slopes_hz = frequency_gradient(frequencies, seen.eigenvalue_slopes)
         return Observed(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
 
-    def _paired(self, theta: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return block and rank of the paired modes, shape (n, n_modes); −1 in rows where a solve failed."""
+    def _paired(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+        """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved on the way.
+
+        Block and rank are −1 in rows where a solve failed.
+        """
         fixed = self._fixed()
         if fixed is not None:
             block, rank = np.array(fixed.block), np.array(fixed.rank)
-            return np.tile(block, (len(theta), 1)), np.tile(rank, (len(theta), 1))
-        modes = self._solve(theta)
-        failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
-        return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank)
+            return np.tile(block, (len(theta), 1)), np.tile(rank, (len(theta), 1)), {}
+        if not isinstance(self.pairing, ShapePairing):
+            modes = self._solve(theta)
+            failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
+            return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
+        solved, shapes = {}, {}
+        for b in self._compared:
+            offered = self.pairing.offered(self.model, b)
+            solved[b] = self.model.blocks[b].modes(theta, self.model.blocks[b].needed(offered, gradient))
+            shapes[b] = solved[b][1][:, :, :offered]
+        block, rank, _ = self.pairing.assigned(self._compared, shapes)
+        values = [lam[:, : shapes[b].shape[2]] for b, (lam, _) in solved.items()]
+        failed = np.isnan(np.concatenate(values, axis=1)).any(axis=1, keepdims=True)
+        return np.where(failed, -1, block), np.where(failed, -1, rank), solved
 
     def _fixed(self) -> RankPairing | None:
         """Return the pairing if it is the same everywhere: in a single block a number is a rank."""

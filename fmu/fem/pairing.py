@@ -154,7 +154,7 @@ class ShapePairing:
         values, shapes = {}, {}
         for b in observed:
             values[b], shapes[b] = model.blocks[b].modes(theta, self.offered(model, b))
-        block, rank, column = self._assigned(observed, shapes)
+        block, rank, column = self.assigned(observed, shapes)
         merged = np.concatenate(list(values.values()), axis=1)
         # a block that failed must not leave its references to the others
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
@@ -192,15 +192,23 @@ class ShapePairing:
         shapes : mapping of int to ndarray, shape (n, size, offered)
             Modes of each observed block at points that cover the parameter box, its corners among them.
         """
-        block, rank, _ = self._assigned(self.observe(model), shapes)
+        block, rank, _ = self.assigned(self.observe(model), shapes)
         if np.any(block != block[0]) or np.any(rank != rank[0]):
             return None
         return RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
 
-    def _assigned(
+    def assigned(
         self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
     ) -> tuple[IntArray, IntArray, IntArray]:
-        """Return block, rank and column among all candidates of the mode assigned to each reference."""
+        """Return block, rank and column among all candidates of the mode assigned to each reference, (n, n_modes).
+
+        Parameters
+        ----------
+        observed : mapping of int to Observation
+            As `observe` returns it.
+        shapes : mapping of int to ndarray, shape (n, size, offered)
+            Modes of each of these blocks.
+        """
         reference_size = np.sum(self.shapes**2, axis=0)[:, None]
         similarity, label = [], []
         for b, (observe, reference) in observed.items():

@@ -90,16 +90,33 @@ class ReducedBlock:
             gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
         return gradient
 
-    def seen(self, theta: FloatArray, count: int, rows: Any, gradient: bool = False) -> Seen:
-        """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
-        return self.seen_in_basis(theta, count, rows @ self.basis, gradient)
+    def needed(self, count: int, gradient: bool) -> int:
+        """Return how many modes `seen` takes: for the derivatives all of them."""
+        return self.size if gradient else count
 
-    def seen_in_basis(self, theta: FloatArray, count: int, sensors: FloatArray, gradient: bool = False) -> Seen:
+    def seen(
+        self,
+        theta: FloatArray,
+        count: int,
+        rows: Any,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Seen:
+        """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
+        return self.seen_in_basis(theta, count, rows @ self.basis, gradient, solved)
+
+    def seen_in_basis(
+        self,
+        theta: FloatArray,
+        count: int,
+        sensors: FloatArray,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Seen:
         """Return `seen` for sensors that are given by what they see of the basis, shape (n_sensors, size)."""
+        lam, phi = solved or self.modes(theta, self.needed(count, gradient))
         if not gradient:
-            lam, phi = self.modes(theta, count)
-            return Seen(lam, sensors @ phi)
-        lam, phi = self.modes(theta, self.size)
+            return Seen(lam[:, :count], sensors @ phi[:, :, :count])
         dK, dM = (
             self._slopes(theta, coefficient, matrices, phi, count)
             for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))

@@ -9,6 +9,7 @@ from scipy.linalg import eigh
 import fmu
 from fmu.fem.modal import mac
 from fmu.fem.pairing import RankPairing
+from fmu.fem.reduced_basis import ReducedBlock
 from fmu.formats.matrices import read_matrix
 from tests.validation import ten_storeys
 
@@ -18,6 +19,11 @@ FOLDER = fmu.cases.path("shear-10dof").parent / ten_storeys.FOLDER
 @pytest.fixture(scope="module")
 def problem():
     return fmu.load(fmu.cases.path("shear-10dof"), pairing="index")
+
+
+@pytest.fixture(scope="module")
+def by_shape():
+    return fmu.cases.load("shear-10dof")
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +57,28 @@ def test_the_posterior_from_scratch(problem, theta):
         assert value == pytest.approx(expected, rel=1e-9)
 
 
-def test_floors_tell_the_modes_apart(problem, theta):
+def test_floors_tell_the_modes_apart(problem, by_shape, theta):
     """Eight modes are candidates for the five measured ones; by shape and by number are the same."""
     nominal = np.linalg.eigh(problem.model.structure.K(np.ones(10)).toarray())[1][[2, 5, 8, 9]]
     between = mac(nominal[:, :8], nominal[:, :5]) - np.eye(5, 8)
     assert between.max() < 0.4
-    by_shape = fmu.load(fmu.cases.path("shear-10dof"))
     assert not isinstance(by_shape.model.pairing, RankPairing)
     assert_allclose(by_shape.log_prob(theta), problem.log_prob(theta), rtol=1e-12)
+
+
+def test_by_shape_takes_one_solve_and_no_bit_depends_on_the_batch(problem, by_shape, theta, monkeypatch):
+    value, gradient = by_shape.log_prob_and_grad(theta)
+    assert_allclose(gradient, problem.log_prob_and_grad(theta)[1], rtol=1e-8, atol=1e-8)
+    for i in range(3):
+        assert by_shape.log_prob(theta[i]) == by_shape.log_prob(theta)[i]
+        alone = by_shape.log_prob_and_grad(theta[i])
+        assert alone[0] == value[i]
+        np.testing.assert_array_equal(alone[1], gradient[i])
+    solved, solve = [], ReducedBlock.modes
+    monkeypatch.setattr(ReducedBlock, "modes", lambda *at: solved.append(len(at[1])) or solve(*at))
+    by_shape.log_prob(theta)
+    by_shape.log_prob_and_grad(theta)
+    assert solved == [len(theta)] * 2
 
 
 def test_the_model_that_serves_all_measurements_is_the_case(problem, theta):
