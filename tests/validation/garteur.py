@@ -239,6 +239,9 @@ Over the draws:
 
 {pairing}
 
+Bending with four nodes is symmetric and the in-plane mode antisymmetric: such modes pass each other without
+mixing, and the log-probability, which follows the shape, goes on smoothly there.
+
 ## Parameters
 
 Hamiltonian Monte Carlo, 4 chains of {draws} draws after {warmup} of warm-up: R-hat at most {rhat:.4f},
