@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 PATHS = sorted(Path(__file__).parent.parent.glob("notebooks/*.ipynb"))
-FACES = {"fmu", "fmu.cases.published", "fmu.report.plots"}
+FACES = {"fmu", "fmu.cases.published", "fmu.formats.pyoma", "fmu.report.plots"}
 SHOWN_AS_HTML = (
     r"by_number",
     r"trace",
     r"fmu\.summary\(\w+\)",
     r"table.*\.T\b.*",  # what fmu.compare gave
+    r"fmu\.check\(.*\)",
     r"fmu\.diagnose\(.*\)",
     r"fmu\.find_map\(.*\)",
     r"fmu\.identifiability\(.*\)",
@@ -39,8 +40,8 @@ def shown(cell):
     return [output["data"] for output in cell["outputs"] if output["output_type"] == "execute_result"]
 
 
-def test_there_are_three():
-    assert [path.stem[:2] for path in PATHS] == ["01", "02", "03"]
+def test_there_are_four():
+    assert [path.stem[:2] for path in PATHS] == ["01", "02", "03", "04"]
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
