@@ -31,7 +31,7 @@ GROUP = "pairing"
 MOST_DRAWS = 2000
 """Draws looked at: evenly spaced over the chains, and the most probable one."""
 _MEANS = {
-    "shape": "there the log-probability jumps",
+    "shape": "the log-probability jumps there if the two modes veer, not if they cross unmixed",
     "index": "there the log-probability has a kink, and the frequency is that of another shape",
     "soft": "there the candidates that share the measured mode change places, without a jump",
 }
@@ -141,8 +141,9 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
     Two different things: measured modes come in another *order* than in the model before updating, which is no
     harm as long as each stays itself; and another *computed mode* answers to a measured one. Where modes are
-    paired by MAC one to one, the log-probability jumps between the two, which samplers that follow gradients do
-    not expect; with ``pairing="soft"`` it does not (`fmu.posterior.soft`).
+    paired by MAC one to one and veer, the log-probability jumps between the two, which samplers that follow
+    gradients do not expect; with ``pairing="soft"`` it does not (`fmu.posterior.soft`). Where they cross without
+    mixing (one symmetric, one antisymmetric) it goes on smoothly in any case.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
     share = _share(found.jumps / found.looked_at)
     return [
         f"the pairing by MAC changes in {share} of the draws (measured {'modes' if ',' in modes else 'mode'} "
-        f'{modes}), and the log-probability jumps there: pairing="soft" has no jumps'
+        f'{modes}): where the modes veer the log-probability jumps, which pairing="soft" does not'
     ]
 
 
