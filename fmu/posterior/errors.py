@@ -47,6 +47,14 @@ class FrequencyErrors:
     discrepancy : Parameter, optional
         Standard deviation of what the model leaves out, to be inferred: it adds sd_d² to every variance, in the
         same unit, as an error that is independent from mode to mode.
+
+    Notes
+    -----
+    What a model leaves out is rarely independent: a mass that was not modelled shifts many modes at once, and the
+    parameters follow it by more than their standard deviations say. Where a discrepancy may be nil, a prior that
+    reaches zero (half-normal) makes a posterior that is hard to sample; a log-normal keeps away from it. With as
+    many parameters as frequencies, errors of no size at all fit best: an sd to be inferred needs more data than
+    that, or a prior that says what is possible.
     """
 
     kind: str = "relative"
