@@ -49,9 +49,12 @@ bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into
 	.venv/bin/python -m tests.benchmarks.peers.report .benchmarks/peers.json .benchmarks/peers.md results/benchmarks/peers.png
 	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md .benchmarks/profile.md .benchmarks/peers.md
 
-validate: $(READY)  ## Calibrate every sampler by simulation, and update GARTEUR, into results/validation.md and garteur.md
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.validation results
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.validation.garteur results
+validate: export OPENBLAS_NUM_THREADS = 1
+validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
+	.venv/bin/python -m tests.validation results
+	.venv/bin/python -m tests.validation.coverage results
+	.venv/bin/python -m tests.validation.evidence results
+	.venv/bin/python -m tests.validation.garteur results
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
 	.venv/bin/python -m tests.validation.mutants results/mutants.md

@@ -1,0 +1,226 @@
+"""Evidences of the paper's two beams and of Beck & Au's building, each in several independent ways.
+
+    python -m tests.validation.evidence OUT_DIRECTORY
+
+Exit code 1 where two ways disagree.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+import fmu
+from fmu.analysis.mass import LocalQuadratic, masses
+from fmu.analysis.maxima import Maxima, PosteriorMaximum
+from tests.two_storeys import quadrature
+
+FloatArray = NDArray[np.float64]
+
+CHAINS, WARMUP, DRAWS, SEED = 24, 200, 300, 1
+IMPORTANCE_DRAWS = 8192
+AGREE = 4.0
+"""By how many of their combined standard errors two estimates may differ."""
+SHARES = (0.01, 0.03)
+BEAMS = tuple(
+    (case, pairing) for pairing in ("shape", "index") for case in ("cantilever-young", "cantilever-section")
+)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The logarithm of an evidence, its standard error (0 if exact), and whether it comes with a warning."""
+
+    log_evidence: float
+    error: float
+    warned: bool = False
+
+    def agrees(self, other: Estimate) -> bool:
+        """Say whether two estimates differ by no more than `AGREE` combined errors; NaN does not agree.
+
+        An estimate that comes with a warning claims nothing.
+        """
+        near = abs(self.log_evidence - other.log_evidence) <= AGREE * np.hypot(self.error, other.error)
+        return self.warned or other.warned or bool(near)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One evidence in several ways.
+
+    Attributes
+    ----------
+    case, pairing, region : str
+        `region` is empty where it is of the whole box.
+    ways : dict of str to Estimate
+        Those to be compared with each other.
+    laplace : float
+        ∫ of the quadratic approximation of the log-probability at its maxima, over the box; not compared.
+    theta, log_likelihood : ndarray, float
+        The highest maximum, and the log-likelihood there.
+    """
+
+    case: str
+    pairing: str
+    region: str
+    ways: dict[str, Estimate]
+    laplace: float
+    theta: FloatArray
+    log_likelihood: float
+
+    @property
+    def failures(self) -> list[str]:
+        """Which ways disagree."""
+        (first, reference), *others = self.ways.items()
+        return [
+            f"{self.case} by {self.pairing}{self.region and ', region ' + self.region}: {first} {reference} and "
+            f"{name} {other} disagree"
+            for name, other in others
+            if not reference.agrees(other)
+        ]
+
+
+class Region:
+    """A problem with its likelihood set to zero where the modes that answer to the measured ones are others.
+
+    By number, the k-th frequency is that of a different mode shape in different parts of the box. These parts make
+    up the box, so that their evidences add up to the whole.
+
+    Parameters
+    ----------
+    problem : fmu.UpdatingProblem
+    theta : ndarray, shape (ndim,)
+        A point of the region.
+    """
+
+    def __init__(self, problem: fmu.UpdatingProblem, theta: FloatArray) -> None:
+        self.problem = problem
+        self.ndim, self.lower, self.upper = problem.ndim, problem.lower, problem.upper
+        self.offset, self.scale, self.names, self.start = problem.offset, problem.scale, problem.names, theta
+        self.sample_prior, self.log_prior = problem.sample_prior, problem.log_prior
+        self._modes = self._labels(theta[None])[0]
+
+    def log_likelihood(self, theta: FloatArray) -> FloatArray:
+        """Return the problem's, −inf outside the region."""
+        value = np.asarray(self.problem.log_likelihood(theta))
+        return np.where(self.holds(theta), value, -np.inf)
+
+    def log_prob(self, theta: FloatArray) -> FloatArray:
+        """Return the problem's, −inf outside the region."""
+        return np.where(self.holds(theta), self.problem.log_prob(theta), -np.inf)
+
+    def holds(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """Say which theta (n, ndim) are in the region."""
+        return np.all(self._labels(theta) == self._modes, axis=1)
+
+    def _labels(self, theta: FloatArray) -> NDArray[np.int64]:
+        modes = self.problem.model.modes(theta)  # type: ignore[attr-defined]
+        return np.concatenate([modes.block, modes.rank], axis=1)
+
+
+def tempered(problem: Any, init: str | FloatArray = "prior") -> dict[str, Estimate]:
+    """Return what parallel tempering says."""
+    kernel = fmu.Tempering()
+    trace = fmu.sample(problem, kernel, draws=DRAWS, warmup=WARMUP, chains=CHAINS, seed=SEED, init=init)
+    found = {f"tempering, {method}": fmu.evidence(trace, method) for method in ("stepping-stone", "thermodynamic")}
+    return {way: Estimate(one.log_evidence, one.error, bool(one.warnings)) for way, one in found.items()}
+
+
+def weighed(problem: Any, maxima: list[PosteriorMaximum], draws: int = IMPORTANCE_DRAWS) -> Estimate:
+    """Return the evidence by importance sampling around the maxima, in the box."""
+    scale, offset = problem.scale, problem.offset
+    models = [
+        LocalQuadratic(
+            (m.theta - offset) / scale, m.log_prob, m.gradient * scale, m.hessian * np.outer(scale, scale)
+        )
+        for m in maxima
+    ]
+    lower, upper = ((bound - offset) / scale for bound in (problem.lower, problem.upper))
+
+    def log_prob(u: FloatArray) -> FloatArray:
+        return np.asarray(problem.log_prob(np.clip(offset + scale * u, problem.lower, problem.upper)))
+
+    found = masses(log_prob, models, lower, upper, np.random.default_rng(SEED), draws)
+    log_mass = np.array([mass.log_mass for mass in found])
+    total = float(np.logaddexp.reduce(log_mass))
+    share = np.exp(log_mass - total)
+    n = 2 * draws * len(models)  # two Gaussians a maximum
+    variances = [max(1.0 / mass.effective - 1.0 / n, 0.0) if mass.effective else 0.0 for mass in found]
+    error = float(np.sqrt(np.sum(share**2 * variances)))
+    return Estimate(total + float(np.sum(np.log(scale))), error)
+
+
+def laplace(maxima: list[PosteriorMaximum]) -> float:
+    """Return the logarithm of the Gaussians' integrals where no bound is active, NaN where one is."""
+    if any(np.any(m.at_bound) for m in maxima):
+        return np.nan
+    each = [
+        m.log_prob + 0.5 * (len(m.theta) * np.log(2 * np.pi) - np.linalg.slogdet(m.hessian)[1]) for m in maxima
+    ]
+    return float(np.logaddexp.reduce(each))
+
+
+def row(case: str, pairing: str, problem: fmu.UpdatingProblem, maxima: Maxima) -> Row:
+    """Return the evidence of a problem."""
+    relevant = [m for m in maxima if m.share > 1e-12]
+    ways = tempered(problem) | {"importance sampling": weighed(problem, relevant)}
+    best = maxima[0].theta
+    return Row(case, pairing, "", ways, laplace(relevant), best, float(problem.log_likelihood(best)))
+
+
+def regions(case: str, problem: fmu.UpdatingProblem, maxima: Maxima) -> Iterator[Row]:
+    """Yield the evidence of every region that has a maximum, the highest first."""
+    for letter, maximum in zip("ABC", maxima, strict=False):
+        region = Region(problem, maximum.theta)
+        start = np.repeat(maximum.theta[None], CHAINS, axis=0)
+        ways = tempered(region, start) | {"importance sampling": weighed(region, [maximum])}
+        likelihood = float(problem.log_likelihood(maximum.theta))
+        yield Row(case, "index", letter, ways, laplace([maximum]), maximum.theta, likelihood)
+
+
+def wide(case: str, relative: float) -> Estimate:
+    """Return the evidence of a beam by shape with errors of a share of each frequency, by importance sampling."""
+    beta = 1.0 / (2.0 * (relative * fmu.cases.load(case).data.frequencies_hz) ** 2)
+    problem = fmu.cases.load(case, "shape", beta=beta)
+    return weighed(problem, list(fmu.find_map(problem)))
+
+
+def study() -> tuple[list[Row], dict[float, list[Estimate]]]:
+    """Return all rows, and the evidences of both beams by shape for errors of a share of the frequencies."""
+    building = fmu.cases.load("shear-2dof")
+    rows = [row("shear-2dof", "index", building, fmu.find_map(building))]
+    rows[0].ways["quadrature"] = Estimate(quadrature().log_evidence, 0.0)
+    for case, pairing in BEAMS:
+        problem = fmu.cases.load(case, pairing)
+        maxima = fmu.find_map(problem)
+        rows.append(row(case, pairing, problem, maxima))
+        print(f"{case} by {pairing}: {rows[-1].ways} after {time.process_time():.0f} s", flush=True)
+    for found in regions("cantilever-section", problem, maxima):
+        rows.append(found)
+        print(f"region {found.region}: {found.ways} after {time.process_time():.0f} s", flush=True)
+    return rows, {share: [wide(case, share) for case, _ in BEAMS[:2]] for share in SHARES}
+
+
+def main(directory: str) -> int:
+    """Run everything, write ``evidence.md``, and return the exit code."""
+    from tests.validation.evidence_page import write
+
+    with threadpool_limits(1):
+        rows, shares = study()
+    write(rows, shares, Path(directory), time.process_time())
+    failures = [failure for one in rows for failure in one.failures]
+    for failure in failures:
+        print(failure)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
