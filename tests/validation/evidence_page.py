@@ -56,6 +56,9 @@ def write(
             behind=best(regions[0]) - best(regions[1]),
             sum=np.logaddexp.reduce([best(row) for row in regions]),
             whole=best(beams["cantilever-section", "index"]),
+            unfound=UNFOUND
+            if any(way.warned for way in beams["cantilever-section", "index"].ways.values())
+            else "",
         ),
         encoding="utf-8",
     )
@@ -168,5 +171,12 @@ The maxima:
 {places}
 
 B is the lower by {behind:.0f}, C by more; their sum is {sum:.3f}, and the whole {whole:.3f}. A chain never finds
-that out by itself: of the draws of a correct run one in exp({behind:.0f}) is in B. Shares of draws cannot tell
-the evidences of B and C, which is why each is sampled for itself. """
+that out by itself: of the draws of a correct run one in exp({behind:.0f}) is in B. Shares of draws cannot tell the
+evidences of B and C, which is why each is sampled for itself.
+{unfound}"""
+
+UNFOUND = """
+Over the whole box tempering of this length is not done (⚠ above): where the likelihood counts for a tenth to a half
+of itself, replicas that climbed to B or C have yet to find A, chain by chain. `fmu.evidence` says so, because the
+chains disagree at those rungs (R-hat); its standard error alone would not.
+"""
