@@ -50,7 +50,7 @@ def write(
                     [f"{100 * share:g} %", _text(one), _text(two), f"{one.log_evidence - two.log_evidence:.2f}"]
                     for share, (one, two) in shares.items()
                 ],
-            ),
+            ).rstrip(),
             regions=_ways(regions),
             places=_places(regions),
             behind=best(regions[0]) - best(regions[1]),
@@ -83,7 +83,7 @@ def _ways(rows: Sequence[Row]) -> str:
         + ["a bound is active" if np.isnan(row.laplace) else f"{row.laplace:.3f}"]
         for row in rows
     ]
-    return table(["log-evidence of", *names, "Laplace"], cells)
+    return table(["log-evidence of", *names, "Laplace"], cells).rstrip()
 
 
 def _fit(rows: Sequence[Row]) -> str:
@@ -96,7 +96,9 @@ def _fit(rows: Sequence[Row]) -> str:
         ]
         for row in rows
     ]
-    return table(["", "log-likelihood at the maximum", "log-evidence", "what is lost to the prior"], cells)
+    return table(
+        ["", "log-likelihood at the maximum", "log-evidence", "what is lost to the prior"], cells
+    ).rstrip()
 
 
 def _places(rows: Sequence[Row]) -> str:
@@ -104,20 +106,23 @@ def _places(rows: Sequence[Row]) -> str:
         [row.region, *(f"{1e9 * x:.3f}" for x in row.theta[:2]), *(f"{1e4 * x:.3f}" for x in row.theta[2:])]
         for row in rows
     ]
-    return table(["maximum", "Ix1, 1e-9 m⁴", "Ix2, 1e-9 m⁴", "Ax1, 1e-4 m²", "Ax2, 1e-4 m²"], cells)
+    return table(["maximum", "Ix1, 1e-9 m⁴", "Ix2, 1e-9 m⁴", "Ax1, 1e-4 m²", "Ax2, 1e-4 m²"], cells).rstrip()
 
 
 _PAIRING = {"shape": "shape", "index": "number"}
 
 PAGE = """# Evidences
 
-Written by `make validate` in {minutes:.0f} minutes of processor time. {verdict} (A gate allows {agree:g}
-combined standard errors. Estimates that `fmu.evidence` itself warns of are marked with ⚠ and take no part.)
+Written by `make validate` in {minutes:.0f} minutes of processor time. Every evidence is found in independent ways,
+which must agree within {agree:g} combined standard errors; estimates that `fmu.evidence` itself warns of are
+marked with ⚠ and take no part.
+
+{verdict}
 
 The evidence of a model is ∫ P(D|θ) P(θ) dθ, the probability of the measurement before anything was fitted to it.
 Logarithms are natural. Two models of the same measurement can be compared where the likelihood is normalised as
 a density of it, and the prior over its bounds, which is how `problem.log_likelihood` and `problem.log_prior` are
-defined. Every number is found in independent ways:
+defined. The ways are:
 
 - parallel tempering (`fmu.sample(problem, fmu.Tempering())`, {chains} chains from the prior, {warmup} steps of
   warm-up and {draws} draws), with `fmu.evidence` by stepping stones and by thermodynamic integration;
@@ -176,7 +181,7 @@ evidences of B and C, which is why each is sampled for itself.
 {unfound}"""
 
 UNFOUND = """
-Over the whole box tempering of this length is not done (⚠ above): where the likelihood counts for a tenth to a half
-of itself, replicas that climbed to B or C have yet to find A, chain by chain. `fmu.evidence` says so, because the
-chains disagree at those rungs (R-hat); its standard error alone would not.
+Over the whole box tempering of this length is not done (⚠ above): where the likelihood counts for a tenth to a
+half of itself, replicas that climbed to B or C have yet to find A, chain by chain. `fmu.evidence` says so, because
+the chains disagree at those rungs (R-hat); its standard error alone would not.
 """
