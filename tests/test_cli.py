@@ -114,6 +114,25 @@ def test_run_prints_the_tables_and_nothing_else(invoke):
     assert "\x1b" not in result.stdout
 
 
+def test_the_search_takes_as_many_starts_as_asked_for(invoke):
+    result = invoke("run", "cantilever-young", *SHORT, "--starts", 8)
+    assert "from 8 starts" in result.stderr
+    (line,) = (line for line in result.stdout.splitlines() if line.startswith("starts"))
+    assert line.split() == ["starts", "8"]
+
+
+def test_a_function_without_gradients_is_searched_from_fewer_starts(invoke, tmp_path):
+    (tmp_path / "own.py").write_text("import numpy as np\n\ndef modes(theta):\n    return np.sqrt(theta)\n")
+    (tmp_path / "own.toml").write_text(
+        'name = "own"\n[model]\ntype = "python"\nfunction = "own:modes"\n'
+        "[measurement]\nfrequencies = [1.1]\nsd = [0.01]\n"
+        '[[parameters]]\nname = "k"\nstart = 1.0\nlower = 0.5\nupper = 1.5\n'
+    )
+    result = invoke("run", "own.toml", *SHORT)
+    assert result.exit_code == 0, result.output
+    assert "from 16 starts" in result.stderr
+
+
 def test_run_on_a_terminal_shows_a_bar_for_every_phase(invoke, monkeypatch):
     monkeypatch.setattr(fmu.progress, "on_terminal", lambda: True)
     result = invoke("run", "cantilever-young", *SHORT)

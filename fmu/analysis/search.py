@@ -19,10 +19,19 @@ FloatArray = NDArray[np.float64]
 
 STARTS = 256
 """A climb takes about a millisecond, and of a maximum that was not found nothing can warn."""
+STARTS_WITHOUT_DERIVATIVES = 16
+"""A climb takes some hundred calls of the user's function, which may be a finite-element program."""
 _WEIGHING = 1
 
 
-def find_map(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> Maxima:
+def default_starts(problem: UpdatingProblem) -> int:
+    """Return from how many starts to climb: fewer where a gradient is made of differences of solves."""
+    if getattr(problem.model, "solves_per_gradient", 1) > 1:
+        return STARTS_WITHOUT_DERIVATIVES
+    return STARTS
+
+
+def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
     This is the updating that ends in one parameter vector, and the check that no sampler can do by itself: whether
@@ -31,8 +40,9 @@ def find_map(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> M
     Parameters
     ----------
     problem : UpdatingProblem
-    starts : int
-        Climbs, see `fmu.posterior.maxima.local_maxima`. Fewer are faster and may miss a maximum.
+    starts : int, optional
+        Climbs, see `fmu.posterior.maxima.local_maxima`. Fewer are faster and may miss a maximum. 256, or 16 where
+        the model has no derivatives of its own.
     seed : int
         Chooses the starts, and the draws that weigh the maxima.
 
@@ -52,7 +62,7 @@ def find_map(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> M
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
     from fmu.posterior.maxima import local_maxima
 
-    found = local_maxima(problem, starts, seed)
+    found = local_maxima(problem, default_starts(problem) if starts is None else starts, seed)
     theta = np.array([maximum.theta for maximum in found])
     gradient = np.asarray(problem.log_prob_and_grad(theta)[1]) * problem.scale
     hessians, curvatures = zip(*(hessian_at(problem, x) for x in theta), strict=True)

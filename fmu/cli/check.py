@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from fmu.cli.output import make_writable
 from fmu.cli.source import source
 
 
@@ -28,7 +29,10 @@ def command(case: str, pairing: str | None, draws: int, seed: int, out: Path | N
     from fmu.analysis.check import check
     from fmu.report.check_page import write_check
 
-    found = check(problem_of.load(), draws, seed)
+    directory = out or Path("check") / problem_of.stem
+    problem = problem_of.load()
+    make_writable(directory)
+    found = check(problem, draws, seed)
     click.echo(found)
-    page = write_check(found, out or Path("check") / problem_of.stem)
+    page = write_check(found, directory)
     click.echo(f"\nWritten to {page}")

@@ -19,15 +19,24 @@ def claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
         raise ValueError(f"--out: {directory} exists; choose another directory or add --overwrite")
     made = [path for path in (directory, *directory.parents) if not path.exists()]
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        if not os.access(directory, os.W_OK):
-            raise PermissionError(f"no permission to write in {directory}")
+        make_writable(directory)
         yield directory
     except BaseException:
         for path in made:
             with suppress(OSError):  # it holds results
                 path.rmdir()
         raise
+
+
+def make_writable(directory: Path) -> None:
+    """Make an output directory, if there is none; ValueError if it cannot be made, or not be written to."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        why = "" if os.access(directory, os.W_OK) else "no permission"
+    except OSError as error:
+        why = error.strerror or str(error)
+    if why:
+        raise ValueError(f"--out: must be a directory that can be written to (got {directory}: {why})")
 
 
 def write_csv(table: pd.DataFrame, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 @click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
 @click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--starts", type=click.IntRange(min=1),
+              help="Climbs of the search for maxima before sampling; fewer are faster and may miss one.  "
+              "[default: 256; 16 for a Python function without gradients]")  # fmt: skip
 @click.option("--init", type=click.Choice(("prior", "start")), default="prior", show_default=True,
               help="Where the chains start.")  # fmt: skip
 @click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
@@ -49,6 +53,7 @@ def command(
     out: Path | None,
     overwrite: bool,
     reports: bool,
+    starts: int | None,
     **steps: Any,
 ) -> int:
     """Sample CASE: a built-in problem, or one that a TOML file describes.
@@ -62,13 +67,16 @@ def command(
         from fmu.analysis.comparison import side_by_side
         from fmu.analysis.diagnosis import diagnose_all
         from fmu.analysis.diagnostics import summary
-        from fmu.analysis.search import find_map
+        from fmu.analysis.search import STARTS, default_starts, find_map
         from fmu.analysis.trace import save_trace
         from fmu.config.kept import keep
         from fmu.sampling import sample
 
         problem = given.load()
-        maxima = steps["maxima"] = find_map(problem)
+        starts = starts or default_starts(problem)
+        if sys.stderr.isatty() or starts != STARTS:  # it may take long
+            click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
+        maxima = steps["maxima"] = find_map(problem, starts)
         traces, summaries = {}, {}
         with progress_bars() as report:
             for name in dict.fromkeys(samplers):

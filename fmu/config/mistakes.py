@@ -8,6 +8,11 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 _SHOWN = 60
+_PATTERNS = {
+    r"^[^/\x00-\x1f]+$": "must have no slash, line break or other control character",
+    r"^[^\x00-\x1f]+$": "must have no line break or other control character",
+}
+"""What the patterns of names mean."""
 
 
 class Mistake(NamedTuple):
@@ -68,6 +73,8 @@ def _of_one(error: dict[str, Any]) -> Mistake:
         return Mistake(where, "is missing")
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _of_tag(where, error)
+    if kind == "string_pattern_mismatch":
+        return Mistake(where, got(_PATTERNS.get(error["ctx"]["pattern"], _as_rule(error["msg"])), value))
     if kind == "value_error":
         return Mistake(where, str(error["ctx"]["error"]))
     if kind == "kind":
@@ -77,7 +84,7 @@ def _of_one(error: dict[str, Any]) -> Mistake:
 
 def _as_rule(message: str) -> str:
     """Return pydantic's ``Input should be …`` as ``must be …``."""
-    subject, should, rest = message.partition(" should ")
+    subject, should, rest = message.partition(" after validation")[0].partition(" should ")
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 
 

@@ -24,6 +24,8 @@ from fmu.posterior.problem import UpdatingProblem
 
 NamedError = Annotated[Literal["frequency", "modal-residual"], Tag("<text>")]
 ErrorModels = Annotated[list[ErrorTable], Field(min_length=1), Tag("<list>")]
+MOST_PARAMETERS = 200
+"""Far beyond what a handful of modes can tell."""
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
@@ -49,7 +51,7 @@ class ProblemFile(Table):
     """The structure: type "frame", "matrices" or "python"."""
     measurement: MeasurementTable
     """The modes of a test."""
-    parameters: Annotated[list[ParameterTable], Field(min_length=1)]
+    parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
     """What is uncertain, in the order of theta."""
 
     def build(self, source: str, folder: Path, pairing: str | None = None, beta: Any = None) -> UpdatingProblem:

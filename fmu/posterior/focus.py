@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
 # Below the maximum by more than this, a probability does not matter.
 PLAUSIBLE = 50.0
+PATIENCE = 3
 
 
 def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
@@ -28,7 +30,9 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
 
     Frequencies are good to `FREQUENCY_TOLERANCE` (relative) over the whole box, and the log-probability to
     `LOG_PROB_TOLERANCE` wherever it is within `PLAUSIBLE` of its maximum, at every point that was tried. Points on
-    a jump, where modes swap and either model may take either of them, say nothing of the basis.
+    a jump, where modes swap and either model may take either of them, say nothing of the basis. Where what is
+    left is rounding of the full model, more points do not help, and training ends: a run's certificate says
+    what was promised and not kept (`fmu.analysis.certificate`).
     """
     tolerances = (FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE, PLAUSIBLE)
     key = {"problem": problem.configuration(), "tolerances": tolerances}
@@ -41,19 +45,27 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
     rng = np.random.default_rng(0)
     likelihood: Any = problem.likelihood
 
+    differences: list[float] = []
+
     def wanting() -> FloatArray | None:
         points = plausible_points(problem, 64, rng)
         difference = np.sum(likelihood.terms(points) - likelihood.full_terms(points), axis=1)
         wrong = ~(np.abs(difference) <= LOG_PROB_TOLERANCE)
         if not isinstance(structure.rule, SoftPairing):
             wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], FREQUENCY_TOLERANCE)
-        return points[:, :n] if wrong.any() else None
+        differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
+        return points[:, :n] if wrong.any() and not has_stalled(differences) else None
 
     # without such terms the computed modes take no part in the log-probability
     state = structure.train(
         lower, upper, FREQUENCY_TOLERANCE, wanting if hasattr(likelihood, "full_terms") else None
     )
     store_basis(key, state)
+
+
+def has_stalled(differences: Sequence[float]) -> bool:
+    """Say whether the last `PATIENCE` rounds of training halved no largest difference that came before them."""
+    return len(differences) > PATIENCE and min(differences[-PATIENCE:]) > 0.5 * min(differences[:-PATIENCE])
 
 
 def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> NDArray[np.bool_]:

@@ -15,6 +15,10 @@ from fmu.config import ConfigurationError, load
 FRAME = [
     ("E = 2.1e11", 'E = "soft"', "model.materials.steel.E: must be a valid number (got 'soft')"),
     ("E = 2.1e11", "E = -1.0", "model.materials.steel.E: must be greater than 0 (got -1.0)"),
+    ("E = 2.1e11", "E = 1e308", "model.materials.steel.E: must be 0, or from 1e-60 to 1e+60 in size (got 1e+308)"),
+    ("start = 7850.0", "start = -1e-300", "parameters.1.start: must be 0, or from 1e-60 to 1e+60"),
+    ("elements = 4", f"elements = 1{'0' * 400}", "model.members.2.elements: must be 0, or from 1e-60 to 1e+60"),
+    ("elements = 4", f"elements = 1{'0' * 5000}", "is no TOML"),
     ("E = 2.1e11", "E = nan", "model.materials.steel.E: must be a finite number (got nan)"),
     ("nu = 0.3", "nu = 0.7", "model.materials.steel.nu: must be less than or equal to 0.5 (got 0.7)"),
     ("rho = 7850.0\n", "", "model.materials.steel.rho: is missing"),
@@ -30,7 +34,7 @@ FRAME = [
         "J = 7e-6\ntube = { diameter = 1.0, thickness = 0.1 }",
         "model.sections.beam: must be either rectangle",
     ),
-    ("corner = [0.0, 0.0, 2.0]", "corner = [0.0, 2.0]", "model.points.corner: must have at least 3 items"),
+    ("corner = [0.0, 0.0, 2.0]", "corner = [0.0, 2.0]", "model.points.corner: must have at least 3 items (got ["),
     ("[model.points]", "[model.points]\nidle = [1.0, 1.0, 1.0]", "model.points.idle: is the end of no member"),
     (
         'left = "clamped"',
@@ -48,6 +52,8 @@ FRAME = [
     ('to = "right"', 'to = "other"', "model.members.1.to: must differ from from (got 'other')"),
     ('section = "beam"', 'section = "I"', "model.members.2.section: must be one of leg, beam (got 'I')"),
     ("elements = 4", "elements = 0", "model.members.2.elements: must be greater than or equal to 1 (got 0)"),
+    ("elements = 4", "elements = 9998", "model.members: must have at most 10000 elements together"),
+    ("elements = 4", "elements = 10001", "model.members.2.elements: must be less than or equal to 10000"),
     ("elements = 4", "elements = 4.5", "model.members.2.elements: must be a valid integer"),
     ("y_direction = [0.0, 1.0, 0.0]", "y_direction = [1.0, 0.0, 0.0]", "model: y_direction"),
     (
@@ -78,7 +84,7 @@ FRAME = [
         'name = "E legs"',
         "parameters.1.name: must not be that of another parameter (got 'E legs')",
     ),
-    ('name = "rho beam"', 'name = "rho/beam"', "parameters.1.name: must match pattern"),
+    ('name = "rho beam"', 'name = "rho/beam"', "parameters.1.name: must have no slash, line break"),
     ("upper = 2.5e11", "upper = 1.4e11", "parameters.0: upper: must exceed lower 1.5e+11 (got 1.4e+11)"),
     ("start = 7850.0", "start = 9850.0", "parameters.1: start: must be finite and within [5000, 9000] (got 9850)"),
     ("lower = 5000.0", "lower = 0.0", "parameters.1.lower: must be positive, as the property is (got 0.0)"),
@@ -94,7 +100,7 @@ FRAME = [
         'property = "E"\ngroups = ["legs"]',
         "parameters.1.groups: E of legs is updated by E legs already",
     ),
-    ('pairing = "index"', 'pairing = "ear"', "pairing: must be 'shape' or 'index' (got 'ear')"),
+    ('pairing = "index"', 'pairing = "ear"', "pairing: must be 'shape', 'index' or 'soft' (got 'ear')"),
     ('type = "frame"', 'type = "shell"', "model.type: must be one of frame, matrices, python (got 'shell')"),
     ('name = "portal"\n', "", "name: is missing"),
     ("[measurement]", "[measurement", "is no TOML"),
@@ -195,9 +201,20 @@ def test_mistakes_between_tables_come_together_too(frame_text, tmp_path):
     assert "parameters.1: start" in found
 
 
+def test_too_many_parameters(frame_text, tmp_path):
+    many = "".join(f'[[parameters]]\nname = "p{i}"\nstart = 1.0\n' for i in range(300))
+    assert "parameters: must have at most 200 items (got " in complaint(tmp_path, frame_text + many)
+
+
 def test_no_file(tmp_path):
     with pytest.raises(FileNotFoundError, match="must be a TOML file"):
         load(tmp_path / "nothing.toml")
+
+
+def test_a_directory(tmp_path):
+    (tmp_path / "portal.toml").mkdir()
+    with pytest.raises(FileNotFoundError, match=r"must be a TOML file \(.*portal\.toml is a directory\)"):
+        load(tmp_path / "portal.toml")
 
 
 def test_a_file_that_is_no_text(tmp_path):

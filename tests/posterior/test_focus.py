@@ -265,3 +265,22 @@ def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
     changed = ReducedBlock(structure.full.blocks[0], half, poor.trusted)
     structure._install(Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3)))
     assert not focus.on_a_jump(structure, theta, focus.FREQUENCY_TOLERANCE).any()
+
+
+def test_training_stalls_when_three_rounds_halve_nothing():
+    assert not focus.has_stalled([8.0])
+    assert not focus.has_stalled([8.0, 7.0, 6.0])
+    assert not focus.has_stalled([8.0, 7.0, 6.0, 3.9])
+    assert focus.has_stalled([8.0, 7.0, 6.0, 4.1])
+    assert not focus.has_stalled([8.0, 4.0, 3.0, 3.0, 1.9])
+    assert focus.has_stalled([1.0, np.inf, np.inf, np.inf])
+
+
+def test_training_ends_where_no_basis_is_good_enough(bases, monkeypatch):
+    """What the full model computes is off by more than is asked for, as by rounding."""
+    rounds, refined = [], Training.refined
+    monkeypatch.setattr(Training, "refined", lambda self, theta: rounds.append(theta) or refined(self, theta))
+    monkeypatch.setattr(focus, "LOG_PROB_TOLERANCE", 1e-300)
+    monkeypatch.setattr(focus, "on_a_jump", lambda structure, theta, tolerance: np.zeros(len(theta), dtype=bool))
+    assert np.isfinite(two_chains().log_prob([1.0, 1.1]))
+    assert len(rounds) < 10
