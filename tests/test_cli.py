@@ -133,6 +133,27 @@ def test_a_function_without_gradients_is_searched_from_fewer_starts(invoke, tmp_
     assert "from 16 starts" in result.stderr
 
 
+@pytest.mark.parametrize(
+    ("where", "code", "begins"), [("len(calls) > 100", 2, "Error: init: chain 0"), ("theta[0] > 1.22", 0, "mh: ")]
+)
+def test_a_function_that_fails_later_is_named_with_its_reason(invoke, tmp_path, where, code, begins):
+    (tmp_path / "failing.py").write_text(
+        "import numpy as np\ncalls = []\n\ndef modes(theta):\n    calls.append(theta)\n"
+        f"    if {where}:\n        raise RuntimeError('no licence')\n    return np.sqrt(theta)\n"
+    )
+    (tmp_path / "own.toml").write_text(
+        'name = "own"\n[model]\ntype = "python"\nfunction = "failing:modes"\n'
+        "[measurement]\nfrequencies = [1.1]\nsd = [0.01]\n"
+        '[[parameters]]\nname = "k"\nstart = 1.0\nlower = 0.5\nupper = 1.5\n'
+    )
+    result = invoke("run", "own.toml", *SHORT, "--starts", 2)
+    assert result.exit_code == code, result.output
+    last = result.stderr.strip().splitlines()[-1]
+    assert last.startswith(begins)
+    assert "; the function failed first at [" in last
+    assert last.endswith("RuntimeError: no licence")
+
+
 def test_run_on_a_terminal_shows_a_bar_for_every_phase(invoke, monkeypatch):
     monkeypatch.setattr(fmu.progress, "on_terminal", lambda: True)
     result = invoke("run", "cantilever-young", *SHORT)

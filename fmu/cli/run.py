@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.analysis.diagnosis import Diagnosis
+    from fmu.posterior.problem import UpdatingProblem
 
 
 @click.command("run")
@@ -76,9 +78,9 @@ def command(
         starts = starts or default_starts(problem)
         if sys.stderr.isatty() or starts != STARTS:  # it may take long
             click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
-        maxima = steps["maxima"] = find_map(problem, starts)
         traces, summaries = {}, {}
-        with progress_bars() as report:
+        with _explained(problem), progress_bars() as report:
+            maxima = steps["maxima"] = find_map(problem, starts)
             for name in dict.fromkeys(samplers):
                 traces[name] = sample(problem, name, progress=report and labelled(report, name), **steps)
                 keep(given.path, directory, given.pairing)
@@ -92,7 +94,7 @@ def command(
     click.echo(f"Maxima of the posterior\n{maxima}\n")
     for name, table in summaries.items():
         click.echo(f"{name}\n{text(table.assign(unit=table.attrs['units']))}\n")
-        _echo_failed_points(name, traces[name])
+        _echo_failed_points(name, traces[name], problem)
     echo_comparison(comparison, verdicts)
     short = _short_of(steps["until_ess"], summaries, verdicts)
     if short:
@@ -116,9 +118,29 @@ def _short_of(
     return [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
 
 
-def _echo_failed_points(name: str, trace: xr.DataTree) -> None:
+def _echo_failed_points(name: str, trace: xr.DataTree, problem: UpdatingProblem) -> None:
     """Say how many points inside the bounds had no finite log-probability, if there were any."""
     groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
     failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
     if failed:
-        click.echo(f"{name}: {failed} points inside the bounds had no finite log-probability\n", err=True)
+        click.echo(
+            f"{name}: {failed} points inside the bounds had no finite log-probability{_why(problem)}\n", err=True
+        )
+
+
+@contextmanager
+def _explained(problem: UpdatingProblem) -> Iterator[None]:
+    """Add to an error why the user's function failed, where it did."""
+    try:
+        yield
+    except ValueError as error:
+        why = _why(problem)
+        if not why:
+            raise
+        raise ValueError(f"{error}{why}") from error
+
+
+def _why(problem: UpdatingProblem) -> str:
+    """Return the first reason why the function of a black-box model failed; empty if it never did."""
+    reasons = getattr(problem.model, "reasons", ())
+    return f"; the function failed first at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""
