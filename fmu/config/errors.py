@@ -12,6 +12,7 @@ from fmu.config.fields import Name, Number, Numbers, Positive, Table, by_kind
 from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.posterior.errors import ErrorModel, FrequencyErrors, MACErrors, ShapeErrors
+from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 
 Weights = list[Positive] | None
@@ -116,6 +117,45 @@ def built_noise(
         if table.name not in used:
             found.append(Mistake(f"noise.{i}.name", got("must be the sd or discrepancy of an error", table.name)))
     return noise, found
+
+
+def vanishing(
+    noise: Mapping[str, Parameter], errors: Sequence[Any], data: ModalData, n_parameters: int
+) -> list[Mistake]:
+    """Say which standard deviations an exact fit would let shrink to zero, where the density has no limit.
+
+    The density grows as sd^(−n) where all of the n errors that it is the size of can be zero: with no more of them
+    than parameters, and no other deviation that is known. A prior may fall faster.
+
+    Parameters
+    ----------
+    noise : mapping of str to Parameter
+        In the order of the file.
+    errors : sequence of ErrorTable
+    data : ModalData
+    n_parameters : int
+        Of the model.
+    """
+    sizes = {"frequencies": data.n_modes, "mac": data.n_modes, "shapes": 0 if data.shapes is None else np.size(data.shapes)}
+    has_own = data.sd_hz is not None or data.covariance_hz2 is not None
+    counts = dict.fromkeys(noise, 0)
+    grounded = set()
+    for table in errors:
+        named = {name for key in ("sd", "discrepancy") if isinstance(name := getattr(table, key, None), str)}
+        counts |= {name: counts[name] + sizes[table.of] for name in named}
+        if not isinstance(table.sd, str) and (table.sd is not None or (table.of == "frequencies" and has_own)):
+            grounded |= named
+    found = []
+    for i, (name, parameter) in enumerate(noise.items()):
+        n, nearly_none = counts[name], parameter.start * np.array([1e-6, 1e-9])
+        density = parameter.prior.log_pdf(nearly_none) - n * np.log(nearly_none)
+        if name not in grounded and parameter.lower == 0.0 and n <= n_parameters and density[1] > density[0]:
+            rule = (
+                f"must be positive, or the prior log-normal: {n_parameters} parameters can fit these {n} errors "
+                "exactly, and the probability density has no limit where the deviation vanishes"
+            )
+            found.append(Mistake(f"noise.{i}.lower", got(rule, parameter.lower)))
+    return found
 
 
 def _sd(value: Any, noise: Mapping[str, Parameter]) -> Any:

@@ -26,6 +26,7 @@ sd = 0.05
 [[noise]]
 name = "sigma"
 start = 0.02
+lower = 1e-4
 prior = { distribution = "half-normal", sd = 0.05 }
 
 [[noise]]
@@ -46,7 +47,7 @@ def text(matrices_text):
 def test_error_models(text, folder):
     (folder / "two.toml").write_text(text)
     from_file = load(folder / "two.toml")
-    sigma = fmu.Parameter("sigma", 0.02, 0.0, prior=fmu.HalfNormal(0.05))
+    sigma = fmu.Parameter("sigma", 0.02, 1e-4, prior=fmu.HalfNormal(0.05))
     delta = fmu.Parameter("delta", 0.1, 0.01, 0.5)
     errors = [
         fmu.FrequencyErrors("relative", sigma, [1.0, 0.5]),
@@ -102,3 +103,30 @@ def test_an_unknown_name(matrices_text, folder):
     (folder / "two.toml").write_text('error = "mac"\n' + matrices_text)
     with pytest.raises(ConfigurationError, match=r"error: must be 'frequency' or 'modal-residual'"):
         load(folder / "two.toml")
+
+
+FITTED = "noise.0.lower: must be positive, or the prior log-normal: 2 parameters can fit these 2 errors exactly"
+
+
+def test_a_deviation_that_an_exact_fit_would_let_vanish(text, folder):
+    free = text.replace("lower = 1e-4\n", "", 1)
+    (folder / "two.toml").write_text(free)
+    with pytest.raises(ConfigurationError) as caught:
+        load(folder / "two.toml")
+    assert [FITTED in str(mistake) for mistake in caught.value.mistakes] == [True]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"half-normal", sd = 0.05', '"log-normal", median = 0.02, sigma = 1.0'),  # vanishes faster
+        ('sd = "sigma"', 'sd = 0.01\ndiscrepancy = "sigma"'),  # beside errors of a known size
+        ('of = "mac"\nsd = 0.05', 'of = "mac"\nsd = "sigma"'),  # of four errors
+    ],
+)
+def test_a_deviation_that_may_start_at_zero(text, folder, old, new):
+    free = text.replace("lower = 1e-4\n", "", 1)
+    assert old in free
+    (folder / "two.toml").write_text(free.replace(old, new, 1))
+    problem = load(folder / "two.toml")
+    assert problem.lower[problem.names.index("sigma")] == 0.0
