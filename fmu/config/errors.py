@@ -136,7 +136,8 @@ def vanishing(
     n_parameters : int
         Of the model.
     """
-    sizes = {"frequencies": data.n_modes, "mac": data.n_modes, "shapes": 0 if data.shapes is None else np.size(data.shapes)}
+    n_values = 0 if data.shapes is None else np.size(data.shapes)
+    sizes = {"frequencies": data.n_modes, "mac": data.n_modes, "shapes": n_values}
     has_own = data.sd_hz is not None or data.covariance_hz2 is not None
     counts = dict.fromkeys(noise, 0)
     grounded = set()
