@@ -50,6 +50,7 @@ class Replicate:
 
     Attributes
     ----------
+    truth : ndarray, shape (12,)
     covered : ndarray of bool, shape (12,)
         Whether the equal-tailed interval holds the truth.
     ranks : ndarray of int, shape (13,)
@@ -63,6 +64,7 @@ class Replicate:
     processor_s : float
     """
 
+    truth: NDArray[np.float64]
     covered: NDArray[np.bool_]
     ranks: NDArray[np.int64]
     sd: NDArray[np.float64]
@@ -92,6 +94,13 @@ class Study:
         """The smallest and the largest number of runs that pass."""
         tail = 0.5 * (1.0 - BAND)
         return int(binom.ppf(tail, self.replicates, INTERVAL)), int(binom.isf(tail, self.replicates, INTERVAL))
+
+    @cached_property
+    def spread_of_truths(self) -> NDArray[np.float64]:
+        """Root mean square of the truths' normal scores under their priors, shape (12,): about 1."""
+        median, sigma = ten_storeys.prior()
+        scores = np.log(np.array([run.truth for run in self.runs]) / median) / sigma
+        return np.asarray(np.sqrt(np.mean(scores**2, axis=0)))
 
     @cached_property
     def ranks(self) -> NDArray[np.int64]:
@@ -167,7 +176,7 @@ def _replicate(seed: np.random.SeedSequence) -> Replicate:
     thinned = values[np.linspace(0, len(values) - 1, RANKED).round().astype(int)]
     ranks = np.sum(thinned < np.append(truth, problem.log_likelihood(truth)), axis=0)
     covered = (lowest <= truth) & (truth <= highest)
-    return Replicate(covered, ranks, theta.std(axis=0), ess, len(theta), time.process_time() - began)
+    return Replicate(truth, covered, ranks, theta.std(axis=0), ess, len(theta), time.process_time() - began)
 
 
 def main(directory: str) -> int:

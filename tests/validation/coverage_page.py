@@ -36,6 +36,7 @@ def write(study: coverage.Study, directory: Path) -> None:
             least=min(ess),
             median=np.median(ess),
             gate=coverage.LEAST_ESS,
+            scatter=np.sqrt(0.5 / study.replicates),
             interval=100 * coverage.INTERVAL,
             lowest=lowest,
             highest=highest,
@@ -50,23 +51,24 @@ def write(study: coverage.Study, directory: Path) -> None:
     )
 
 
-def prior_sd() -> list[float]:
-    """Return the standard deviation of every parameter's prior, shape (12,)."""
-    spreads = [ten_storeys.SPREAD] * ten_storeys.STOREYS + [ten_storeys.NOISE_SPREAD] * 2
-    medians = [1.0] * ten_storeys.STOREYS + [ten_storeys.SD_FREQUENCY, ten_storeys.SD_SHAPE]
-    variances = [np.expm1(s**2) * np.exp(s**2) for s in spreads]
-    return [float(m * np.sqrt(v)) for m, v in zip(medians, variances, strict=True)]
-
-
 def _table(study: coverage.Study) -> str:
-    sd = np.median([run.sd for run in study.runs], axis=0)
+    median, sigma = ten_storeys.prior()
+    before = median * np.sqrt(np.expm1(sigma**2) * np.exp(sigma**2))
+    told = np.median([run.sd for run in study.runs], axis=0) / before
     rows = [
-        [name, f"{count}", f"{100 * count / study.replicates:.1f} %", number(p, ".2g"), f"{left / before:.2f}"]
-        for name, count, p, left, before in zip(
-            coverage.NAMES, study.covered, study.p_values[:-1], sd, prior_sd(), strict=True
+        [
+            name,
+            f"{count}",
+            f"{100 * count / study.replicates:.1f} %",
+            number(p, ".2g"),
+            f"{left:.2f}",
+            f"{spread:.2f}",
+        ]
+        for name, count, p, left, spread in zip(
+            coverage.NAMES, study.covered, study.p_values[:-1], told, study.spread_of_truths, strict=True
         )
     ]
-    rows.append(["log-likelihood", "-", "-", number(study.p_values[-1], ".2g"), "-"])
+    rows.append(["log-likelihood", "-", "-", number(study.p_values[-1], ".2g"), "-", "-"])
     return table(
         ["quantity", "truths held", "coverage", "p of the ranks", "posterior sd / prior sd"], rows
     ).rstrip()
@@ -110,10 +112,10 @@ PAGE = """# Do intervals hold the truth?
 
 Written by `make validate` in {minutes:.0f} minutes of processor time. {verdict}
 
-{replicates} synthetic measurements of the case `shear-10dof`: five frequencies, and shapes at four of ten
-floors. Ten storey stiffnesses, the standard deviation of the frequencies' errors and that of the shapes' are drawn
-from their priors, then the measurement given these; HMC, as a user gets it ({chains} chains from the prior,
-{warmup} steps of warm-up), samples the posterior of all twelve. How large the errors are is not told to it.
+{replicates} synthetic measurements of the case `shear-10dof`: five frequencies, and shapes at four of ten floors.
+Ten storey stiffnesses, the standard deviation of the frequencies' errors and that of the shapes' are drawn from
+their priors, then the measurement given these; HMC, as a user gets it ({chains} chains from the prior, {warmup}
+steps of warm-up), samples the posterior of all twelve. How large the errors are is not told to it.
 
 - **Coverage.** An equal-tailed {interval:g} % interval of the posterior must hold the truth in {interval:g} % of
   the runs. The gate is the {band:g} % band of the binomial distribution, {lowest} to {highest} of {replicates}: a
@@ -126,9 +128,13 @@ from their priors, then the measurement given these; HMC, as a user gets it ({ch
 
 {table}
 
-The last column is what a measurement tells, as a median over the runs: 1 is nothing. A run has {draws:.0f} draws
-on average, all chains together; the smallest effective sample size of all quantities is {least:.0f} at the least
-and {median:.0f} in the median. Runs that have less than {gate} are drawn on.
+The ratio of standard deviations is what a measurement tells, as a median over the runs: 1 is nothing. The spread
+of the truths is the root mean square of their normal scores under the prior, 1 ± {scatter:.2f}: where a
+measurement tells little, truths that happen to lie far apart are held less often.
+
+A run has {draws:.0f} draws on average, all chains together; the smallest effective sample size of all
+quantities is {least:.0f} at the least and {median:.0f} in the median. Runs that have less than {gate} are
+drawn on.
 
 The likelihood is a density of the measurement up to terms of the order of the squared standard deviations (about
 1e-3): shapes are scaled to unit length, and errors of frequencies are relative to what was measured. Modes are

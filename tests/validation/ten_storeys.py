@@ -45,6 +45,14 @@ SENSORS = tuple((floor, "x") for floor in FLOORS)
 NUMBERS = tuple(range(1, MODES + 1))
 
 
+def prior() -> tuple[FloatArray, FloatArray]:
+    """Return the medians of all priors, shape (12,), and the standard deviations of their logarithms."""
+    return (
+        np.array([1.0] * STOREYS + [SD_FREQUENCY, SD_SHAPE]),
+        np.array([SPREAD] * STOREYS + [NOISE_SPREAD] * 2),
+    )
+
+
 def storey(j: int) -> FloatArray:
     """Return the stiffness matrix of storey `j`, from 1, between floors j − 1 and j."""
     drift = np.zeros(STOREYS)

@@ -18,7 +18,11 @@ def study(factor=1.0, shift=0.0):
         truth = rng.standard_normal(len(QUANTITIES))
         draws = away + scale * rng.standard_normal((RANKED, len(QUANTITIES)))
         covered = (np.abs(truth - away) <= edge * scale)[: len(NAMES)]
-        runs.append(Replicate(covered, np.sum(draws < truth, axis=0), scale[: len(NAMES)], 400.0, 640, 1.0))
+        runs.append(
+            Replicate(
+                truth[: len(NAMES)], covered, np.sum(draws < truth, axis=0), scale[: len(NAMES)], 400.0, 640, 1.0
+            )
+        )
     return Study(runs)
 
 
