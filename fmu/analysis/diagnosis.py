@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from fmu.analysis.diagnostics import convergence_failures, parameter_names
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.missed import missed_maxima
-from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings
+from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
 from fmu.analysis.other_runs import missed_places
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.trace import check_trace
@@ -43,7 +43,7 @@ class Diagnosis:
         Why not, one sentence each, the gravest first; empty if it has converged.
     warnings : tuple of str
         What speaks against the model, converged or not: parameters at their bounds, modes that are not fitted,
-        a pairing that jumps.
+        shapes unlike the measured ones, a pairing that jumps.
     searched : bool
         Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
     """
@@ -148,7 +148,7 @@ def judge(
         warnings += search_warnings(trace, best[0].log_prob)
     reasons += missed_places(trace, others or {}, best)
     reasons += convergence_failures(trace, table)
-    warnings += bound_warnings(trace) + fit_warnings(trace) + jump_warnings(trace)
+    warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
     return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None)
 
 

@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 GROUP = "modes"
 """Group of a trace that keeps them."""
 START, MEAN, MAXIMUM = "start", "posterior mean", "maximum"
+MEASURED = "measured shapes, at the sensors"
+"""What shapes are compared with, where there are measured ones."""
 _AXES = ("x", "y", "z")
 
 
@@ -100,7 +102,7 @@ def _shape_variables(problem: UpdatingProblem, shapes: FloatArray) -> dict[str, 
         reference = seen[0]
     else:
         seen = structure.observation(problem.data.sensors).toarray() @ shapes
-        reference, name = np.asarray(problem.data.shapes), "measured shapes, at the sensors"
+        reference, name = np.asarray(problem.data.shapes), MEASURED
     alike = mac(seen, reference)
     variables: dict[str, Any] = {"mac": (("state", "reference_mode", "mode"), alike, {"reference": name})}
     if structure.geometry is None:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.diagnostics import parameter_draws, parameter_names
+from fmu.analysis.modal_states import GROUP, MEAN, MEASURED, START
+from fmu.analysis.pairing_doubts import ALIKE
 from fmu.analysis.prediction import predict_frequencies
 
 if TYPE_CHECKING:
@@ -73,6 +75,31 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
         for mode, measured, low, high, mean in zip(table.index, *(table[c] for c in columns), strict=True)
         if not low <= measured <= high
     ]
+
+
+def shape_warnings(trace: xr.DataTree) -> list[str]:
+    """Name the modes whose shape is not the measured one after updating: by MAC at the sensors, below `ALIKE`.
+
+    Errors of shapes whose size is inferred grow until any shape is probable, so that no prediction tells it.
+    """
+    alike = measured_mac(trace)
+    if alike is None:
+        return []
+    before, after = (np.diag(alike.sel(state=state)) for state in (START, MEAN))
+    return [
+        f"mode {mode} has not the shape that was measured: MAC {b:.2f} before and {a:.2f} after updating, "
+        f"below {ALIKE}"
+        for mode, b, a in zip(alike["mode"].to_numpy(), before, after, strict=True)
+        if a < ALIKE
+    ]
+
+
+def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
+    """Return MAC (state, reference_mode, mode) with the measured shapes; None where the trace keeps none."""
+    if GROUP not in trace.children or "mac" not in trace[GROUP]:
+        return None
+    found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
+    return found if found.attrs["reference"] == MEASURED else None
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:

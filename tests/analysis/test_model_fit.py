@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings
+from fmu.analysis.diagnosis import judge
+from fmu.analysis.modal_states import MEASURED
+from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
 from fmu.analysis.trace import to_trace
 
 
@@ -82,3 +85,26 @@ def test_a_draw_above_all_maxima(make_trace, rng):
     assert search_warnings(trace, -3.0) == []
     (found,) = search_warnings(trace, -3.5)
     assert "log-probability -3.000, above the highest maximum found, -3.500" in found
+
+
+def with_mac(trace, reference):
+    """Return a trace that keeps MAC at two states: at most 0.6 before, 0.95 and 0.79 after updating."""
+    values = np.array([[[0.6, 0.3], [0.2, 0.5]], [[0.95, 0.85], [0.1, 0.79]]])
+    mac = xr.DataArray(values, dims=("state", "reference_mode", "mode"), attrs={"reference": reference})
+    coords = {"state": ["start", "posterior mean"], "reference_mode": ["a", "b"], "mode": ["a", "b"]}
+    kept = trace.copy()
+    kept["modes"] = xr.DataTree(xr.Dataset({"mac": mac}, coords=coords))
+    return kept
+
+
+def test_a_shape_that_is_not_the_measured_one_is_named(make_trace, rng):
+    trace = with_mac(make_trace(rng.standard_normal((4, 50, 2))), MEASURED)
+    expected = "mode b has not the shape that was measured: MAC 0.50 before and 0.79 after updating, below 0.8"
+    assert shape_warnings(trace) == [expected]
+    assert expected in judge(trace).warnings
+
+
+def test_where_no_shapes_were_measured_none_can_be_missed(make_trace, rng):
+    trace = make_trace(rng.standard_normal((4, 50, 2)))
+    assert shape_warnings(trace) == []
+    assert shape_warnings(with_mac(trace, "modes before updating, at all translations")) == []

@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from fmu.analysis.diagnosis import UNSEARCHED
 from fmu.analysis.identifiability import contraction, kept_identifiability
+from fmu.analysis.modal_states import MEASURED
+from fmu.analysis.pairing_doubts import ALIKE
 from fmu.analysis.prediction import leave_one_out
 from fmu.report.document import Details, Items, Link, Omitted, Table, Text
 from fmu.report.run import runs_of
@@ -106,6 +109,25 @@ def test_shapes_and_mac(hmc):
         assert number(row["after, Hz"]) == pytest.approx(float(other["frequency"][k]), abs=0.06)
         change = np.abs(one["displacement"][k] - other["displacement"][k]).max()
         assert number(row["change of shape"]) == pytest.approx(100 * float(change), rel=0.06)
+
+
+def test_shapes_beside_measured_ones(hmc, monkeypatch):
+    trace = hmc.trace.copy()
+    modes = trace["modes"].to_dataset()
+    modes["mac"] = modes["mac"].assign_attrs(reference=MEASURED)
+    trace["modes"] = xr.DataTree(modes)
+    run = replace(hmc, trace=trace)
+    rows = table(structure.mac(run))
+    before, after = (modes["mac"].sel(state=state).to_numpy() for state in ("start", "posterior mean"))
+    assert [number(row["MAC before"]) for row in rows] == pytest.approx(np.diag(before), abs=6e-3)
+    assert [number(row["MAC after"]) for row in rows] == pytest.approx(np.diag(after), abs=6e-3)
+    others = np.where(np.eye(len(after), dtype=bool), 0.0, after).max(axis=1)
+    assert [number(row["of another mode"]) for row in rows] == pytest.approx(others, abs=6e-3)
+    monkeypatch.setattr("fmu.report.sections.verdicts.fit_warnings", lambda trace: [])
+    assert np.diag(after).min() >= ALIKE
+    least = f"Every measured shape is that of its mode: MAC at least {np.diag(after).min():.2f}."
+    assert least in model_fit(run).reasons
+    assert not any("measured shape" in reason for reason in model_fit(hmc).reasons)
 
 
 def test_predictive_check(hmc):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -59,21 +60,22 @@ def plot_parameter_updates(
     Returns
     -------
     ndarray of Axes, shape (units,)
-        One for the parameters of each unit.
+        One for the parameters of each unit, inferred standard deviations of errors apart.
     """
     from fmu.analysis.diagnostics import parameter_names, summary
 
     first = next(iter(traces.values()))
     names = parameter_names(first)
-    groups: dict[str, list[str]] = {}
+    noise = inferred_deviations(first)
+    groups: dict[tuple[str, bool], list[str]] = {}
     for name in names:
-        groups.setdefault(unit_of(first, name).name, []).append(name)
+        groups.setdefault((unit_of(first, name).name, name in noise), []).append(name)
     tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
     figure = figure or new_figure(NARROW, 2.5 * len(groups) + 0.6)
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
     points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
     values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
-    for axis, (unit, members) in zip(axes, groups.items(), strict=True):
+    for axis, ((unit, is_deviation), members) in zip(axes, groups.items(), strict=True):
         _frame(axis, first, members)
         for k, (label, trace) in enumerate(traces.items()):
             x = np.arange(len(members)) + 0.6 * ((k + 0.5) / len(traces) - 0.5)
@@ -86,11 +88,19 @@ def plot_parameter_updates(
             y = [point[name] / unit_of(first, name).factor for name in members]
             axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=VERMILLION,
                       markeredgecolor=BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
-        axis.set_ylabel(f"value / {unit}" if unit else "value", fontsize=FONT)
+        what = "deviation" if is_deviation else "value"
+        axis.set_ylabel(f"{what} / {unit}" if unit else what, fontsize=FONT)
     axes[0].set_title("mean and 90 % interval", fontsize=FONT - 1, color=GREY, loc="right")
     axes[-1].set_xlabel("parameter", fontsize=FONT)
     legend_below(axes[0])
     return axes
+
+
+def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
+    """Return the names of the parameters that are standard deviations of errors."""
+    problem = json.loads(trace.attrs["configuration"]).get("problem") or {}
+    likelihood = problem.get("likelihood") or {} if isinstance(problem, dict) else {}
+    return frozenset(likelihood.get("noise", ()))
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:

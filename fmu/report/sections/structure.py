@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
 from fmu.analysis.modal_states import GROUP, MEAN, START
+from fmu.analysis.model_fit import measured_mac
 from fmu.analysis.pairing_changes import pairing_changes
 from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.numbers import decimals, fixed, percent, significant
@@ -82,7 +83,22 @@ def mac(run: Run) -> Section | Omitted:
     drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.",
                       f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
     said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
-    return Section("mac", title, (said, Pictures((drawing,))))
+    return Section("mac", title, (said, *_mac_before_and_after(run), Pictures((drawing,))))
+
+
+def _mac_before_and_after(run: Run) -> tuple[Table, ...]:
+    """Return the MAC of each mode with the shape that was measured of it, if shapes were measured."""
+    alike = measured_mac(run.trace)
+    if alike is None:
+        return ()
+    before, after = (alike.sel(state=state).to_numpy() for state in (START, MEAN))
+    rows = []
+    for k, label in enumerate(map(str, alike["mode"].to_numpy())):
+        others = np.delete(after[k], k)
+        nearest = fixed(float(others.max()), 2) if len(others) else "–"
+        rows.append((label, fixed(float(before[k, k]), 2), fixed(float(after[k, k]), 2), nearest))
+    caption = "With the measured shape: at the start, at the posterior mean; and there of the most alike other mode."
+    return (Table(caption, ("mode", "MAC before", "MAC after", "of another mode"), tuple(rows)),)
 
 
 def pairing(run: Run) -> Section | Omitted:

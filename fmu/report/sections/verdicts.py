@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from fmu.analysis.model_fit import INTERVAL, fit_warnings
+import numpy as np
+
+from fmu.analysis.modal_states import MEAN
+from fmu.analysis.model_fit import INTERVAL, fit_warnings, measured_mac, shape_warnings
 from fmu.report.document import Verdict
 from fmu.report.run import Run
 
@@ -42,4 +45,15 @@ def model_fit(run: Run) -> Verdict:
         "included."
     )
     answer = "Yes, with reservations" if run.diagnosis.warnings else "Yes"
-    return Verdict(question, answer, True, "What speaks for the model, and against it", (within, *found))
+    return Verdict(
+        question, answer, True, "What speaks for the model, and against it", (within, *_shapes(run), *found)
+    )
+
+
+def _shapes(run: Run) -> tuple[str, ...]:
+    """Say that the shapes fit too, where they were measured and do."""
+    alike = measured_mac(run.trace)
+    if alike is None or shape_warnings(run.trace):
+        return ()
+    least = float(np.diag(alike.sel(state=MEAN)).min())
+    return (f"Every measured shape is that of its mode: MAC at least {least:.2f}.",)

@@ -1,5 +1,7 @@
 """What the plots draw are the numbers of the analysis."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -44,6 +46,16 @@ def test_parameters_of_each_unit_have_their_axes(hostile_traces):
     axes = plots.plot_parameter_updates(hostile_traces)
     assert [axis.get_ylabel() for axis in axes] == ["value / Pa", "value / <b>"]
     assert [len(axis.get_xticklabels()) for axis in axes] == [1, 1]
+
+
+def test_inferred_deviations_have_their_own_axes(beam_traces):
+    trace = beam_traces["hmc"].copy()
+    configuration = json.loads(trace.attrs["configuration"])
+    configuration["problem"]["likelihood"]["noise"] = ["E5"]
+    trace.attrs["configuration"] = json.dumps(configuration)
+    axes = plots.plot_parameter_updates({"hmc": trace})
+    assert [axis.get_ylabel() for axis in axes] == ["value / GPa", "deviation / GPa"]
+    assert [len(axis.get_xticklabels()) for axis in axes] == [4, 1]
 
 
 def test_published_values_stand_beside_ours(beam_traces):
