@@ -97,7 +97,7 @@ def _mac_before_and_after(run: Run) -> tuple[Table, ...]:
         others = np.delete(after[k], k)
         nearest = fixed(float(others.max()), 2) if len(others) else "–"
         rows.append((label, fixed(float(before[k, k]), 2), fixed(float(after[k, k]), 2), nearest))
-    caption = "With the measured shape: at the start, at the posterior mean; and there of the most alike other mode."
+    caption = "With the measured shape: at the start, at the posterior mean, and there of the mode next to it."
     return (Table(caption, ("mode", "MAC before", "MAC after", "of another mode"), tuple(rows)),)
 
 
