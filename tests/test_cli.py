@@ -461,3 +461,8 @@ def test_installed_command_shows_no_traceback(tmp_path):
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "Traceback" not in done.stderr
+
+
+def test_the_package_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "fmu", "cases"], capture_output=True, text=True, check=True)
+    assert "cantilever-young" in done.stdout

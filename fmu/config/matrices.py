@@ -94,7 +94,7 @@ class MatricesTable(Table):
         for i, table in enumerate(parameters):
             if table.name not in used:
                 found.append(Mistake(f"parameters.{i}.name", got("must be in the powers of a term", table.name)))
-        return found + without_targets(parameters) + self._of_dofs()
+        return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Read the matrices beside the file and return the model; BrokenError with what is wrong with them."""
@@ -126,6 +126,17 @@ class MatricesTable(Table):
         """Return the terms with their places in the file, stiffness first."""
         both = (("stiffness", self.stiffness), ("mass", self.mass))
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
+
+    def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return the parameters whose power does not exist everywhere between their bounds."""
+        found = []
+        for where, term in self._terms():
+            for i, table in enumerate(parameters):
+                power = term.powers.get(table.name, 1.0)
+                if (power < 0.0 or not power.is_integer()) and not table.is_positive():
+                    rule = f"must be positive, as {where}.powers has it to the power {power:g}"
+                    found.append(Mistake(f"parameters.{i}.lower", got(rule, table.lower)))
+        return found
 
     def _of_dofs(self) -> list[Mistake]:
         found, seen = [], set()

@@ -10,6 +10,9 @@ from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.posterior.parameters import Parameter
 
+LEAST_LOG_MASS = -200.0
+"""Of a prior between the bounds: a Gaussian that ends twenty standard deviations off is a slip of the pen."""
+
 
 class ParameterTable(Target):
     """A parameter; in a frame, what it is the value of, in which groups."""
@@ -39,7 +42,11 @@ class ParameterTable(Target):
             raise ValueError("prior: a truncated normal needs lower or upper")
         lower = -np.inf if self.lower is None else self.lower
         upper = np.inf if self.upper is None else self.upper
-        return Parameter(self.name, self.start, lower, upper, self.prior.build(), self.unit)
+        parameter = Parameter(self.name, self.start, lower, upper, self.prior.build(), self.unit)
+        log_mass = parameter.prior.log_mass(lower, upper)
+        if log_mass < LEAST_LOG_MASS:
+            raise ValueError(f"prior: must have probability between the bounds (got {_power_of_ten(log_mass)})")
+        return parameter
 
     def is_positive(self) -> bool:
         """Say whether all values that the parameter can have are positive, by its bounds or by its prior."""
@@ -61,3 +68,7 @@ def built(tables: list[ParameterTable]) -> tuple[list[Parameter], list[Mistake]]
         except ValueError as error:
             found.append(Mistake(f"parameters.{i}", str(error).removeprefix(f"{table.name}.")))
     return parameters, found
+
+
+def _power_of_ten(log_value: float) -> str:
+    return f"1e{log_value / np.log(10.0):.0f}"

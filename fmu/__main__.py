@@ -1,0 +1,6 @@
+"""``python -m fmu``: the command ``fmu``."""
+
+from fmu.cli import main
+
+if __name__ == "__main__":
+    main(prog_name="fmu")
