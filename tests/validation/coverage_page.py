@@ -69,9 +69,8 @@ def _table(study: coverage.Study) -> str:
         )
     ]
     rows.append(["log-likelihood", "-", "-", number(study.p_values[-1], ".2g"), "-", "-"])
-    return table(
-        ["quantity", "truths held", "coverage", "p of the ranks", "posterior sd / prior sd"], rows
-    ).rstrip()
+    head = ["quantity", "truths held", "coverage", "p of the ranks", "posterior sd / prior sd", "spread of truths"]
+    return table(head, rows).rstrip()
 
 
 def figure(study: coverage.Study) -> Figure:

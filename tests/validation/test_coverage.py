@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from tests.validation import coverage_page
 from tests.validation.coverage import INTERVAL, NAMES, QUANTITIES, RANKED, REPLICATES, Replicate, Study
 
 
@@ -39,3 +40,11 @@ def test_a_wrong_one_is_found(wrong):
     assert failures
     assert all(failure.startswith("k1:") for failure in failures)
     assert any("the interval holds" in failure for failure in failures)
+
+
+def test_the_page_shows_every_parameter(tmp_path):
+    coverage_page.write(study(factor=1.6), tmp_path)
+    page = (tmp_path / "coverage.md").read_text(encoding="utf-8")
+    assert all(f"| {name} | " in page for name in NAMES)
+    assert "**Gates that fail:**" in page
+    assert (tmp_path / "coverage" / "coverage.png").stat().st_size > 10_000
