@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -50,7 +51,13 @@ def source(case: str, pairing: str | None) -> Source:
         path = Path(case)
         described = config.read(path)
         by = pairing or described.pairing
-        return Source(path, path.stem, by, lambda: described.build(path.name, path.parent, by))
+
+        def load() -> UpdatingProblem:
+            if sys.stderr.isatty():  # a large structure takes minutes, once
+                click.echo(f"Preparing {path} …", err=True)
+            return described.build(path.name, path.parent, by)
+
+        return Source(path, path.stem, by, load)
     from fmu import cases as builtin
 
     if case not in builtin.names():

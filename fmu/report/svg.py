@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
@@ -53,7 +54,9 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     if not alt.strip():
         raise ValueError("alt: must say what the figure shows (got nothing)")
     file = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}), warnings.catch_warnings():
+        # text stays text: a letter that Matplotlib's font has not, the reader's has
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
     text = file.getvalue()
     body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]

@@ -37,6 +37,11 @@ def test_it_is_described_and_scales(figure):
         inline_svg(figure, "a", " ")
 
 
+def test_a_letter_that_the_font_has_not_stays_that_letter(figure):
+    figure.axes[0].set_xlabel("日本")
+    assert "日本" in inline_svg(figure, "a", "b")
+
+
 def test_text_stays_text_and_is_escaped(figure):
     assert "&lt;b&gt; &amp; 0.123456 GPa" in inline_svg(figure, "a", "x")
 
