@@ -21,7 +21,13 @@ def study(factor=1.0, shift=0.0):
         covered = (np.abs(truth - away) <= edge * scale)[: len(NAMES)]
         runs.append(
             Replicate(
-                truth[: len(NAMES)], covered, np.sum(draws < truth, axis=0), scale[: len(NAMES)], 400.0, 640, 1.0
+                np.exp(truth[: len(NAMES)]),
+                covered,
+                np.sum(draws < truth, axis=0),
+                scale[: len(NAMES)],
+                400.0,
+                640,
+                1.0,
             )
         )
     return Study(runs)
