@@ -26,7 +26,7 @@ _WEIGHING = 1
 
 def default_starts(problem: UpdatingProblem) -> int:
     """Return from how many starts to climb: fewer where a gradient is made of differences of solves."""
-    if getattr(problem.model, "solves_per_gradient", 1) > 1:
+    if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
     return STARTS
 

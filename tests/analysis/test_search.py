@@ -8,7 +8,7 @@ import fmu
 from fmu.analysis.curvature import hessian_at
 from fmu.analysis.mass import LocalQuadratic, masses
 from fmu.analysis.maxima import Maxima
-from fmu.analysis.search import find_map
+from fmu.analysis.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import Normal
@@ -239,3 +239,13 @@ def test_bad_arguments(plain):
         find_map(plain)
     with pytest.raises(ValueError, match=r"starts: must be at least 1 \(got 0\)"):
         find_map(squares(), starts=0)
+
+
+def test_a_search_without_derivatives_takes_fewer_starts():
+    slow = Squares()
+    slow.solves_per_gradient = 5
+    parameters = squares().parameters
+    data = ModalData([4.0, 2.5], labels=("first", "second"))
+    assert default_starts(squares()) == STARTS
+    assert default_starts(UpdatingProblem(slow, data, parameters)) == STARTS_WITHOUT_DERIVATIVES < STARTS
+    assert sum(m.starts for m in find_map(UpdatingProblem(slow, data, parameters))) == STARTS_WITHOUT_DERIVATIVES
