@@ -8,10 +8,10 @@ Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 
 two lines together are one regular system for ∂φ and ∂λ, which Nelson (1976, *AIAA Journal* 14, 1201–1205)
 arrives at by fixing one component. Shapes of repeated eigenvalues have no derivative: any rotation of them is as
 good. Between eigenvalues closer than `REPEATED` the rotation is left out; near them it is large, as it truly is:
-the closer two modes are, the faster their shapes turn into each other. For two eigenvalues λ that are δλ apart the
-slopes are of the size λ/δλ, and relatively good to rounding times λ_max/δλ, as are the shapes themselves: 1e-6 for
-modes 1e-4 apart while the highest eigenvalue is below about 10⁶ of theirs. A basis that is good to a relative error
-in frequency is good in shapes to that error over the gap.
+the closer two modes are, the faster their shapes turn into each other. For two eigenvalues λ that are δλ apart
+the slopes are of the size λ/δλ, and relatively good to rounding times λ_max/δλ, as are the shapes themselves:
+1e-6 for modes 1e-4 apart while the highest eigenvalue is below about 10⁶ of theirs. A basis that is good to a
+relative error in frequency is good in shapes to that error over the gap.
 """
 
 from __future__ import annotations
