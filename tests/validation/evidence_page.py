@@ -136,8 +136,9 @@ The Laplace approximation is for comparison alone: where a bound is active its G
 {building}
 
 `kind = "eigenvalue"` is normalised as a density of ε = (f/f_m)² − 1. Beck & Au (2002) leave out the normaliser
-1/(2πσ²) with σ = {sd:g}: their evidence is exp(log-evidence − {normaliser:.4f}) = {published:.4e}. With masses
-of 16.531 t and 16.131 t the same quadrature gives 1.523e-3, and Straub & Papaioannou (2015) print 1.52e-3.
+1/(2πσ²) with σ = {sd:g}: their evidence is exp(log-evidence − {normaliser:.4f}) = {published:.4e}. Scripts of the
+ERA group (TU Munich) give 1.52e-3 for this example, some with masses of 16.531 t and 16.131 t; with these the
+quadrature gives 1.523e-3.
 
 ## Five moduli or two sections?
 
