@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from fmu.fem.pairing import RankPairing, ShapePairing
 from fmu.fem.reduced_basis import ReducedBlock
 
 FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SOFTNESS = 0.02
 """Temperature τ of the weights exp(MAC/τ): a shape that is nothing like the measured one costs 1/τ = 50 nats."""
@@ -71,17 +71,6 @@ class Candidates:
     shape_slopes: FloatArray | None = None
     mac_slopes: FloatArray | None = None
 
-    def with_rows(self, rows: BoolArray, other: Candidates) -> Candidates:
-        """Return these candidates with those of `other` in the rows given."""
-        parts = []
-        for field in fields(self):
-            mine, theirs = getattr(self, field.name), getattr(other, field.name)
-            if mine is not None:
-                mine = mine.copy()
-                mine[rows] = theirs
-            parts.append(mine)
-        return Candidates(*parts)
-
 
 class _View(NamedTuple):
     """A block, how many modes it offers, the coordinates of comparison, and the references there."""
@@ -106,17 +95,23 @@ class CandidateView:
 
     def __init__(self, model: BlockModel, rule: ShapePairing, at_sensors: bool) -> None:
         self.n_parameters, self._at_sensors = model.n_parameters, at_sensors
+        self._model, self._rule = model, rule
         self._reference_size = np.sum(rule.shapes**2, axis=0)
-        self._views = []
-        for b in rule.observe(model):
-            block = model.blocks[b]
-            rows, reference = rule.rows[:, block.dofs], rule.shapes
+
+    @cached_property
+    def _views(self) -> list[_View]:
+        """The blocks looked at; prepared when they are first needed."""
+        views = []
+        for b in self._rule.observe(self._model):
+            block = self._model.blocks[b]
+            rows, reference = self._rule.rows[:, block.dofs], self._rule.shapes
             if isinstance(block, ReducedBlock):
                 rows = rows @ block.basis
-                if len(rows) > block.size and not at_sensors:
+                if len(rows) > block.size and not self._at_sensors:
                     Q, rows = np.linalg.qr(rows)
                     reference = Q.T @ reference
-            self._views.append(_View(block, rule.offered(model, b), rows, reference))
+            views.append(_View(block, self._rule.offered(self._model, b), rows, reference))
+        return views
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return the candidates at theta (n, n_parameters)."""

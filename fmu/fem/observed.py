@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.modal import Seen, frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel
-from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
+from fmu.fem.pairing import IndexPairing, Observation, PairedSolve, Pairing, RankPairing, ShapePairing
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -38,14 +42,17 @@ class Observed:
     frequency_slopes: FloatArray | None = None
     shape_slopes: FloatArray | None = None
 
-    def with_rows(self, rows: BoolArray, other: Observed) -> Observed:
-        """Return these observations with those of `other` in the rows given."""
-        return Observed(
-            *(
-                None if mine is None or theirs is None else _replaced(mine, rows, theirs)
-                for mine, theirs in zip(_parts(self), _parts(other), strict=True)
-            )  # type: ignore[arg-type]
-        )
+
+def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
+    """Return a dataclass of arrays (n, …) with those of `other` in the rows given; None stays None."""
+    replaced = {}
+    for field in fields(batch):
+        mine = getattr(batch, field.name)
+        if mine is not None:
+            mine = mine.copy()
+            mine[rows] = getattr(other, field.name)
+        replaced[field.name] = mine
+    return type(batch)(**replaced)
 
 
 class SensorView:
@@ -60,11 +67,22 @@ class SensorView:
     """
 
     def __init__(self, model: BlockModel, pairing: Pairing, sensors: Any) -> None:
-        self.model, self.pairing = model, pairing
-        self._solve = pairing.bind(model)
-        self._compared = pairing.observe(model) if isinstance(pairing, ShapePairing) else {}
-        self._rows = [sensors[:, block.dofs] for block in model.blocks]
+        self.model, self.pairing, self._sensors = model, pairing, sensors
         self._n_sensors = sensors.shape[0]
+
+    # prepared when they are first needed: many problems have no errors of shapes, and never look
+
+    @cached_property
+    def _solve(self) -> PairedSolve:
+        return self.pairing.bind(self.model)
+
+    @cached_property
+    def _compared(self) -> dict[int, Observation]:
+        return self.pairing.observe(self.model) if isinstance(self.pairing, ShapePairing) else {}
+
+    @cached_property
+    def _rows(self) -> list[Any]:
+        return [self._sensors[:, block.dofs] for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> Observed:
         """Return what the sensors see at theta (n, n_parameters)."""
@@ -121,13 +139,3 @@ class SensorView:
             numbers = self.pairing.numbers
             return RankPairing((0,) * len(numbers), tuple(number - 1 for number in numbers))
         return self.pairing if isinstance(self.pairing, RankPairing) else None
-
-
-def _parts(observed: Observed) -> tuple[FloatArray | None, ...]:
-    return observed.frequencies, observed.shapes, observed.frequency_slopes, observed.shape_slopes
-
-
-def _replaced(array: FloatArray, rows: BoolArray, values: FloatArray) -> FloatArray:
-    array = array.copy()
-    array[rows] = values
-    return array

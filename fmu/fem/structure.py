@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fmu.fem.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
 from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel, Modes
-from fmu.fem.observed import Observed, SensorView
+from fmu.fem.observed import Observed, SensorView, with_rows
 from fmu.fem.pairing import SPARE, IndexPairing, Pairing, ShapePairing, count_rigid, reference_modes
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel, selection
@@ -105,8 +105,11 @@ class PairedStructure:
         self.pairing: Pairing = self.rule
         self._solve_full = self.rule.bind(self.full)
         self._sensors = model.observation(sensors)
-        self._see_full = SensorView(self.full, self.rule, self._sensors)
         self._at_sensors = shapes is not None
+        # until a reduced model is trained
+        self._see_full = self._see_reduced = SensorView(self.full, self.rule, self._sensors)
+        if isinstance(self.rule, ShapePairing):
+            self._full_candidates = self._reduced_candidates = self._candidates_of(self.full, self.rule)
 
     def __repr__(self) -> str:
         reduced = "not reduced"
@@ -223,16 +226,7 @@ class PairedStructure:
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        with single_thread():
-            if self.reduced is None:
-                return self._see_full(theta, gradient)
-            inside = np.all((theta >= self._lower) & (theta <= self._upper), axis=1)
-            seen = self._see_reduced(np.where(inside[:, None], theta, self._lower), gradient)
-            rows = ~inside | np.isnan(seen.frequencies).any(axis=1)
-            if not rows.any():
-                return seen
-            self.full_solves += int(np.sum(rows))
-            return seen.with_rows(rows, self._see_full(theta[rows], gradient))
+        return self._looked_at(self._see_reduced, self._see_full, theta, gradient)
 
     def full_observed(self, theta: FloatArray) -> Observed:
         """Return frequencies and shapes at the sensors by the full model, paired by the rule itself."""
@@ -244,21 +238,12 @@ class PairedStructure:
 
         With derivatives if wanted; for a pairing by shape, soft or not.
         """
-        with single_thread():
-            if self.reduced is None:
-                return self._candidates_of(self.full)(theta, gradient)
-            inside = self.within(theta)
-            found = self._reduced_candidates(np.where(inside[:, None], theta, self._lower), gradient)
-            rows = ~inside | np.isnan(found.frequencies).any(axis=1)
-            if not rows.any():
-                return found
-            self.full_solves += int(np.sum(rows))
-            return found.with_rows(rows, self._candidates_of(self.full)(theta[rows], gradient))
+        return self._looked_at(self._reduced_candidates, self._full_candidates, theta, gradient)
 
     def full_seen_candidates(self, theta: FloatArray) -> Candidates:
         """Return all modes that might answer to a measured one by the full model."""
         with single_thread():
-            return self._candidates_of(self.full)(theta)
+            return self._full_candidates(theta)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
@@ -301,13 +286,31 @@ class PairedStructure:
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
         self._see_reduced = SensorView(trained.model, trained.pairing, self._sensors)
-        if isinstance(self.rule, SoftPairing):
-            self._reduced_candidates = self._candidates_of(trained.model)
+        if isinstance(self.rule, ShapePairing):
+            self._reduced_candidates = self._candidates_of(trained.model, self.rule)
         self.full_solves = 0
 
-    def _candidates_of(self, model: BlockModel) -> CandidateView:
-        assert isinstance(self.rule, ShapePairing)  # narrowed for the type checker: others have no candidates
-        return CandidateView(model, self.rule, self._at_sensors)
+    def _looked_at[Look: (Observed, Candidates)](
+        self,
+        reduced: Callable[[FloatArray, bool], Look],
+        full: Callable[[FloatArray, bool], Look],
+        theta: FloatArray,
+        gradient: bool,
+    ) -> Look:
+        """Return what the reduced model shows, and the full one where that has no say or failed."""
+        with single_thread():
+            if self.reduced is None:
+                return full(theta, gradient)
+            inside = self.within(theta)
+            found = reduced(np.where(inside[:, None], theta, self._lower), gradient)
+            rows = ~inside | np.isnan(found.frequencies).any(axis=1)
+            if not rows.any():
+                return found
+            self.full_solves += int(np.sum(rows))
+            return with_rows(found, rows, full(theta[rows], gradient))
+
+    def _candidates_of(self, model: BlockModel, rule: ShapePairing) -> CandidateView:
+        return CandidateView(model, rule, self._at_sensors)
 
     def _repaired(self, theta: FloatArray, modes: Modes, rows: NDArray[np.bool_]) -> Modes:
         exact = self._solve_full(theta[rows], modes.gradient is not None)
