@@ -45,20 +45,26 @@ def source(case: str, pairing: str | None) -> Source:
     FileNotFoundError
         If there is no such file.
     """
-    from fmu import cases as builtin
-    from fmu import config
+    if case.endswith(".toml"):
+        from fmu import config
 
-    is_file = case.endswith(".toml")
-    if not is_file and case not in builtin.names():
+        path = Path(case)
+        described = config.read(path)
+        by = pairing or described.pairing
+
+        def load() -> UpdatingProblem:
+            if sys.stderr.isatty():  # a large structure takes minutes, once
+                click.echo(f"Preparing {path} …", err=True)
+            return described.build(path.name, path.parent, by)
+
+        return Source(path, path.stem, by, load)
+    from fmu import cases as builtin
+
+    if case not in builtin.names():
         known = ", ".join(builtin.names())
         raise click.BadParameter(f"{case!r} is neither one of {known} nor a .toml file.", param_hint="'CASE'")
-    path = Path(case) if is_file else builtin.path(case)
-    described = config.read(path)
-    by = pairing or described.pairing
+    from fmu import config
 
-    def load() -> UpdatingProblem:
-        if is_file and sys.stderr.isatty():  # a large structure takes minutes, once
-            click.echo(f"Preparing {path} …", err=True)
-        return described.build(path.name, path.parent, by)
-
-    return Source(path, path.stem, by, load)
+    path = builtin.path(case)
+    by = pairing or config.read(path).pairing
+    return Source(path, case, by, lambda: builtin.load(case, pairing=by))
