@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fmu.engines.engine import default_workers, engine
 from fmu.progress import Report
 from fmu.report.files import OutputDirectory
 from fmu.report.paper.experiment import Result, compute, directory_of
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
 from fmu.report.paper.vector_beta import SAMPLER, VectorBeta, sample_weighted, side_by_side
-from fmu.report.paper.workers import default_workers, in_processes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,10 +54,14 @@ def run_paper(
     directory.check(file_names(plan))
     with directory.staged() as stage:
         # The experiments by number take longest: they go first, whatever the order on the pages.
-        tasks = [(case, pairing, plan, stage) for case, pairing in sorted(plan.experiments, key=_by_shape)]
-        workers = min(default_workers() if workers is None else workers, len(tasks))
-        found = {f.name: f for f in in_processes(run_experiment, tasks, workers, progress)}
+        tasks = sorted(plan.experiments, key=_by_shape)
+        with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:
+            found = {f.name: f for f in pool.lines(_one_of, (plan, stage), tasks, report=progress)}
         write_closing_pages([found[directory_of(*experiment)] for experiment in plan.experiments], plan, stage)
+
+
+def _one_of(common: tuple[Plan, Path], experiment: tuple[str, str], progress: Report | None) -> Findings:
+    return run_experiment(*experiment, *common, progress)
 
 
 def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Report | None) -> Findings:
