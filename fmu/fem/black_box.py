@@ -31,6 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 MOST_REASONS = 20
+# reasons kept for who asks for that of a theta soon after it failed, and the most of a message that may be a log
+_MOST_LATEST = 10_000
+_LONGEST = 500
 _PARTS = ("frequencies", "shapes", "gradient")
 
 
@@ -102,6 +105,7 @@ class BlackBoxModel:
         self.step = step
         self.name = name or _name_of(function)
         self.reasons: list[Failure] = []
+        self._latest: dict[bytes, str] = {}
 
     def __repr__(self) -> str:
         return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
@@ -142,9 +146,17 @@ class BlackBoxModel:
             ) from error
 
     def fail(self, theta: FloatArray, reason: str) -> None:
-        """Keep the reason why a theta failed, if there are not many already."""
+        """Keep the reason why a theta failed: the first few for good, others until many more have failed."""
+        reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} …"
         if len(self.reasons) < MOST_REASONS:
             self.reasons.append(Failure(theta.copy(), reason))
+        if len(self._latest) >= _MOST_LATEST:
+            del self._latest[next(iter(self._latest))]
+        self._latest[theta.tobytes()] = reason
+
+    def reason_at(self, theta: FloatArray) -> str | None:
+        """Return why a theta (n_parameters,) failed of late; None if it did not, or very many have since."""
+        return self._latest.get(theta.tobytes())
 
     def configuration(self) -> dict[str, Any]:
         """Return what identifies the model: the function's name, and a hash of the file that it is in."""

@@ -74,10 +74,12 @@ class JointLikelihood:
 
     def terms_of_observed(self, seen: Observed, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), for what a model of one's own observes."""
-        noise = theta[:, self.n_structural :]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            parts = [term.evaluate(term.looked_at(seen), noise, gradient=False).terms for term in self.terms_of]
-        return np.asarray(sum(parts))
+        return np.asarray(sum(self._parts(seen, theta)))
+
+    def terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
+        """Return what each error model contributes to `terms`, (n, n_modes), beside its name."""
+        parts = self._parts(self._observed(theta, False), theta)
+        return [(str(term.as_dict()["error"]), part) for term, part in zip(self.terms_of, parts, strict=True)]
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_modes, ndim)."""
@@ -145,6 +147,11 @@ class JointLikelihood:
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings."""
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
+
+    def _parts(self, seen: Observed, theta: FloatArray) -> list[FloatArray]:
+        noise = theta[:, self.n_structural :]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return [term.evaluate(term.looked_at(seen), noise, gradient=False).terms for term in self.terms_of]
 
     def _observed(self, theta: FloatArray, gradient: bool) -> Observed:
         structural = theta[:, : self.n_structural]

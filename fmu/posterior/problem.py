@@ -16,6 +16,7 @@ from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
 from fmu.posterior.assembly import Likelihood, check_names, likelihood_of, paired_model
 from fmu.posterior.errors import ErrorModel
+from fmu.posterior.failures import Failure, FailureRecord, why_no_log_likelihood
 from fmu.posterior.focus import reduce_model
 from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.measurement import ModalData
@@ -66,8 +67,11 @@ class UpdatingProblem:
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
         (theta − offset)/scale is of order one: the unit box where there are bounds.
-    failures : list of ndarray
-        Every theta inside the bounds at which the model gave no finite frequencies.
+    failures : list of Failure
+        ``(theta, reason)`` for every theta inside the bounds whose solve failed or whose log-likelihood was not
+        finite, the first ten thousand.
+    n_failures : int
+        How often that happened.
 
     Raises
     ------
@@ -117,7 +121,7 @@ class UpdatingProblem:
         scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
         self.offset = np.array([offset for offset, _ in scales])
         self.scale = np.array([scale for _, scale in scales])
-        self.failures: list[FloatArray] = []
+        self._failed = FailureRecord()
         self._prior = JointPrior(self.parameters)
         if reduction and isinstance(self.model, PairedStructure):
             reduce_model(self, self.model)
@@ -222,6 +226,24 @@ class UpdatingProblem:
             return self.likelihood.simulate(rng, frequencies, theta)
         return self.likelihood.error.simulate(rng, frequencies)
 
+    @property
+    def failures(self) -> list[Failure]:
+        """The points inside the bounds that have no finite log-likelihood, and why; the first ten thousand."""
+        return list(self._failed.first)
+
+    @property
+    def n_failures(self) -> int:
+        """How many evaluations inside the bounds gave no finite log-likelihood."""
+        return self._failed.count
+
+    def take_failures(self) -> list[Failure]:
+        """Return what failed since this was last called: `failures` stay, and each is returned once.
+
+        A theta that fails several times in between is there once. At most ten thousand wait; `n_failures` counts
+        all.
+        """
+        return self._failed.take()
+
     def configuration(self) -> dict[str, Any]:
         """Return what defines the posterior, in plain Python types."""
         return {
@@ -281,5 +303,8 @@ class UpdatingProblem:
         if np.count_nonzero(finite) == finite.size:
             return terms
         failed = ~finite.all(axis=1)
-        self.failures.extend(points[failed & self._within(points).all(axis=1)])
+        self._failed.add(
+            points[failed & self._within(points).all(axis=1)],
+            lambda theta: why_no_log_likelihood(self.model, self.likelihood, theta),
+        )
         return np.where(failed[:, None], -np.inf, terms)

@@ -85,6 +85,14 @@ class ModalResidual:
         results = [self._one(point[None]) for point in theta]
         return np.stack([terms for terms, _ in results]), np.stack([slope for _, slope in results])
 
+    def why_not_finite(self, theta: FloatArray) -> str:
+        """Say why the terms are not finite at a theta, shape (n_parameters,)."""
+        try:
+            self._at(theta[None])
+        except SingularCondensationError:
+            return "the structure can still move when the sensors are held"
+        return "the log-likelihood is not finite: the modal residual overflows"
+
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}

@@ -186,7 +186,8 @@ def test_a_point_that_fails_is_recorded_and_the_rest_goes_on(failure, reason):
     points = np.array([[300.0, 200.0], [550.0, 200.0], [400.0, 200.0]])
     value = posed.log_prob(points)
     assert_array_equal(np.isfinite(value), [True, False, True])
-    assert_array_equal(posed.failures, points[1:2])
+    assert_array_equal([failed.theta for failed in posed.failures], points[1:2])
+    assert posed.failures[0].reason == reason
     assert_array_equal(posed.model.reasons[0].theta, points[1])
     assert posed.model.reasons[0].reason == reason
 
@@ -243,9 +244,21 @@ def test_differences_are_one_sided_where_one_side_fails():
 
 def test_reasons_are_few():
     posed = problem(BlackBoxModel(fails_beyond(500.0, stop), 2))
-    posed.log_prob(np.tile([550.0, 200.0], (3 * MOST_REASONS, 1)))
+    n = 3 * MOST_REASONS
+    points = np.stack([np.linspace(510.0, 550.0, n), np.full(n, 200.0)], axis=1)
+    posed.log_prob(points)
     assert len(posed.model.reasons) == MOST_REASONS
-    assert len(posed.failures) == 3 * MOST_REASONS
+    assert_array_equal([failed.theta for failed in posed.failures], points)
+    assert {failed.reason for failed in posed.failures} == {"RuntimeError: no convergence after 10 steps"}
+
+
+def test_reasons_are_short():
+    def logs(theta):
+        raise RuntimeError("x" * 100_000)
+
+    posed = problem(BlackBoxModel(fails_beyond(500.0, logs), 2))
+    posed.log_prob([550.0, 200.0])
+    assert len(posed.failures[0].reason) < 510
 
 
 def test_an_interrupt_stops_everything():

@@ -1,0 +1,98 @@
+"""Why a model gave no frequencies at a parameter vector, in words of structural dynamics.
+
+Solvers say NaN and go on, and spend no time on reasons: a theta that failed is looked at again, alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fmu.fem.modal import DENSE_LIMIT, NEGATIVE, FullBlock, SingularMassError, eigen, symmetric_factor
+from fmu.fem.model import ModalModel
+from fmu.fem.paired_black_box import PairedBlackBox
+from fmu.fem.structure import PairedStructure
+from fmu.fem.terms import coefficients, weighted_sum
+from fmu.fem.threads import single_thread
+
+FloatArray = NDArray[np.float64]
+
+NOT_FINITE = "frequencies are not finite"
+
+
+def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
+    """Say why a paired model has no finite frequencies at a theta; None where it has them.
+
+    Parameters
+    ----------
+    model : PairedStructure, PairedBlackBox or ModalModel
+        A function of the user's own is not called again: it may be slow, or fail another way.
+    theta : ndarray, shape (n_parameters,)
+        Where it failed a moment ago.
+    """
+    if isinstance(model, PairedBlackBox):
+        return model.black_box.reason_at(theta)
+    with np.errstate(all="ignore"):
+        if isinstance(model, PairedStructure):
+            with single_thread():
+                found = _of_structure(model, theta)
+            if found is not None:
+                return found
+        frequencies = model.frequencies(theta[None])[0]
+    if np.all(np.isfinite(frequencies)):
+        return None
+    return f"{NOT_FINITE} ({', '.join(f'{f:.4g}' for f in frequencies)} Hz)"
+
+
+def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
+    """Look at the full model: a reduced one that fails leaves the theta to it."""
+    structure = model.structure
+    for b, count in model.rule.counts(model.full).items():
+        block: Any = model.full.blocks[b]
+        found = _of_block(block, theta, count)
+        if found is not None:
+            reason, dof = found
+            return reason if dof is None else f"{reason} at node {structure.dofs[dof][0]} {structure.dofs[dof][1]}"
+    return None
+
+
+def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
+    """Return what is wrong with a block, and at which degree of freedom if it is at one."""
+    K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
+    for name, matrix in (("K", K), ("M", M)):
+        if not np.all(np.isfinite(matrix.data)):
+            return f"{name} is not finite", None
+    try:
+        lam, _ = eigen(K, M, count)
+    except SingularMassError as error:
+        if is_positive_definite(M):
+            return f"the eigenvalue solver did not converge ({error})", None
+        mass = M.diagonal()
+        least = int(np.argmin(mass))
+        if mass[least] > 0.0:
+            return "M is not positive definite", None
+        return f"M is not positive definite: its diagonal is {mass[least]:.3g}", int(block.dofs[least])
+    if not np.all(np.isfinite(lam)):
+        return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
+    # beside the largest of those solved for, as in frequency_hz
+    if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
+        return f"K is not positive semidefinite: an eigenvalue is {lam[0]:.3g} (rad/s)²", None
+    return None
+
+
+def is_positive_definite(matrix: Any) -> bool:
+    """Say whether a finite sparse symmetric matrix is positive definite."""
+    if matrix.shape[0] <= DENSE_LIMIT:
+        try:
+            np.linalg.cholesky(matrix.toarray())
+        except np.linalg.LinAlgError:
+            return False
+        return True
+    try:
+        # by Sylvester's law of inertia
+        return bool(np.all(symmetric_factor(sp.csc_array(matrix)).U.diagonal() > 0.0))
+    except RuntimeError:  # it is singular
+        return False

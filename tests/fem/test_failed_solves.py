@@ -1,0 +1,98 @@
+"""Why a solve failed: each way to fail has its own words, and a theta that works has none."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from fmu.fem.failed_solves import is_positive_definite, why_no_frequencies
+from fmu.fem.separable import SeparableModel
+from fmu.fem.structure import PairedStructure
+
+EYE = np.eye(3)
+COUPLED = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+DOFS = ((1, "x"), (2, "x"), (3, "y"))
+THETA = np.array([1.0, 1.0])
+
+
+def structure(stiffness, mass):
+    """Return a paired structure of parameters a (stiffness) and b (mass)."""
+    model = SeparableModel.from_terms(["a", "b"], stiffness, mass, dofs=DOFS)
+    return PairedStructure(model, pairing="index", numbers=(1, 2), sensors=(), reference=THETA)
+
+
+SECOND = np.diag([0.0, 1.0, 0.0])
+BETWEEN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+STIFF, HEAVY = [(COUPLED, "a")], [EYE]
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "mass", "theta", "reason"),
+    [
+        ([(COUPLED, {"a": 3})], HEAVY, [1e150, 1.0], "K is not finite"),
+        (STIFF, [(EYE, {"b": 3})], [1.0, 1e150], "M is not finite"),
+        (
+            STIFF,
+            [EYE - SECOND, (SECOND, "b")],
+            [1.0, -3.0],
+            "M is not positive definite: its diagonal is -3 at node 2 x",
+        ),
+        (
+            STIFF,
+            [EYE - SECOND, (SECOND, "b")],
+            [1.0, 0.0],
+            "M is not positive definite: its diagonal is 0 at node 2 x",
+        ),
+        (STIFF, [EYE, (0.5 * BETWEEN, "b")], [1.0, 4.0], "M is not positive definite"),
+        (STIFF, HEAVY, [-1.0, 1.0], "K is not positive semidefinite: an eigenvalue is -3.41 (rad/s)²"),
+    ],
+)
+def test_reasons_of_a_structure(stiffness, mass, theta, reason):
+    posed = structure(stiffness, mass)
+    theta = np.array(theta)
+    with np.errstate(over="ignore"):
+        assert not np.all(np.isfinite(posed.frequencies(theta[None])))
+    assert why_no_frequencies(posed, theta) == reason
+    assert why_no_frequencies(posed, THETA) is None
+
+
+def test_overflow_inside_the_solver():
+    posed = structure(STIFF, [(EYE, "b")])
+    theta = np.array([1e300, 1e-300])
+    assert np.all(np.isnan(posed.frequencies(theta[None])))
+    assert why_no_frequencies(posed, theta).startswith("the eigenvalue solver did not converge (")
+
+
+def test_a_solver_that_gives_up(monkeypatch):
+    posed = structure(STIFF, HEAVY)
+
+    def fails(*args, **options):
+        raise np.linalg.LinAlgError("2 eigenvectors failed to converge")
+
+    monkeypatch.setattr("fmu.fem.modal.sl.eigh", fails)
+    assert np.all(np.isnan(posed.frequencies(THETA[None])))
+    assert why_no_frequencies(posed, THETA) == (
+        "the eigenvalue solver did not converge (eigenproblem of 3 DOF: 2 eigenvectors failed to converge)"
+    )
+
+
+@pytest.mark.parametrize("n", [5, 450])
+def test_definiteness_of_dense_and_sparse_matrices(n):
+    values = np.ones(n)
+    assert is_positive_definite(sp.csr_array(sp.diags_array(values)))
+    for wrong in (0.0, -1.0):
+        values[2] = wrong
+        assert not is_positive_definite(sp.csr_array(sp.diags_array(values)))
+
+
+class Own:
+    """A user's own ModalModel."""
+
+    n_parameters, n_modes = 1, 2
+
+    def frequencies(self, theta):
+        return np.concatenate([np.sqrt(theta), np.ones_like(theta)], axis=1)
+
+
+def test_any_model_is_looked_at_again():
+    assert why_no_frequencies(Own(), np.array([-1.0])) == "frequencies are not finite (nan, 1 Hz)"
+    assert why_no_frequencies(Own(), np.array([1.0])) is None
