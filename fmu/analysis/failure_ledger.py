@@ -1,0 +1,125 @@
+"""The ledger of a run's failed solves, and when too many have failed to go on."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from fmu.posterior.failures import Failure
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ENOUGH_SOLVES = 200
+"""Before as many solves a rate of failures says little: chains may start where the model does not work."""
+
+
+class FailedSolves(NamedTuple):
+    """What failed in one part of a run.
+
+    Attributes
+    ----------
+    task : int
+        The group of chains, from 0.
+    phase : str
+        Of the run: "start", "warmup" or "draws".
+    step : int
+        Steps of the phase done when the part was over.
+    failures : sequence of Failure
+        What was recorded (`fmu.UpdatingProblem.take_failures`).
+    n_failed : int
+        Evaluations that failed: more than were recorded, where some failed at the same theta or very many failed.
+    """
+
+    task: int
+    phase: str
+    step: int
+    failures: Sequence[Failure]
+    n_failed: int
+
+
+def failures_table(names: Sequence[str], units: Sequence[str], parts: Iterable[FailedSolves]) -> pd.DataFrame:
+    """Return the ledger: one row a failed theta, in the order of `parts`.
+
+    Parameters
+    ----------
+    names, units : sequence of str, one a parameter
+    parts : iterable of FailedSolves
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``task``, ``phase`` and ``step`` as in `FailedSolves`: the theta failed in the part that ended with the step.
+        The parameters in SI units, as ``E [Pa]``; ``reason``. What failed and has no row of its own is counted in
+        a row without parameters.
+    """
+    import pandas as pd
+
+    return pd.DataFrame([*_rows(len(names), parts)], columns=_columns(names, units))
+
+
+def failures_csv(
+    names: Sequence[str], units: Sequence[str], parts: Iterable[FailedSolves], header: bool = True
+) -> str:
+    """Return the rows of `failures_table` as CSV, numbers with all their digits; without the header to append."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    if header:
+        writer.writerow(_columns(names, units))
+    writer.writerows(_rows(len(names), parts))
+    return text.getvalue()
+
+
+def failure_rate_exceeded(
+    n_failed: int,
+    n_solves: int,
+    limit: float,
+    at_least: int = ENOUGH_SOLVES,
+    failures: Sequence[Failure] = (),
+) -> str | None:
+    """Say that too large a share of the solves failed; None while it is at most the limit.
+
+    Parameters
+    ----------
+    n_failed, n_solves : int
+        The failed ones are among the solves.
+    limit : float
+        The largest share allowed; with 1 no run is ever stopped.
+    at_least : int
+        Fewer solves than these say nothing.
+    failures : sequence of Failure
+        Where there are some, the most frequent reason is part of the message.
+
+    Raises
+    ------
+    ValueError
+        If the limit does not lie between 0 and 1.
+    """
+    if not 0.0 <= limit <= 1.0:
+        raise ValueError(f"limit: must lie between 0 and 1, a share of the solves (got {limit!r})")
+    if n_solves < at_least or n_failed <= limit * n_solves:
+        return None
+    why = ""
+    if failures:
+        reason, _ = Counter(failure.reason for failure in failures).most_common(1)[0]
+        why = f"; most often: {reason}"
+    share = f"{100.0 * n_failed / n_solves:.3g} %"
+    return f"{n_failed} of {n_solves} solves failed ({share}), more than the limit of {100.0 * limit:.3g} %{why}"
+
+
+def _columns(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    parameters = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+    return ["task", "phase", "step", *parameters, "reason"]
+
+
+def _rows(ndim: int, parts: Iterable[FailedSolves]) -> Iterable[list[Any]]:
+    for part in parts:
+        place = [part.task, part.phase, part.step]
+        for failure in part.failures:
+            yield [*place, *failure.theta.tolist(), failure.reason]
+        others = part.n_failed - len(part.failures)
+        if others > 0:
+            yield [*place, *[None] * ndim, f"{others} more failed solves, at a theta above or not recorded"]
