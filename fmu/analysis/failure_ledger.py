@@ -52,7 +52,7 @@ def failures_table(names: Sequence[str], units: Sequence[str], parts: Iterable[F
     Returns
     -------
     pandas.DataFrame
-        ``task``, ``phase`` and ``step`` as in `FailedSolves`: the theta failed in the part that ended with the step.
+        ``task``, ``phase`` and ``step`` as in `FailedSolves`: the theta failed in the part that ended there.
         The parameters in SI units, as ``E [Pa]``; ``reason``. What failed and has no row of its own is counted in
         a row without parameters.
     """
