@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from .kernel import FloatArray
@@ -43,12 +41,15 @@ class RunResult:
         Its settings, as JSON-able data.
     seed, chains, draws, warmup_draws, walkers : int
         `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws a step.
+    groups : int
+        How many groups the chains were divided into.
     init : str
         "prior", "start" or "array".
     wall_s, warmup_wall_s : float
         Seconds spent sampling, warm-up included, and in warm-up alone.
     learnt : dict
-        The settings that warm-up arrived at and the draws were made with, {} where nothing was learnt.
+        The settings that warm-up arrived at and the draws were made with, {} where nothing was learnt. Of several
+        groups of chains, a list of each setting.
     """
 
     warmup: Draws
@@ -60,13 +61,8 @@ class RunResult:
     draws: int
     warmup_draws: int
     chains: int
+    groups: int
     init: str
     wall_s: float
     warmup_wall_s: float
     learnt: dict[str, Any] = field(default_factory=dict)
-
-
-def joined(parts: Sequence[Draws]) -> Draws:
-    """Return the draws of several parts of a run as one."""
-    stats = {name: np.concatenate([part.stats[name] for part in parts], axis=1) for name in parts[0].stats}
-    return Draws(np.concatenate([part.position for part in parts], axis=1), stats)

@@ -1,95 +1,131 @@
-"""The only loop: chains, seeds, progress and what is kept."""
+"""The only loop: groups of chains, seeds, progress and what is kept."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.engines.engine import Engine, InProcess
+from fmu.progress import Report
 
 from .draws import Draws as Draws
 from .draws import RunResult as RunResult
-from .draws import joined
-from .kernel import Info, Kernel, LogDensity, Sampler, State, Tuner
-from .scaled import ScaledDensity
+from .group import DRAWS, WARMUP, Done, Part, Setting, Standing, advance, first_snapshot
+from .kernel import FloatArray, LogDensity, Sampler
+from .record import Record, Steps
 from .settings import describe, whole_number
-from .starts import check_finite, starting_points
+from .starts import starting_points
 
-Progress = Callable[[str, int, int, dict[str, str]], None]
-
-
-@dataclass
-class _Task:
-    """Chains that advance in lockstep with one generator."""
-
-    kernel: Kernel
-    rng: np.random.Generator
-    state: State
-    first_chain: int
-    start: Info | None
-    tuner: Tuner | None = None
-
-    def warm_up(self) -> Info:
-        """Advance one step, and learn from it."""
-        if self.tuner is None:
-            return self.step()
-        self.kernel = self.tuner.kernel
-        info = self.step()
-        self.tuner.update(self.state, info)
-        return info
-
-    def step(self) -> Info:
-        """Advance one step; the first one carries the cost of the start too."""
-        self.state, info = self.kernel.step(self.rng, self.state)
-        if self.start is not None:
-            solves = info.n_solves + self.start.n_solves
-            gradients = info.n_gradients + self.start.n_gradients
-            info = replace(info, n_solves=solves, n_gradients=gradients)
-            self.start = None
-        return info
+MOST_STEPS = 1000
+"""Steps of a part of the work at most: they come as a copy into the record of the run."""
+_ENOUGH = 20  # steps, before which their diagnostics mean nothing
+LIVE_S = 1.0
+"""Seconds that a part takes where somebody looks on, or may want to stop the run."""
 
 
-class _Store:
-    """Arrays that steps are written into; those of `stats` are made when the first step names them."""
+class Interrupted(KeyboardInterrupt):
+    """A run was asked to stop, and has stopped between two steps.
 
-    def __init__(self, scaled: ScaledDensity, chains: int, steps: int, walkers: int) -> None:
-        self.scaled = scaled
-        self.shape = (chains, steps, walkers)
-        self.position = np.empty((*self.shape, scaled.ndim))
-        self.stats: dict[str, NDArray[Any]] = {}
+    Attributes
+    ----------
+    result : RunResult or None
+        What had been drawn by then; None if that is nothing but warm-up.
+    """
 
-    def write(self, step: int, task: _Task, info: Info) -> None:
-        named = {
-            "lp": info.log_prob,
-            "accepted": info.accepted,
-            "n_solves": info.n_solves,
-            "n_gradients": info.n_gradients,
-            **info.extra,
-        }
-        chains = slice(task.first_chain, task.first_chain + len(info.log_prob))
-        theta = self.scaled.to_theta(task.state.position)
-        self.position[chains, step] = theta.reshape(len(theta), -1, self.scaled.ndim)
-        for name, value in named.items():
-            rest = value.shape[info.log_prob.ndim :]  # of a statistic that is a vector
-            if name not in self.stats:
-                self.stats[name] = np.zeros((*self.shape, *rest), dtype=value.dtype)
-            self.stats[name][chains, step] = value.reshape(len(value), -1, *rest)
+    def __init__(self, result: RunResult | None) -> None:
+        super().__init__("the run was stopped")
+        self.result = result
 
-    def draws(self) -> Draws:
-        chains, steps, walkers = self.shape
-        stats = {k: value.reshape(chains, steps * walkers, *value.shape[3:]) for k, value in self.stats.items()}
-        return Draws(self.position.reshape(chains, steps * walkers, self.scaled.ndim), stats)
+
+class OtherArithmeticWarning(UserWarning):
+    """The log-density answers in other last bits than when a run began: on another kind of CPU, for example."""
+
+
+class Kept(NamedTuple):
+    """A group of chains as it was kept last.
+
+    Attributes
+    ----------
+    standing : Standing
+    elapsed_s : mapping of str to float
+        What the phases of the run had taken by then.
+    steps : iterable of (str, int, Steps)
+        All steps that the group has taken: their phase, the number of the first, and the steps.
+    """
+
+    standing: Standing
+    elapsed_s: Mapping[str, float]
+    steps: Iterable[tuple[str, int, Steps]]
+
+
+class Unkept(NamedTuple):
+    """What is to be kept of a group of chains.
+
+    Attributes
+    ----------
+    standing : Standing
+    elapsed_s : mapping of str to float
+    phase : str
+    first : int
+        Number of the first of the steps in its phase.
+    steps : Steps
+    failures : list
+        Points without a finite log-density since the group was kept last.
+    """
+
+    standing: Standing
+    elapsed_s: Mapping[str, float]
+    phase: str
+    first: int
+    steps: Steps
+    failures: list[Any]
+
+
+class Keeper(Protocol):
+    """Where draws and the state of the chains are kept, so that nothing is lost when a run dies.
+
+    Attributes
+    ----------
+    most_steps : int
+        How many steps of a group may be lost.
+    """
+
+    most_steps: int
+
+    def kept(self, group: int) -> Kept | None:
+        """Return a group as it was kept last, None if it has not been."""
+        ...
+
+    def is_due(self, group: int, steps: int) -> bool:
+        """Say whether a group that has since taken so many steps is to be kept again."""
+        ...
+
+    def keep(self, group: int, unkept: Unkept) -> None:
+        """Keep what has happened to a group since it was kept last."""
+        ...
+
+
+class _Group:
+    """A group of chains as the run follows it: where it stands, and from which step of a phase it is not kept."""
+
+    def __init__(self, index: int, first_chain: int, chains: int, standing: Standing) -> None:
+        self.index, self.chains = index, slice(first_chain, first_chain + chains)
+        self.standing = standing
+        self.unkept = dict(standing.done)
+        self.failures: list[Any] = []
 
 
 class Run:
     """A run that can be carried on: warmed up once, extended as often as wanted.
 
-    The same density, settings and seed give the same draws, bit for bit, in however many parts they are drawn.
-    There is one generator a task, from ``SeedSequence(seed).spawn(tasks)``: all chains are one task, but every
-    ensemble is its own.
+    The same density, settings and seed give the same draws, bit for bit, in however many parts they are drawn, by
+    however many workers, and however often the run was broken off. There is one generator a group of chains, from
+    ``SeedSequence(seed).spawn(groups)``.
 
     Parameters
     ----------
@@ -104,15 +140,30 @@ class Run:
     seed : int
     init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         See starting_points.
+    groups : int, optional
+        The chains of a group advance in lockstep and learn together; groups can be advanced by different workers.
+        They are part of what determines the draws. If not given, all chains are one group, but every ensemble is
+        its own.
     progress : callable, optional
-        Called after every step as ``progress(phase, done, total, info)``: phase "warmup" or "draws", steps done
-        of the phase's total as far as it is known, and a few words by name.
+        Called as ``progress(phase, done, total, info)``: phase "warmup" or "draws", steps done of the phase's
+        total as far as it is known, and numbers by name; ``info["group"]`` tells which group it is where there
+        are several. In this process after every step, from other workers some times a second.
+    engine : Engine, optional
+        Who does the work: this process, if not given.
+    keeper : Keeper, optional
+        Where draws and states are kept. What it holds already is not drawn again.
+    stop : callable, optional
+        Asked between two parts of the work, at least once a second where a step is not longer: True to stop.
+    live : callable, optional
+        Maps draws (chains, steps, walkers, ndim) to numbers by name for the progress.
 
     Raises
     ------
     ValueError
-        If a number is out of range, a setting does not fit the density, or a start is outside the bounds or has a
-        log-density that is not finite.
+        If a number is out of range, a setting does not fit the density, a start is outside the bounds or has a
+        log-density that is not finite, or the keeper holds a run on another density.
+    Interrupted
+        If `stop` said so.
     """
 
     def __init__(
@@ -124,31 +175,30 @@ class Run:
         chains: int,
         seed: int,
         init: Any,
-        progress: Progress | None = None,
+        groups: int | None = None,
+        progress: Report | None = None,
+        engine: Engine | None = None,
+        keeper: Keeper | None = None,
+        stop: Callable[[], bool] | None = None,
+        live: Callable[[FloatArray], Mapping[str, float]] | None = None,
     ) -> None:
-        self.sampler, self.progress = sampler, progress
-        self.chains, self.warmup = whole_number("chains", chains, 1), whole_number("warmup", warmup, 0)
-        self.seed = whole_number("seed", seed, 0)
+        self.sampler, self.chains = sampler, whole_number("chains", chains, 1)
+        self.warmup, self.seed = whole_number("warmup", warmup, 0), whole_number("seed", seed, 0)
         self.init = init if isinstance(init, str) else "array"
-        self.scaled = ScaledDensity(density)
-        kernel = sampler.bind(self.scaled)
-        n_tasks = self.chains if sampler.walkers > 1 else 1
-        generators = [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(n_tasks)]
-        positions = starting_points(self.scaled, init, generators, self.chains, sampler.walkers)
-
-        began = time.perf_counter()
-        self._tasks = []
-        for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
-            first_chain = i * (self.chains // n_tasks)
-            state, info = kernel.init(position)
-            check_finite(self.scaled, position, info.log_prob, first_chain)
-            tuner = sampler.tuner(self.scaled, len(position), self.warmup) if warmup else None
-            self._tasks.append(_Task(kernel, rng, state, first_chain, info, tuner))
-        self._warm = _phase("warmup", self._tasks, self._store(self.warmup), progress)
-        self._learnt = [_frozen(task, self.scaled) for task in self._tasks]
-        self._parts: list[Draws] = []
+        self.groups = n_groups(groups, self.chains, sampler)
+        self._setting = Setting(density, sampler, self.warmup)
+        self._engine, self._keeper, self._stop = engine or InProcess(), keeper, stop or (lambda: False)
+        self._hurried = progress is not None or keeper is not None or stop is not None
+        self._watch = None if progress is None else _Watch(progress, live)
+        walkers, ndim = sampler.walkers, self._setting.scaled.ndim
+        self._records = {phase: Record(self.chains, walkers, ndim) for phase in (WARMUP, DRAWS)}
+        self._elapsed_s = {WARMUP: 0.0, DRAWS: 0.0}
         self._drawn = 0
-        self._wall_s = self._warmup_wall_s = time.perf_counter() - began
+        self._groups = self._begun(init)
+        if keeper is not None:
+            for group in self._groups:
+                self._restore(group, keeper)
+        self._advance(WARMUP, self.warmup)
 
     def extend(self, draws: int) -> RunResult:
         """Draw as many further steps, and return everything drawn so far.
@@ -157,16 +207,101 @@ class Run:
         ------
         ValueError
             If `draws` is not a whole number of at least 1.
+        Interrupted
+            If the run was asked to stop.
         """
-        draws = whole_number("draws", draws, 1)
-        began = time.perf_counter()
-        self._parts.append(_phase("draws", self._tasks, self._store(draws), self.progress, self._drawn))
-        self._drawn += draws
-        self._wall_s += time.perf_counter() - began
-        if len(self._parts) > 1:
-            self._parts = [joined(self._parts)]
-        (kept,) = self._parts
-        warm = self._warm
+        target = self._drawn + whole_number("draws", draws, 1)
+        self._advance(DRAWS, target)
+        self._drawn = target
+        return self._result(target)
+
+    def _begun(self, init: Any) -> list[_Group]:
+        """Return the groups before their first step."""
+        setting, walkers = self._setting, self.sampler.walkers
+        seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
+        generators = [np.random.default_rng(child) for child in seeds]
+        positions = starting_points(setting.scaled, init, generators, self.chains, walkers)
+        each = self.chains // self.groups
+        nowhere = (np.empty((0, setting.scaled.ndim)), np.empty(0))
+        groups = []
+        for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
+            group = first_snapshot(setting, rng, position, i * each)
+            groups.append(_Group(i, i * each, each, Standing(group, {WARMUP: 0, DRAWS: 0}, *nowhere, {})))
+        return groups
+
+    def _restore(self, group: _Group, keeper: Keeper) -> None:
+        """Put a group where it stood when it was kept."""
+        kept = keeper.kept(group.index)
+        if kept is None:
+            return
+        _check_same(kept.standing, self._setting.density)
+        for phase, record in self._records.items():
+            record.reserve(kept.standing.done[phase])
+        for phase, first, steps in kept.steps:
+            self._records[phase].write(first, group.chains.start, steps)
+        group.standing, group.unkept = kept.standing, dict(kept.standing.done)
+        for phase, seconds in kept.elapsed_s.items():
+            self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
+
+    def _advance(self, phase: str, target: int) -> None:
+        """Advance every group to step number `target` of a phase."""
+        behind = [group for group in self._groups if group.standing.done[phase] < target]
+        if not behind:
+            return
+        self._records[phase].reserve(target)
+        began, before = time.perf_counter(), self._elapsed_s[phase]
+
+        def follow(line: int, done: Done) -> Part | None:
+            self._elapsed_s[phase] = before + time.perf_counter() - began
+            group = behind[line]
+            self._take(group, phase, done)
+            ended = self._stop() or group.standing.done[phase] >= target
+            self._keep(group, phase, at_once=ended)
+            if self._watch is not None and phase == DRAWS:
+                self._watch.look(self._common(phase))
+            return None if ended else self._part(group, phase, target)
+
+        parts = [self._part(group, phase, target) for group in behind]
+        self._engine.lines(advance, self._setting, parts, follow, self._watch)
+        self._elapsed_s[phase] = before + time.perf_counter() - began
+        if any(group.standing.done[phase] < target for group in behind):
+            drawn = min(group.standing.done[DRAWS] for group in self._groups)
+            raise Interrupted(self._result(drawn) if drawn else None)
+
+    def _part(self, group: _Group, phase: str, target: int) -> Part:
+        """Return the next part of a group's work."""
+        standing = group.standing
+        steps = min(MOST_STEPS, target - standing.done[phase])
+        if self._keeper is not None:
+            steps = min(steps, self._keeper.most_steps - (standing.done[phase] - group.unkept[phase]))
+        seconds = LIVE_S if self._hurried else math.inf
+        label = f"{group.index + 1}/{self.groups}" if self.groups > 1 else ""
+        return Part(standing.group, phase, steps, seconds, target, label)
+
+    def _take(self, group: _Group, phase: str, done: Done) -> None:
+        """Take over what came of a part."""
+        self._records[phase].write(group.standing.done[phase], group.chains.start, done.steps)
+        group.standing = done.standing
+        group.failures += done.failures
+
+    def _keep(self, group: _Group, phase: str, *, at_once: bool) -> None:
+        """Have a group kept if it is time to."""
+        first, stop = group.unkept[phase], group.standing.done[phase]
+        if self._keeper is None or not (at_once or self._keeper.is_due(group.index, stop - first)):
+            return
+        steps = self._records[phase].steps(first, stop, group.chains)
+        elapsed = dict(self._elapsed_s)
+        self._keeper.keep(group.index, Unkept(group.standing, elapsed, phase, first, steps, group.failures))
+        group.unkept[phase], group.failures = stop, []
+
+    def _common(self, phase: str) -> FloatArray:
+        """Return the positions of the steps that all groups have taken, (chains, steps, walkers, ndim)."""
+        return self._records[phase].steps(0, min(group.standing.done[phase] for group in self._groups)).position
+
+    def _result(self, draws: int) -> RunResult:
+        """Return the first `draws` draws."""
+        kept = self._records[DRAWS].draws(draws)
+        warm = self._records[WARMUP].draws(self.warmup)
         if self.warmup == 0:  # no step has named the statistics
             warm = Draws(warm.position, {key: value[:, :0] for key, value in kept.stats.items()})
         return RunResult(
@@ -174,19 +309,17 @@ class Run:
             posterior=kept,
             sampler=self.sampler.name,
             settings=describe(self.sampler),
-            learnt=self._learnt[0],
+            learnt=_merged([group.standing.learnt for group in self._groups]),
             seed=self.seed,
             walkers=self.sampler.walkers,
-            draws=self._drawn,
+            draws=draws,
             warmup_draws=self.warmup,
             chains=self.chains,
+            groups=self.groups,
             init=self.init,
-            wall_s=self._wall_s,
-            warmup_wall_s=self._warmup_wall_s,
+            wall_s=sum(self._elapsed_s.values()),
+            warmup_wall_s=self._elapsed_s[WARMUP],
         )
-
-    def _store(self, steps: int) -> _Store:
-        return _Store(self.scaled, self.chains, steps, self.sampler.walkers)
 
 
 def run(
@@ -198,7 +331,7 @@ def run(
     chains: int,
     seed: int,
     init: Any,
-    progress: Progress | None = None,
+    progress: Report | None = None,
 ) -> RunResult:
     """Sample a density: warm up, and draw `draws` steps. The arguments are those of `Run` and `Run.extend`."""
     draws = whole_number("draws", draws, 1)
@@ -206,29 +339,67 @@ def run(
     return begun.extend(draws)
 
 
-def _frozen(task: _Task, scaled: ScaledDensity) -> dict[str, Any]:
-    """End a task's adaptation; return the settings that its draws are made with, {} if there was none."""
-    if task.tuner is None:
-        return {}
-    settings = task.tuner.finished()
-    task.kernel, task.tuner = settings.bind(scaled), None
-    return describe(settings)
+def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
+    """Return how many groups the chains are divided into.
+
+    Raises
+    ------
+    ValueError
+        If the chains cannot be divided into so many groups, or the sampler does not allow it.
+    """
+    if groups is None:
+        return chains if sampler.walkers > 1 else 1
+    groups = whole_number("groups", groups, 1)
+    if chains % groups:
+        raise ValueError(f"groups: must divide the {chains} chains evenly (got {groups})")
+    if sampler.walkers > 1 and groups != chains:
+        raise ValueError(f"groups: must be the {chains} ensembles, each of which is a group (got {groups})")
+    if sampler.name == "tempering" and groups > 1:
+        raise ValueError(f"groups: must be 1 for tempering, whose chains learn one ladder together (got {groups})")
+    return groups
 
 
-def _phase(name: str, tasks: list[_Task], store: _Store, progress: Progress | None, done: int = 0) -> Draws:
-    """Run the steps that `store` has room for, all tasks side by side; `done` were run before."""
-    steps = store.shape[1]
-    for step in range(steps):
-        infos = [task.warm_up() if name == "warmup" else task.step() for task in tasks]
-        for task, info in zip(tasks, infos, strict=True):
-            store.write(step, task, info)
-        if progress is not None:
-            progress(name, done + step + 1, done + steps, _words(infos))
-    return store.draws()
+def _check_same(standing: Standing, density: LogDensity) -> None:
+    """Raise ValueError unless the density is the one that the chains were on; warn if its last bits differ."""
+    now = np.asarray(density.log_prob(standing.position))
+    if not np.allclose(now, standing.log_prob, rtol=1e-6, atol=1e-6):
+        worst = int(np.nanargmax(np.abs(now - standing.log_prob)))
+        raise ValueError(
+            f"checkpoint: must be of the same posterior (log-probability {standing.log_prob[worst]:.8g} there, "
+            f"now {now[worst]:.8g}, at theta = {standing.position[worst].tolist()})"
+        )
+    if not np.array_equal(now, standing.log_prob):
+        warnings.warn(
+            "the log-probability differs in its last bits from that of the run so far (another kind of CPU, or "
+            "other libraries): the run goes on, but not bit for bit as it would have without the interruption",
+            OtherArithmeticWarning,
+            stacklevel=2,
+        )
 
 
-def _words(infos: list[Info]) -> dict[str, str]:
-    """Return what a progress line shows of a step."""
-    solves = sum(int(info.n_solves.sum()) for info in infos)
-    lp = float(np.mean([info.log_prob.mean() for info in infos]))
-    return {"lp": f"{lp:.1f}", "solves": str(solves)}
+def _merged(learnt: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the settings learnt: of several groups a list for each of them."""
+    if len(learnt) == 1:
+        return learnt[0]
+    return {name: [settings[name] for settings in learnt] for name in learnt[0]}
+
+
+class _Watch:
+    """Passes progress on, together with how the draws of all groups do."""
+
+    def __init__(self, progress: Report, live: Callable[[FloatArray], Mapping[str, float]] | None) -> None:
+        self._progress, self._live = progress, live
+        self._words: dict[str, float] = {}
+        self._next = 0.0
+
+    def __call__(self, phase: str, done: int, total: int, info: Mapping[str, str | int | float]) -> None:
+        self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
+
+    def look(self, draws: FloatArray) -> None:
+        """Look at the draws so far, if that has not been done just now: it may take a fiftieth of the time."""
+        began = time.monotonic()
+        if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
+            return
+        self._words = dict(self._live(draws))
+        ended = time.monotonic()
+        self._next = ended + 50.0 * (ended - began)

@@ -105,11 +105,13 @@ class TestResult:
 def test_progress_is_told_of_every_step():
     seen = []
     run(TruncatedGaussian(), Ensemble(walkers=8), progress=lambda *call: seen.append(call), **SETTINGS)
-    assert [call[:3] for call in seen] == [
-        *(("warmup", k, 4) for k in range(1, 5)),
-        *(("draws", k, 6) for k in range(1, 7)),
-    ]
-    assert all(isinstance(text, str) for call in seen for text in call[3].values())
+    for group in ("1/3", "2/3", "3/3"):
+        assert [call[:3] for call in seen if call[3]["group"] == group] == [
+            *(("warmup", k, 4) for k in range(1, 5)),
+            *(("draws", k, 6) for k in range(1, 7)),
+        ]
+    assert [call[0] for call in seen] == ["warmup"] * 12 + ["draws"] * 18
+    assert all(0.0 <= call[3]["accept"] <= 1.0 and call[3]["solves"] > 0 for call in seen)
 
 
 class TestCarryingOn:

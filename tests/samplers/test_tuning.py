@@ -6,6 +6,8 @@ from moments import assert_right
 from targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
 from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named, run
+from fmu.samplers.scaled import ScaledDensity
+from fmu.samplers.snapshot import restored
 
 ADAPTIVE = ("mh", "slice", "hmc")
 
@@ -136,14 +138,16 @@ def test_nothing_is_learnt_after_warm_up(name):
     target = SkewedGumbel()
     begun = Run(target, named(name), warmup=200, chains=3, seed=2, init="prior")
     first = begun.extend(50)
-    kernel, rng, state = begun._tasks[0].kernel, begun._tasks[0].rng, begun._tasks[0].state
-    assert begun._tasks[0].tuner is None
-    copy = np.random.default_rng(0)
-    copy.bit_generator.state = rng.bit_generator.state
+    scaled = ScaledDensity(target)
+    given = {"scaled": scaled, "density": target, "sampler": named(name)}
+    held = restored(begun._groups[0].standing.group, given)
+    assert held["tuner"] is None
+    kernel, state, copy = held["settings"].bind(scaled), held["state"], np.random.default_rng(0)
+    copy.bit_generator.state = held["generator"]
     position = []
     for _ in range(50):
         state, _ = kernel.step(copy, state)
-        position.append(begun.scaled.to_theta(state.position))
+        position.append(scaled.to_theta(state.position))
     second = begun.extend(50)
     assert second.learnt == first.learnt
     np.testing.assert_array_equal(second.posterior.position[:, 50:], np.stack(position, axis=1))

@@ -80,11 +80,14 @@ class Runs:
         if report is None:
             return None
         before = {"draws": 0}
+        groups: dict[str, int] = {}
 
-        def step(phase: str, done: int, total: int, info: Mapping[str, str]) -> None:
+        def step(phase: str, done: int, total: int, info: Mapping[str, str | int | float]) -> None:
             if phase == "warmup":
                 before["draws"] = total
-            ahead = before["draws"] if phase == "draws" else 0
-            report(self.phase, min(self.done + ahead + done, self.total - 1), self.total, {"run": words})
+            group = str(info.get("group", "1/1"))
+            groups[group] = done + (before["draws"] if phase == "draws" else 0)
+            steps = sum(groups.values()) // int(group.rpartition("/")[2])
+            report(self.phase, min(self.done + steps, self.total - 1), self.total, {"run": words})
 
         return step
