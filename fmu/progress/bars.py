@@ -39,7 +39,7 @@ def terminal_bars(console: Console | None = None) -> Iterator[Report]:
 
     columns = (
         TextColumn("{task.description}", table_column=Column(no_wrap=True)),
-        BarColumn(_BAR_WIDTH),
+        BarColumn(_BAR_WIDTH, finished_style="green"),
         TextColumn("{task.completed:.0f}/{task.total:.0f}", table_column=Column(justify="right", no_wrap=True)),
         Remaining(table_column=Column(justify="right", no_wrap=True)),
         TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True, overflow="ellipsis")),
