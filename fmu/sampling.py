@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import os
+
     import xarray as xr
     from numpy.typing import ArrayLike
 
     from fmu.analysis.maxima import Maxima
+    from fmu.checkpoints import Checkpoint
+    from fmu.checkpoints.store import Store
+    from fmu.engines.engine import Engine
     from fmu.progress import Report
+    from fmu.samplers.draws import RunResult
     from fmu.samplers.kernel import LogDensity, Sampler
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
 """The names of the samplers, without importing them."""
 GROWTH_LIMIT = 32
 """How many times the draws asked for a run may come to that is to reach an effective sample size."""
+MAX_FAILURE_RATE = 0.5
+"""Share of the solves that may fail."""
+
+
+class StoppedRun(KeyboardInterrupt):
+    """A run was asked to stop, and can go on from its checkpoint.
+
+    Attributes
+    ----------
+    trace : xarray.DataTree or None
+        What had been drawn by then, None if that was nothing but warm-up.
+    """
+
+    def __init__(self, words: str, trace: xr.DataTree | None) -> None:
+        super().__init__(words)
+        self.trace = trace
 
 
 def sample(
@@ -27,14 +50,19 @@ def sample(
     chains: int = 4,
     seed: int = 1,
     init: str | ArrayLike = "prior",
+    groups: int | None = None,
     until_ess: float | None = None,
     max_draws: int | None = None,
     maxima: Maxima | None = None,
+    checkpoint: str | os.PathLike[str] | Checkpoint | None = None,
+    workers: int | str | Engine = 1,
+    max_failure_rate: float = MAX_FAILURE_RATE,
     progress: Report | bool | None = None,
 ) -> xr.DataTree:
     """Draw from the posterior of a problem, or from any log-density.
 
-    The same problem, sampler, numbers and seed give the same draws, bit for bit.
+    The same problem, sampler, numbers and seed give the same draws, bit for bit, whoever computes them and however
+    often the run was broken off.
 
     Parameters
     ----------
@@ -51,6 +79,10 @@ def sample(
     seed : int
     init : {"prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start: drawn from the prior, at ``problem.start``, or where the array says (SI units).
+    groups : int, optional
+        Groups that the chains are divided into, for several workers: the chains of a group advance together and
+        learn together, so that another number gives other draws. If not given, all chains are one group, but each
+        ensemble is its own.
     until_ess : float, optional
         Go on after `draws`, with what was learnt in warm-up, until the verdict of `fmu.diagnose` is good and the
         bulk and tail ESS of every parameter are at least this. The run is looked at after `draws` steps, twice as
@@ -60,9 +92,17 @@ def sample(
     maxima : Maxima, optional
         What `fmu.find_map` found. It is kept in the trace, and every verdict on it takes it into account. With
         `until_ess` the maxima of an updating problem are searched for if they are not given.
+    checkpoint : path-like or Checkpoint, optional
+        A directory to keep draws and state in while the run goes on. The same call with the same directory goes on
+        where the last one ended or was killed; a run that has ended is read, not repeated.
+    workers : int, str or Engine
+        Processes of this machine that do the work of the groups; or a Dask cluster, ``"tcp://…"`` the address of
+        its scheduler, ``"local:4"`` one of four processes; or what `fmu.engine` returned.
+    max_failure_rate : float
+        The run stops when a larger share of the solves has failed; 1 for never.
     progress : bool or callable, optional
         Whether to draw progress bars on a terminal or in a notebook: in a notebook only, if not given. A callable
-        is called after every step as ``progress(phase, done, total, info)`` instead.
+        is called after every step as ``progress(phase, done, total, info)`` instead, see `fmu.samplers.Run`.
 
     Returns
     -------
@@ -75,16 +115,24 @@ def sample(
     Raises
     ------
     ValueError
-        If the sampler's name is unknown, a number is out of range, `max_draws` comes without `until_ess`, or a
-        chain would start outside the bounds or where the log-probability is not finite.
+        If the sampler's name is unknown, a number is out of range, `max_draws` comes without `until_ess`, a chain
+        would start outside the bounds or where the log-probability is not finite, or `checkpoint` holds another
+        run, or one that another process is at.
+    OSError
+        If `checkpoint` cannot be written to.
+    StoppedRun
+        If Ctrl-C or SIGTERM stopped a run with a checkpoint: a KeyboardInterrupt with the trace so far.
+    TooManyFailuresError
+        If too large a share of the solves failed.
     """
     import numpy as np
 
-    from fmu.analysis.certificate import certify
-    from fmu.analysis.diagnosis import with_maxima
+    from fmu.analysis.failure_ledger import failure_rate_exceeded
     from fmu.analysis.trace import to_trace
+    from fmu.interruption import interruptible
     from fmu.progress import reporting
     from fmu.samplers import Run, named
+    from fmu.samplers.run import Interrupted
     from fmu.samplers.settings import whole_number
 
     settings: Any = named(sampler) if isinstance(sampler, str) else sampler
@@ -95,40 +143,96 @@ def sample(
         )
     draws = whole_number("draws", draws, 1)
     limit = _limit(draws, until_ess, max_draws)
+    failure_rate_exceeded(0, 0, max_failure_rate)  # whether it is a rate
     if until_ess is not None and maxima is None and hasattr(problem, "parameters"):
         from fmu.analysis.search import find_map
 
         maxima = find_map(problem)  # type: ignore[arg-type]
     start = None if isinstance(init, str) else np.asarray(init, dtype=float)
     full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
-    with reporting(progress, settings.name) as report:
-        begun = Run(
-            problem,
-            settings,
-            warmup=warmup,
-            chains=chains,
-            seed=seed,
-            init=init if start is None else start,
-            progress=report,
-        )
-        result = begun.extend(draws)
-        while result.draws < limit and not _is_enough(
-            to_trace(result, problem, start, predictions=False), until_ess, maxima
-        ):
-            result = begun.extend(min(result.draws, limit - result.draws))
-    trace = to_trace(result, problem, start)
-    if maxima is not None:
-        trace = with_maxima(trace, maxima)
-    trace.attrs.update(certify(trace, problem, full_solves=full_solves))
-    return _with_structure(trace, problem, maxima)
+    getattr(problem, "take_failures", list)()  # those of the run are to come
+    arguments = {"warmup": warmup, "chains": chains, "groups": groups, "seed": seed}
+
+    def trace_of(result: RunResult, *, complete: bool) -> xr.DataTree:
+        return _with_structure(to_trace(result, problem, start), problem, maxima, full_solves, complete)
+
+    with ExitStack() as stack:
+        store = None if checkpoint is None else _store(checkpoint, problem, settings, arguments, init, start)
+        try:
+            begun = Run(
+                problem,
+                settings,
+                **arguments,  # type: ignore[arg-type]
+                init=init if start is None else start,
+                progress=stack.enter_context(reporting(progress, settings.name)),
+                engine=_engine(workers, stack),
+                keeper=None if store is None else stack.enter_context(store),
+                stop=None if store is None else stack.enter_context(interruptible()),
+                too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
+                    failed, solves, max_failure_rate, failures=why
+                ),
+            )
+            result = begun.extend(draws)
+            while result.draws < limit and not _is_enough(
+                to_trace(result, problem, start, predictions=False), until_ess, maxima
+            ):
+                result = begun.extend(min(result.draws, limit - result.draws))
+        except Interrupted as stopped:
+            so_far = stopped.result
+            words = "in warm-up" if so_far is None else f"after {so_far.draws} draws"
+            trace = None if so_far is None else trace_of(so_far, complete=False)
+            raise StoppedRun(f"the run was stopped {words}", trace) from None
+    return trace_of(result, complete=True)
 
 
-def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
-    """Keep in the trace of an updating problem what the model says beside the draws."""
+def _store(
+    checkpoint: Any, problem: LogDensity, settings: Any, arguments: dict[str, Any], init: Any, start: Any
+) -> Store:
+    """Return where the run is kept."""
+    from fmu.analysis.provenance import described
+    from fmu.checkpoints import Checkpoint
+    from fmu.checkpoints.identity import Identity
+    from fmu.checkpoints.store import Store
+    from fmu.samplers.run import n_groups
+    from fmu.samplers.settings import describe, whole_number
+
+    chains = whole_number("chains", arguments["chains"], 1)
+    run = {
+        **arguments,
+        "groups": n_groups(arguments["groups"], chains, settings),
+        "walkers": settings.walkers,
+        "init": init if start is None else start,
+    }
+    configuration = described(problem, settings.name, describe(settings), run)
+    where = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
+    return Store(where, Identity.of(configuration))
+
+
+def _engine(workers: Any, stack: ExitStack) -> Engine:
+    """Return who does the work; what is made here is closed with the stack."""
+    from fmu.engines.engine import engine
+
+    if hasattr(workers, "lines"):
+        given: Engine = workers
+        return given
+    made = engine(cluster=workers) if isinstance(workers, str) else engine(workers)
+    return stack.enter_context(made)
+
+
+def _with_structure(
+    trace: xr.DataTree, problem: Any, maxima: Maxima | None, full_solves: int, complete: bool
+) -> xr.DataTree:
+    """Keep in a trace what the problem says beside the draws."""
+    from fmu.analysis.certificate import certify
+    from fmu.analysis.diagnosis import with_maxima
     from fmu.analysis.identifiability import with_identifiability
     from fmu.analysis.modal_states import with_modes
     from fmu.analysis.pairing_changes import with_pairing
 
+    if maxima is not None:
+        trace = with_maxima(trace, maxima)
+    trace.attrs["complete"] = int(complete)
+    trace.attrs.update(certify(trace, problem, full_solves=full_solves))
     if not hasattr(problem, "likelihood"):
         return trace
     trace = with_pairing(with_modes(trace, problem, maxima), problem)

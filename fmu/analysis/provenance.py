@@ -38,29 +38,34 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a configuration must hold JSON values and NumPy arrays only (got {type(value).__name__})")
 
 
-def configuration(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
-    """Return everything that determines the draws: the problem, the sampler and the arguments of the run.
-
-    `start` holds the positions that the chains started from, where the user gave them.
-    """
+def described(
+    density: LogDensity, sampler: str, settings: Mapping[str, Any], run: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what determines draws: the problem, the sampler with its settings, and the arguments of the run."""
     describe = getattr(density, "configuration", None)
     problem = (
         describe()
         if describe is not None
         else {"density": type(density).__qualname__, "lower": density.lower, "upper": density.upper}
     )
-    return {
-        "problem": problem,
-        "sampler": {"name": result.sampler, "settings": result.settings},
-        "run": {
-            "draws": result.draws,
-            "warmup": result.warmup_draws,
-            "chains": result.chains,
-            "walkers": result.walkers,
-            "seed": result.seed,
-            "init": result.init if start is None else start,
-        },
+    return {"problem": problem, "sampler": {"name": sampler, "settings": settings}, "run": dict(run)}
+
+
+def configuration(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
+    """Return everything that determines the draws of a run.
+
+    `start` holds the positions that the chains started from, where the user gave them.
+    """
+    run = {
+        "draws": result.draws,
+        "warmup": result.warmup_draws,
+        "chains": result.chains,
+        "groups": result.groups,
+        "walkers": result.walkers,
+        "seed": result.seed,
+        "init": result.init if start is None else start,
     }
+    return described(density, result.sampler, result.settings, run)
 
 
 def configuration_hash(settings: Mapping[str, Any]) -> str:
@@ -94,6 +99,7 @@ def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dic
         "draws": result.draws,
         "warmup": result.warmup_draws,
         "chains": result.chains,
+        "groups": result.groups,
         "walkers": result.walkers,
         "init": result.init,
         "configuration": canonical_json(settings),

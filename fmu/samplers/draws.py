@@ -61,8 +61,8 @@ class RunResult:
     draws: int
     warmup_draws: int
     chains: int
-    groups: int
     init: str
     wall_s: float
     warmup_wall_s: float
+    groups: int = 1
     learnt: dict[str, Any] = field(default_factory=dict)

@@ -80,18 +80,12 @@ class Standing:
     group : Snapshot
     done : mapping of str to int
         Steps taken in each phase.
-    position : ndarray, shape (points, ndim)
-        Where its chains, or their walkers, are: theta.
-    log_prob : ndarray, shape (points,)
-        The log-density there.
     learnt : dict
         The settings that draws are made with, as JSON-able data; {} if nothing was learnt, or not yet.
     """
 
     group: Snapshot
     done: Mapping[str, int]
-    position: FloatArray
-    log_prob: FloatArray
     learnt: dict[str, Any]
 
 
@@ -149,6 +143,12 @@ def advance(setting: Setting, part: Part, report: Report | None = None) -> Done:
             report(part.phase, group.done[part.phase], part.total, label | pace.words(info))
     take = getattr(setting.density, "take_failures", list)
     return Done(record.steps(0, done), group.standing(), list(take()))
+
+
+def evaluated_again(setting: Setting, group: Snapshot) -> tuple[FloatArray, FloatArray]:
+    """Return the log-density where the chains of a group are: as the group has it, and evaluated anew."""
+    held = _Group.of_snapshot(group, setting)
+    return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 
 
 class _Group:
@@ -223,14 +223,8 @@ class _Group:
 
     def standing(self) -> Standing:
         """Return where the group stands."""
-        scaled = self.setting.scaled
-        return Standing(
-            self.snapshot(),
-            dict(self.done),
-            scaled.to_theta(self.state.position).reshape(-1, scaled.ndim),
-            self.state.log_prob.reshape(-1),
-            {} if self.settings is None else describe(self.settings),
-        )
+        learnt = {} if self.settings is None else describe(self.settings)
+        return Standing(self.snapshot(), dict(self.done), learnt)
 
     def snapshot(self) -> Snapshot:
         """Return the group as plain data."""

@@ -15,7 +15,7 @@ from fmu.progress import Report
 
 from .draws import Draws as Draws
 from .draws import RunResult as RunResult
-from .group import DRAWS, WARMUP, Done, Part, Setting, Standing, advance, first_snapshot
+from .group import DRAWS, WARMUP, Done, Part, Setting, Standing, advance, evaluated_again, first_snapshot
 from .kernel import FloatArray, LogDensity, Sampler
 from .record import Record, Steps
 from .settings import describe, whole_number
@@ -39,6 +39,20 @@ class Interrupted(KeyboardInterrupt):
 
     def __init__(self, result: RunResult | None) -> None:
         super().__init__("the run was stopped")
+        self.result = result
+
+
+class TooManyFailuresError(RuntimeError):
+    """Too large a share of the solves failed.
+
+    Attributes
+    ----------
+    result : RunResult or None
+        What had been drawn by then; None if that is nothing but warm-up.
+    """
+
+    def __init__(self, message: str, result: RunResult | None) -> None:
+        super().__init__(message)
         self.result = result
 
 
@@ -154,6 +168,8 @@ class Run:
         Where draws and states are kept. What it holds already is not drawn again.
     stop : callable, optional
         Asked between two parts of the work, at least once a second where a step is not longer: True to stop.
+    too_many_failed : callable, optional
+        ``too_many_failed(n_failed, n_solves, failures)`` says that too large a share of solves failed, or None.
     live : callable, optional
         Maps draws (chains, steps, walkers, ndim) to numbers by name for the progress.
 
@@ -164,6 +180,8 @@ class Run:
         log-density that is not finite, or the keeper holds a run on another density.
     Interrupted
         If `stop` said so.
+    TooManyFailuresError
+        If `too_many_failed` said so.
     """
 
     def __init__(
@@ -180,6 +198,7 @@ class Run:
         engine: Engine | None = None,
         keeper: Keeper | None = None,
         stop: Callable[[], bool] | None = None,
+        too_many_failed: Callable[[int, int, list[Any]], str | None] | None = None,
         live: Callable[[FloatArray], Mapping[str, float]] | None = None,
     ) -> None:
         self.sampler, self.chains = sampler, whole_number("chains", chains, 1)
@@ -188,6 +207,8 @@ class Run:
         self.groups = n_groups(groups, self.chains, sampler)
         self._setting = Setting(density, sampler, self.warmup)
         self._engine, self._keeper, self._stop = engine or InProcess(), keeper, stop or (lambda: False)
+        self._too_many_failed = too_many_failed or (lambda *_: None)
+        self._n_failed = self._n_solves = 0
         self._hurried = progress is not None or keeper is not None or stop is not None
         self._watch = None if progress is None else _Watch(progress, live)
         walkers, ndim = sampler.walkers, self._setting.scaled.ndim
@@ -222,11 +243,10 @@ class Run:
         generators = [np.random.default_rng(child) for child in seeds]
         positions = starting_points(setting.scaled, init, generators, self.chains, walkers)
         each = self.chains // self.groups
-        nowhere = (np.empty((0, setting.scaled.ndim)), np.empty(0))
         groups = []
         for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
             group = first_snapshot(setting, rng, position, i * each)
-            groups.append(_Group(i, i * each, each, Standing(group, {WARMUP: 0, DRAWS: 0}, *nowhere, {})))
+            groups.append(_Group(i, i * each, each, Standing(group, {WARMUP: 0, DRAWS: 0}, {})))
         return groups
 
     def _restore(self, group: _Group, keeper: Keeper) -> None:
@@ -234,11 +254,11 @@ class Run:
         kept = keeper.kept(group.index)
         if kept is None:
             return
-        _check_same(kept.standing, self._setting.density)
+        _check_same(self._setting, kept.standing)
         for phase, record in self._records.items():
             record.reserve(kept.standing.done[phase])
         for phase, first, steps in kept.steps:
-            self._records[phase].write(first, group.chains.start, steps)
+            self._write(group, phase, first, steps)
         group.standing, group.unkept = kept.standing, dict(kept.standing.done)
         for phase, seconds in kept.elapsed_s.items():
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
@@ -254,9 +274,14 @@ class Run:
         def follow(line: int, done: Done) -> Part | None:
             self._elapsed_s[phase] = before + time.perf_counter() - began
             group = behind[line]
-            self._take(group, phase, done)
-            ended = self._stop() or group.standing.done[phase] >= target
+            self._write(group, phase, group.standing.done[phase], done.steps)
+            group.standing = done.standing
+            group.failures += done.failures
+            why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
+            ended = self._stop() or why is not None or group.standing.done[phase] >= target
             self._keep(group, phase, at_once=ended)
+            if why is not None:
+                raise TooManyFailuresError(why, self._so_far())
             if self._watch is not None and phase == DRAWS:
                 self._watch.look(self._common(phase))
             return None if ended else self._part(group, phase, target)
@@ -265,8 +290,7 @@ class Run:
         self._engine.lines(advance, self._setting, parts, follow, self._watch)
         self._elapsed_s[phase] = before + time.perf_counter() - began
         if any(group.standing.done[phase] < target for group in behind):
-            drawn = min(group.standing.done[DRAWS] for group in self._groups)
-            raise Interrupted(self._result(drawn) if drawn else None)
+            raise Interrupted(self._so_far())
 
     def _part(self, group: _Group, phase: str, target: int) -> Part:
         """Return the next part of a group's work."""
@@ -278,11 +302,11 @@ class Run:
         label = f"{group.index + 1}/{self.groups}" if self.groups > 1 else ""
         return Part(standing.group, phase, steps, seconds, target, label)
 
-    def _take(self, group: _Group, phase: str, done: Done) -> None:
-        """Take over what came of a part."""
-        self._records[phase].write(group.standing.done[phase], group.chains.start, done.steps)
-        group.standing = done.standing
-        group.failures += done.failures
+    def _write(self, group: _Group, phase: str, first: int, steps: Steps) -> None:
+        """Take over steps of a group, and what they cost."""
+        self._records[phase].write(first, group.chains.start, steps)
+        self._n_solves += int(steps.stats["n_solves"].sum())
+        self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
     def _keep(self, group: _Group, phase: str, *, at_once: bool) -> None:
         """Have a group kept if it is time to."""
@@ -297,6 +321,11 @@ class Run:
     def _common(self, phase: str) -> FloatArray:
         """Return the positions of the steps that all groups have taken, (chains, steps, walkers, ndim)."""
         return self._records[phase].steps(0, min(group.standing.done[phase] for group in self._groups)).position
+
+    def _so_far(self) -> RunResult | None:
+        """Return the draws that all groups have, None if there are none."""
+        drawn = min(group.standing.done[DRAWS] for group in self._groups)
+        return self._result(drawn) if drawn else None
 
     def _result(self, draws: int) -> RunResult:
         """Return the first `draws` draws."""
@@ -359,16 +388,16 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
     return groups
 
 
-def _check_same(standing: Standing, density: LogDensity) -> None:
+def _check_same(setting: Setting, standing: Standing) -> None:
     """Raise ValueError unless the density is the one that the chains were on; warn if its last bits differ."""
-    now = np.asarray(density.log_prob(standing.position))
-    if not np.allclose(now, standing.log_prob, rtol=1e-6, atol=1e-6):
-        worst = int(np.nanargmax(np.abs(now - standing.log_prob)))
+    then, now = evaluated_again(setting, standing.group)
+    if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
+        worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
         raise ValueError(
-            f"checkpoint: must be of the same posterior (log-probability {standing.log_prob[worst]:.8g} there, "
-            f"now {now[worst]:.8g}, at theta = {standing.position[worst].tolist()})"
+            f"checkpoint: must be of the same posterior (where a chain is, its log-probability was "
+            f"{then[worst]:.8g}, and is {now[worst]:.8g})"
         )
-    if not np.array_equal(now, standing.log_prob):
+    if not np.array_equal(now, then):
         warnings.warn(
             "the log-probability differs in its last bits from that of the run so far (another kind of CPU, or "
             "other libraries): the run goes on, but not bit for bit as it would have without the interruption",

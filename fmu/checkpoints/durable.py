@@ -1,0 +1,73 @@
+"""Files that are there whole or not at all, whatever happens, and that tell if they were damaged afterwards."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import suppress
+from pathlib import Path
+
+_DIGEST = 64  # hexadecimal figures of SHA-256
+
+
+class DamagedError(ValueError):
+    """A file is not as it was written."""
+
+
+def write_durably(path: Path, content: bytes) -> None:
+    """Write a file so that it has either its old content or all of the new one, even if the machine stops.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written: the disk is full, for example. What was there before still is.
+    """
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(unfinished, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+        _sync_directory(path.parent)
+    except BaseException:
+        with suppress(OSError):
+            unfinished.unlink(missing_ok=True)
+        raise
+
+
+def digest(content: bytes) -> str:
+    """Return the SHA-256 of some bytes, hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def signed(title: str, payload: bytes) -> bytes:
+    """Return the content of a file that says what it is and what its checksum is."""
+    return f"{title}\n{digest(payload)}\n".encode() + payload
+
+
+def payload_of(title: str, content: bytes) -> bytes:
+    """Return what `signed` was given.
+
+    Raises
+    ------
+    DamagedError
+        If the content is not what `signed` returned: torn, altered, or something else.
+    """
+    head = len(title) + 1
+    if content[:head] != f"{title}\n".encode():
+        raise DamagedError(f"it does not begin with {title!r}")
+    found, payload = content[head : head + _DIGEST], content[head + _DIGEST + 1 :]
+    if found.decode("ascii", "replace") != digest(payload):
+        raise DamagedError("its checksum is wrong")
+    return payload
+
+
+def _sync_directory(directory: Path) -> None:
+    """Have the names in a directory on disk too, where the system can do that."""
+    if hasattr(os, "O_DIRECTORY"):
+        handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

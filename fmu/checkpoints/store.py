@@ -1,0 +1,216 @@
+"""One run's directory: draws are appended as files that never change again, states replace each other."""
+
+from __future__ import annotations
+
+import re
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from fmu.checkpoints.content import (
+    Segment,
+    State,
+    packed_state,
+    packed_steps,
+    unpacked_failures,
+    unpacked_state,
+    unpacked_steps,
+)
+from fmu.checkpoints.durable import DamagedError, digest, payload_of, signed, write_durably
+from fmu.checkpoints.identity import Identity
+from fmu.checkpoints.settings import Checkpoint
+from fmu.samplers.record import Steps
+from fmu.samplers.run import LIVE_S, Kept, Unkept
+
+LOCK = "lock"
+TITLE = "fmu state 1"
+_STATES = 2  # kept at a time: should the last be damaged, the one before it is there
+
+
+class CheckpointWarning(UserWarning):
+    """A file of a kept run is damaged: some of what was drawn has to be drawn again."""
+
+
+class Store:
+    """Keeps the groups of a run in a directory, and gives them back.
+
+    There is one directory a group, ``group-1`` for the first. ``steps-000001.h5`` and so on in it hold the draws,
+    in HDF5; ``state-000007`` what the sampler needs to go on after them, the list of these files and their
+    checksums. A file appears whole or not at all, so that the directory can be read at any time; whatever lies
+    there that no state lists, counts for nothing and is drawn again.
+
+    Parameters
+    ----------
+    settings : Checkpoint
+    identity : Identity
+
+    Raises
+    ------
+    ValueError
+        If the directory holds another run, or another process is at this one.
+    OSError
+        If the directory cannot be made or written to.
+    """
+
+    def __init__(self, settings: Checkpoint, identity: Identity) -> None:
+        self.settings, self.identity = settings, identity
+        self.directory = Path(settings.directory)
+        self.most_steps = settings.draws
+        self._groups: dict[int, _GroupFiles] = {}
+        self._kept_at: dict[int, float] = {}
+        self.directory.mkdir(parents=True, exist_ok=True)
+        self._lock = FileLock(self.directory / LOCK, timeout=0)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise ValueError(f"checkpoint: another run is at work in {self.directory}") from None
+        try:
+            identity.check(self.directory)
+            identity.write(self.directory)
+        except BaseException:
+            self.close()
+            raise
+
+    def kept(self, group: int) -> Kept | None:
+        """Return a group as it was kept last and intact, None if there is no such thing.
+
+        Warns
+        -----
+        CheckpointWarning
+            If something is damaged.
+        """
+        self._kept_at[group] = time.monotonic()
+        files = self._files(group)
+        state = files.last_intact(self.identity.hash)
+        return None if state is None else Kept(state.standing, state.elapsed_s, files.steps(state))
+
+    def is_due(self, group: int, steps: int) -> bool:
+        """Say whether a group that has since taken so many steps is to be kept again."""
+        waited = time.monotonic() - self._kept_at[group]
+        return steps >= self.most_steps or waited >= self.settings.seconds - LIVE_S
+
+    def keep(self, group: int, unkept: Unkept) -> None:
+        """Append the steps to what is kept, and note where they led to.
+
+        Raises
+        ------
+        OSError
+            If the disk is full, or gone. What was kept before is intact.
+        """
+        try:
+            self._files(group).append(self.identity.hash, unkept)
+        except OSError as error:
+            done = unkept.first
+            raise OSError(
+                f"checkpoint: cannot write to {self.directory} ({error.strerror or error}); what was drawn before "
+                f"{unkept.phase} step {done + 1} of group {group + 1} is kept there"
+            ) from error
+        self._kept_at[group] = time.monotonic()
+
+    def failures(self) -> list[tuple[Any, str]]:
+        """Return the points at which the log-density was not finite, and why, of everything that is kept."""
+        return [failure for group in sorted(self._groups) for failure in self._groups[group].failures()]
+
+    def close(self) -> None:
+        """Let others at the directory."""
+        self._lock.release()
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def _files(self, group: int) -> _GroupFiles:
+        if group not in self._groups:
+            self._groups[group] = _GroupFiles(self.directory / f"group-{group + 1}")
+        return self._groups[group]
+
+
+class _GroupFiles:
+    """The files of one group."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.segments: list[Segment] = []
+        self._number = 0
+
+    def last_intact(self, configuration: str) -> State | None:
+        """Return the newest state that is whole, with all its segments, and go on from there."""
+        states = numbered(self.directory, "state")
+        for _, path in reversed(states):
+            try:
+                state = read_state(path)
+                if state.configuration != configuration:
+                    raise ValueError(f"checkpoint: {path} is of another run")
+                for segment in state.segments:
+                    self._content(segment)
+            except DamagedError as error:
+                then = "begins anew" if path == states[0][1] else "goes on from the state before it"
+                warnings.warn(f"{path} is damaged ({error}): the group {then}", CheckpointWarning, stacklevel=5)
+                continue
+            self.segments, self._number = list(state.segments), states[-1][0]
+            return state
+        self._number = states[-1][0] if states else 0
+        return None
+
+    def steps(self, state: State) -> Iterator[tuple[str, int, Steps]]:
+        """Read the segments of a state, one after the other."""
+        for segment in state.segments:
+            yield segment.phase, segment.first, unpacked_steps(self._content(segment))
+
+    def failures(self) -> list[tuple[Any, str]]:
+        """Return what failed in all segments."""
+        found = []
+        for segment in self.segments:
+            if segment.failed:
+                found += unpacked_failures(self._content(segment))
+        return found
+
+    def append(self, configuration: str, unkept: Unkept) -> None:
+        """Write a segment, then the state that lists it, and forget older states."""
+        self.directory.mkdir(exist_ok=True)
+        content = packed_steps(unkept.steps, unkept.failures)
+        stats = unkept.steps.stats
+        segment = Segment(
+            f"steps-{len(self.segments) + 1:06d}.h5",
+            digest(content),
+            unkept.phase,
+            unkept.first,
+            len(unkept.steps),
+            int(stats["n_solves"].sum()),
+            int(stats["n_nonfinite"].sum()) if "n_nonfinite" in stats else 0,
+        )
+        write_durably(self.directory / segment.name, content)
+        state = State(configuration, unkept.standing, unkept.elapsed_s, [*self.segments, segment])
+        path = self.directory / f"state-{self._number + 1:06d}"
+        write_durably(path, signed(TITLE, packed_state(state)))
+        self.segments.append(segment)
+        self._number += 1
+        for _, old in numbered(self.directory, "state")[:-_STATES]:
+            old.unlink(missing_ok=True)
+
+    def _content(self, segment: Segment) -> bytes:
+        """Return the bytes of a segment; DamagedError unless they are those that were written."""
+        try:
+            content = (self.directory / segment.name).read_bytes()
+        except OSError as error:
+            raise DamagedError(f"{segment.name} cannot be read: {error.strerror}") from error
+        if digest(content) != segment.sha256:
+            raise DamagedError(f"the checksum of {segment.name} is wrong")
+        return content
+
+
+def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:
+    """Return the files of one kind in a directory, such as ``state-000007``, by number."""
+    matches = ((re.fullmatch(rf"{kind}-(\d+)", path.name), path) for path in directory.glob(f"{kind}-*"))
+    return sorted((int(match[1]), path) for match, path in matches if match)
+
+
+def read_state(path: Path) -> State:
+    """Return the state in a file; DamagedError if it is not as it was written."""
+    return unpacked_state(payload_of(TITLE, path.read_bytes()))
