@@ -125,6 +125,7 @@ class UpdatingProblem:
         self._prior = JointPrior(self.parameters)
         if reduction and isinstance(self.model, PairedStructure):
             reduce_model(self, self.model)
+            self._failed = FailureRecord()  # what failed on the way is nobody's evaluation
 
     def __repr__(self) -> str:
         return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"

@@ -111,7 +111,7 @@ def test_a_function_of_ones_own_is_not_called_again():
     assert problem.take_failures() == []
 
 
-def massless(b_lower):
+def massless(b_lower, reduction=False):
     """Return a problem whose mass at node 1 is b: without any where b is 0."""
     eye = np.eye(2)
     model = SeparableModel.from_terms(
@@ -120,7 +120,7 @@ def massless(b_lower):
         [np.diag([1.0, 0.0]), (eye - np.diag([1.0, 0.0]), "b")],
     )
     parameters = [Parameter("a", 1.0, 0.5, 4.0), Parameter("b", 1.0, b_lower, 4.0)]
-    return UpdatingProblem(model, ModalData([0.1, 0.3]), parameters, pairing="index", reduction=False)
+    return UpdatingProblem(model, ModalData([0.1, 0.3]), parameters, pairing="index", reduction=reduction)
 
 
 def test_of_a_structure():
@@ -129,6 +129,14 @@ def test_of_a_structure():
     assert_array_equal(np.isfinite(value), [False, True, True])
     (failed,) = problem.take_failures()
     assert failed.reason == "M is not positive definite: its diagonal is 0 at node 1 x"
+
+
+def test_what_fails_while_a_reduced_model_is_trained_is_not_recorded(tmp_path, monkeypatch):
+    monkeypatch.setenv("FMU_CACHE_DIR", str(tmp_path))  # trained anew
+    problem = massless(-0.05, reduction=True)
+    assert (problem.failures, problem.n_failures) == ([], 0)
+    assert problem.log_prob([1.0, -0.04]) == -np.inf
+    assert problem.failures[0].reason == "M is not positive definite: its diagonal is -0.04 at node 1 x"
 
 
 TINY = [1e-150, 1e-150]
