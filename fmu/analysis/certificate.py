@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.diagnostics import parameter_draws
-from fmu.posterior.focus import FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE, PLAUSIBLE
+from fmu.posterior.focus import PLAUSIBLE, Tolerance
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,12 +39,15 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         likelihood is within e⁵⁰ of the highest: further down, where a chain may have started, nothing is promised;
         ``certificate_pairing_changes``, draws at which the full model, paired by the rule itself, answers a
         measured mode with another computed mode; ``certificate_full_solves``, how often the full model had to
-        answer during the run because a theta lay outside the reduced model's box.
+        answer during the run because a theta lay outside the reduced model's box;
+        ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``, what was promised
+        (`fmu.posterior.focus.Tolerance`).
 
     Warns
     -----
     CertificateWarning
-        If an error is above 1e-6 (frequency, relative) or 1e-3 (log-probability), or a pairing changed.
+        If an error is above its tolerance, 1e-6 (frequency, relative) and 1e-3 (log-probability) unless the
+        problem was given another one, or a pairing changed.
     """
     structure: Any = getattr(problem, "model", None)
     if getattr(structure, "reduced", None) is None:
@@ -70,13 +73,16 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         plausible = total >= total.max() - PLAUSIBLE
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any((exact.block != reduced.block) | (exact.rank != reduced.rank), axis=1)
+    promised = getattr(problem, "promised", None) or Tolerance()
     certificate = {
         "certificate_draws": len(theta),
         "certificate_frequency_error": frequency_error,
         "certificate_log_prob_error": log_prob_error,
         "certificate_pairing_changes": int(np.sum(changed)),
         "certificate_full_solves": int(structure.full_solves) - full_solves,
+        "certificate_frequency_tolerance": promised.frequency,
+        "certificate_log_prob_tolerance": promised.log_prob,
     }
-    if not (frequency_error <= FREQUENCY_TOLERANCE and log_prob_error <= LOG_PROB_TOLERANCE) or changed.any():
+    if not (frequency_error <= promised.frequency and log_prob_error <= promised.log_prob) or changed.any():
         warnings.warn(f"the reduced model missed its tolerance: {certificate}", CertificateWarning, stacklevel=2)
     return certificate

@@ -19,7 +19,9 @@ def kind_of(value: Any) -> str | None:
         return "<rows>" if value and isinstance(value[0], list) else "<list>"
     if isinstance(value, str):
         return "<text>"
-    return "<number>" if isinstance(value, int | float) and not isinstance(value, bool) else None
+    if isinstance(value, bool):
+        return "<switch>"
+    return "<number>" if isinstance(value, int | float) else None
 
 
 def by_kind(words: str) -> Discriminator:

@@ -19,11 +19,16 @@ from fmu.config.model import Built
 from fmu.config.parameters import ParameterTable
 from fmu.config.python import PythonTable
 from fmu.fem.candidates import SOFTNESS
+from fmu.posterior.focus import LOOSEST_FREQUENCY
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.problem import UpdatingProblem
 
 NamedError = Annotated[Literal["frequency", "modal-residual"], Tag("<text>")]
 ErrorModels = Annotated[list[ErrorTable], Field(min_length=1), Tag("<list>")]
+Reduction = Annotated[
+    Annotated[bool, Tag("<switch>")] | Annotated[float, Field(gt=0, le=LOOSEST_FREQUENCY), Tag("<number>")],
+    by_kind("true, false or a number"),
+]
 MOST_PARAMETERS = 200
 """Far beyond what a handful of modes can tell."""
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
@@ -45,8 +50,9 @@ class ProblemFile(Table):
     """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
     noise: list[NoiseTable] = []
     """Standard deviations to be inferred, which error models refer to by name."""
-    reduction: bool = True
-    """Whether a certified reduced model answers within the bounds, much faster than the full one."""
+    reduction: Reduction = True
+    """Whether a certified reduced model answers within the bounds, much faster than the full one; a number, up to
+    0.01, is the largest relative error that its frequencies may have, and true stands for 1e-6."""
     model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
     """The structure: type "frame", "matrices" or "python"."""
     measurement: MeasurementTable

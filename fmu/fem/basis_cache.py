@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 # Raised whenever what is stored, or how it is trained, changes.
-_VERSION = 2
+_VERSION = 3
 
 
 def load_basis(key: Any) -> dict[str, FloatArray] | None:

@@ -13,21 +13,23 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sl
 from numpy.typing import NDArray
 
-from fmu.fem.modal import RIGID, FullBlock, Seen, frequency_hz
+from fmu.fem.modal import FullBlock, Seen
 from fmu.fem.shape_derivatives import by_all_modes
-from fmu.fem.terms import CoefficientMap, Term, coefficients, weighted_sum
+from fmu.fem.terms import CoefficientMap, Term
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
-# Directions of the snapshots weaker than this, relative to the strongest, are rounding: the Gram matrix squares.
-_SNAPSHOT_RANK = 1e-14
+# A term that touches few of more degrees of freedom than this is projected by its own rows alone.
+_LARGE, _FEW = 2000, 0.125
+# From this size on, the few lowest modes of a reduced matrix are cheaper than all of them.
+_PARTIAL = 128
 
 
 class ReducedBlock:
@@ -76,11 +78,13 @@ class ReducedBlock:
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
         A = _assemble(self._K, self._K_map(theta))
+        few = self.size >= _PARTIAL and 4 * count <= self.size
+        solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
         if self.constant_mass:
-            lam, phi = _row_by_row(np.linalg.eigh, A)
+            lam, phi = _row_by_row(solve, A)
             return lam[:, :count], phi[:, :, :count]
         A, inverse = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))
-        lam, y = _row_by_row(np.linalg.eigh, A)
+        lam, y = _row_by_row(solve, A)
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
     def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
@@ -157,98 +161,17 @@ class ReducedBlock:
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
 
 
-@dataclass(frozen=True)
-class Snapshots:
-    """Modes of one block at sampled points: theta (n, p), eigenvalues (n, m) and shapes (n, size, m)."""
-
-    theta: FloatArray
-    eigenvalues: FloatArray
-    shapes: FloatArray
-
-    @classmethod
-    def solve(cls, block: FullBlock, theta: FloatArray, count: int) -> Snapshots:
-        """Solve the full block at every theta."""
-        return cls(theta, *block.modes(theta, min(count, block.size)))
-
-    def __add__(self, other: Snapshots) -> Snapshots:
-        """Return the snapshots of both."""
-        pairs = zip(
-            (self.theta, self.eigenvalues, self.shapes),
-            (other.theta, other.eigenvalues, other.shapes),
-            strict=True,
-        )
-        return Snapshots(*(np.concatenate(pair) for pair in pairs))
-
-    def lowest(self, count: int) -> Snapshots:
-        """Return the snapshots of the lowest `count` modes alone."""
-        return Snapshots(self.theta, self.eigenvalues[:, :count], self.shapes[:, :, :count])
-
-    def frequency_error(self, block: ReducedBlock) -> FloatArray:
-        """Return |f_reduced − f| / f, shape (n, m); for a rigid-body mode 0 or infinity: is it one there too."""
-        exact, reduced = self.eigenvalues, block.eigenvalues(self.theta, self.eigenvalues.shape[1])
-        top = exact[:, -1:]
-        rigid = exact <= RIGID * top
-        error = np.where(reduced <= 10.0 * RIGID * top, 0.0, np.inf)
-        f, f_reduced = frequency_hz(exact), frequency_hz(reduced)
-        return np.divide(np.abs(f_reduced - f), f, out=error, where=~rigid)
-
-
-def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: FloatArray) -> FloatArray:
-    """Return the POD of mode shapes, shape (size, r_max), strongest direction first.
-
-    Orthonormal in the block's mass matrix at `centre` (n_parameters,).
-
-    Notes
-    -----
-    Each shape is weighted by 1/ω. What a truncated basis leaves out is made of high modes, of some frequency Ω,
-    and raises an eigenvalue by Ω²‖e‖²/ω² of itself: with the weight an error of the same size counts the same in
-    every relative frequency.
-    """
-    M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
-    lam = snapshots.eigenvalues
-    floor = 1e-6 * lam[:, -1:]
-    # without any stiffness every vector is a mode, and none worth a place
-    weight = np.divide(1.0, np.sqrt(np.maximum(lam, floor)), out=np.zeros_like(lam), where=floor > 0.0)
-    X = np.concatenate(list(snapshots.shapes * weight[:, None, :]), axis=1)
-    if X.shape[1] > block.size:  # the smaller of the two Gram matrices: with M = L Lᵀ, that of the rows of Lᵀ X
-        L = np.linalg.cholesky(M.toarray())
-        energy, U = np.linalg.eigh(L.T @ X @ X.T @ L)
-        return np.linalg.solve(L.T, U[:, _strongest(energy)])
-    energy, U = np.linalg.eigh(X.T @ (M @ X))
-    order = _strongest(energy)
-    V = X @ (U[:, order] / np.sqrt(energy[order]))
-    for _ in range(2):  # the weak directions lose orthogonality to rounding; Cholesky–QR restores it
-        L = np.linalg.cholesky(V.T @ (M @ V))
-        V = np.linalg.solve(L, V.T).T
-    return V
-
-
-def _strongest(energy: FloatArray) -> IntArray:
-    order = np.argsort(energy)[::-1]
-    return order[energy[order] > _SNAPSHOT_RANK * energy[order[0]]]
-
-
-def smallest_basis(
-    reduced: ReducedBlock, acceptable: Callable[[ReducedBlock], bool], smallest: int
-) -> ReducedBlock:
-    """Return `reduced` by the fewest leading vectors of its basis that are acceptable, or as it is if none are.
-
-    By bisection: in nested spaces the reduced eigenvalues fall monotonically towards the exact ones (Courant and
-    Fischer), so that what is acceptable stays so as vectors are added.
-    """
-    low, high = max(smallest, reduced.trusted) - 1, reduced.size
-    while high - low > 1:
-        middle = (low + high) // 2
-        if acceptable(reduced.truncated(middle)):
-            high = middle
-        else:
-            low = middle
-    return reduced.truncated(high)
-
-
 def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
-    projected = np.stack([basis.T @ (term.matrix @ basis) for term in terms])
+    projected = np.stack([_projected(term.matrix, basis) for term in terms])
     return 0.5 * (projected + np.swapaxes(projected, 1, 2))
+
+
+def _projected(matrix: Any, basis: FloatArray) -> FloatArray:
+    """Return Vᵀ K V; of a large K by the rows that are not empty, where they are few."""
+    rows = np.flatnonzero(np.diff(matrix.indptr))
+    if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
+        return np.asarray(basis.T @ (matrix @ basis))
+    return np.asarray(basis[rows].T @ (matrix[rows] @ basis))
 
 
 def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
@@ -261,6 +184,14 @@ def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return L⁻¹ K L⁻ᵀ and L⁻¹, with M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
+
+
+def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest eigenvalues (n, count) and vectors (n, r, count); NaN where A is not finite."""
+    lam, phi = np.full((len(A), count), np.nan), np.full((*A.shape[:2], count), np.nan)
+    for i in np.flatnonzero(np.isfinite(A).all(axis=(1, 2))):
+        lam[i], phi[i] = sl.eigh(A[i], subset_by_index=[0, count - 1], check_finite=False)
+    return lam, phi
 
 
 def _values(A: FloatArray) -> tuple[FloatArray]:

@@ -24,6 +24,8 @@ IntArray = NDArray[np.int64]
 
 PAIRINGS = ("shape", "index")
 SOFT = "soft"
+# Of an array in a batch of reduced solves: 128 MiB.
+_MOST_NUMBERS = 2**24
 
 
 class PairedStructure:
@@ -56,6 +58,8 @@ class PairedStructure:
     ----------
     reduced : BlockModel or None
         Set by `train`: it answers inside the trained box, the full model elsewhere.
+    confirmed : bool
+        Whether training ended because fresh points of the box were within the tolerance.
     full_solves : int
         How often the full model had to answer since `train`.
 
@@ -84,6 +88,7 @@ class PairedStructure:
         self.n_modes = len(numbers)
         self.full = BlockModel.full(model)
         self.reduced: BlockModel | None = None
+        self.confirmed = True
         self.full_solves = 0
         self.rule: IndexPairing | ShapePairing
         if pairing == "index":
@@ -146,7 +151,7 @@ class PairedStructure:
             self._install(training.run())
             for _ in range(20 if wanting is not None else 0):
                 points = wanting()  # type: ignore[misc]
-                if points is None:
+                if points is None or training.is_cut():
                     break
                 self._install(training.refined(points))
         return training.state()
@@ -164,11 +169,11 @@ class PairedStructure:
             within = (theta >= self._lower) & (theta <= self._upper)
             everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
             if everywhere:
-                modes = self._solve_reduced(theta, gradient)
+                modes = self._reduced_modes(theta, gradient)
             else:
                 # the reduced model may overflow far outside its box, where it has no say: the corner stands in
                 inside = within.all(axis=1, keepdims=True)
-                modes = self._solve_reduced(np.where(inside, theta, self._lower), gradient)
+                modes = self._reduced_modes(np.where(inside, theta, self._lower), gradient)
             failed = np.isnan(modes.eigenvalues)
             if everywhere and np.count_nonzero(failed) == 0:
                 return modes
@@ -281,7 +286,9 @@ class PairedStructure:
         }
 
     def _install(self, trained: Trained) -> None:
-        self.reduced, self.pairing = trained.model, trained.pairing
+        self.reduced, self.pairing, self.confirmed = trained.model, trained.pairing, trained.confirmed
+        largest = max((b.size for b in trained.model.blocks if isinstance(b, ReducedBlock)), default=1)
+        self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
@@ -289,6 +296,19 @@ class PairedStructure:
         if isinstance(self.rule, ShapePairing):
             self._reduced_candidates = self._candidates_of(trained.model, self.rule)
         self.full_solves = 0
+
+    def _reduced_modes(self, theta: FloatArray, gradient: bool) -> Modes:
+        """Return the reduced model's modes, a few theta at a time where their matrices would take much memory."""
+        if len(theta) <= self._at_once:
+            return self._solve_reduced(theta, gradient)
+        starts = range(0, len(theta), self._at_once)
+        parts = [self._solve_reduced(theta[i : i + self._at_once], gradient) for i in starts]
+        return Modes(
+            np.concatenate([part.eigenvalues for part in parts]),
+            np.concatenate([part.gradient for part in parts]) if gradient else None,
+            np.concatenate([part.block for part in parts]),
+            np.concatenate([part.rank for part in parts]),
+        )
 
     def _looked_at[Look: (Observed, Candidates)](
         self,

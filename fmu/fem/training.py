@@ -8,26 +8,51 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from fmu.fem.modal import FullBlock
+from fmu.fem.modal import DENSE_LIMIT, FullBlock
 from fmu.fem.model import Block, BlockModel
 from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
-from fmu.fem.reduced_basis import ReducedBlock, Snapshots, proper_orthogonal_basis, smallest_basis
+from fmu.fem.reduced_basis import ReducedBlock
+from fmu.fem.snapshots import AT_ONCE, LARGE, MANY_SHAPES, Snapshots, proper_orthogonal_basis, smallest_basis
 
 FloatArray = NDArray[np.float64]
 
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
 EXACT_LIMIT = 20
 _ROUNDS = 12
+# From this round on a basis is made twice as good at the points it knows: with many parameters fresh ones always
+# lie a little further out, and the same miss would repeat itself round after round.
+_CAREFUL_ROUND = 3
+_MOST_VECTORS = 1000
+
+
+def affordable(n_dof: int) -> int:
+    """Return how many vectors the basis of a block of `n_dof` degrees of freedom may have and still pay.
+
+    A reduced solve takes about 60 ns · r², more from r = 1000 on, and a sparse full one about 30 µs a degree of
+    freedom (results/scale.md): at 12 √n the first is a third of the second. Dense blocks, up to
+    `fmu.fem.modal.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
+    """
+    return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A reduced model with the pairing to use on it and the box it is good for."""
+    """A reduced model with the pairing to use on it and the box it is good for.
+
+    Attributes
+    ----------
+    model : BlockModel
+    pairing : Pairing
+    lower, upper : ndarray, shape (n_parameters,)
+    confirmed : bool
+        Whether fresh points of the box were all within the tolerance, those of all candidate modes.
+    """
 
     model: BlockModel
     pairing: Pairing
     lower: FloatArray
     upper: FloatArray
+    confirmed: bool = True
 
 
 class Training:
@@ -63,21 +88,27 @@ class Training:
         self.pairing: Pairing = rule
         self.basis: dict[int, FloatArray] = {}
         self.trusted: dict[int, int] = {}
+        self.confirmed = True
 
     def run(self) -> Trained:
         """Train until a fresh set of points, corners and faces among them, is within the tolerance.
 
-        Every point that turned out badly joins the snapshots before the next round.
+        The points that turned out badly join the snapshots before the next round, and the others with them while
+        they are few. It ends without success after the last round, or where the basis would be larger than
+        `affordable`: then it is cut there.
         """
         self.snapshots = self._solved(box_points(self.lower, self.upper, self.n_sobol, seed=0))
+        self.confirmed = False
         for round_ in range(1, _ROUNDS):
-            self._compress()
+            self._compress(0.5 if round_ >= _CAREFUL_ROUND else 1.0)
+            if self.is_cut():
+                return self._trained()
             fresh = self._solved(box_points(self.lower, self.upper, self.n_sobol // 2, seed=round_))
-            if self._good_for(fresh):
-                break
-            self._add(fresh)
-        else:
-            self._compress()
+            self.confirmed = self._good_for(fresh)
+            if self.confirmed:
+                return self._trained()
+            self._add(self._worth_adding(fresh))
+        self._compress()
         return self._trained()
 
     def refined(self, theta: FloatArray) -> Trained:
@@ -116,7 +147,8 @@ class Training:
         blocks: list[Block] = list(self.full.blocks)
         for b, basis in self.basis.items():
             blocks[b] = ReducedBlock(self._block(b), basis, self.trusted[b])
-        return Trained(BlockModel(tuple(blocks), self.full.n_parameters), self.pairing, self.lower, self.upper)
+        model = BlockModel(tuple(blocks), self.full.n_parameters)
+        return Trained(model, self.pairing, self.lower, self.upper, self.confirmed)
 
     def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
         """Solve the blocks that the rule looks at, for all modes that might be needed."""
@@ -126,7 +158,7 @@ class Training:
     def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
         """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""
         if isinstance(self.rule, ShapePairing):
-            rank = self.rule.constant(self.full, {b: s.shapes for b, s in snapshots.items()})
+            rank = self._constant(snapshots)
             if rank is None:
                 return self.rule, {b: s.eigenvalues.shape[1] for b, s in snapshots.items()}
             needed = {
@@ -139,11 +171,28 @@ class Training:
         counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
         return self.rule, {b: min(c, snapshots[b].eigenvalues.shape[1]) for b, c in enumerate(counts)}
 
-    def _compress(self) -> None:
-        self.pairing, self.trusted = self._needed(self.snapshots)
-        self.basis = {b: self._compressed(b, needed) for b, needed in self.trusted.items()}
+    def _constant(self, snapshots: dict[int, Snapshots]) -> RankPairing | None:
+        """Return the rule's assignment as fixed ranks if it is the same at every theta; a few theta at a time."""
+        found: RankPairing | None = None
+        for parts in zip(*(s.parts(AT_ONCE) for s in snapshots.values()), strict=True):
+            shapes = {b: part.shapes for b, part in zip(snapshots, parts, strict=True)}
+            rank = self.rule.constant(self.full, shapes)  # type: ignore[union-attr]
+            if rank is None or found not in (None, rank):
+                return None
+            found = rank
+        return found
 
-    def _compressed(self, b: int, needed: int) -> FloatArray:
+    def _compress(self, share: float = 1.0) -> None:
+        """Make the basis as small as the `share` of the tolerance allows at the points that are known."""
+        self.pairing, self.trusted = self._needed(self.snapshots)
+        tolerance = share * self.tolerance
+        self.basis = {b: self._compressed(b, needed, tolerance) for b, needed in self.trusted.items()}
+
+    def is_cut(self) -> bool:
+        """Say whether a basis has as many vectors as pay: then more points cannot make it better."""
+        return any(len(v) > DENSE_LIMIT and v.shape[1] >= affordable(len(v)) for v in self.basis.values())
+
+    def _compressed(self, b: int, needed: int, tolerance: float) -> FloatArray:
         block = self._block(b)
         centre = 0.5 * (self.lower + self.upper)
         if block.size <= EXACT_LIMIT:
@@ -152,10 +201,11 @@ class Training:
         basis = proper_orthogonal_basis(block, wanted, centre)
 
         def acceptable(candidate: ReducedBlock) -> bool:
-            return bool(np.max(wanted.frequency_error(candidate)) <= self.tolerance)
+            return all(np.max(part.frequency_error(candidate)) <= tolerance for part in wanted.parts(AT_ONCE))
 
         smallest = self.basis[b].shape[1] if b in self.basis else 1
-        return smallest_basis(ReducedBlock(block, basis, needed), acceptable, smallest).basis
+        largest = basis[:, : max(affordable(block.size), needed)]
+        return smallest_basis(ReducedBlock(block, largest, needed), acceptable, smallest).basis
 
     def _good_for(self, fresh: dict[int, Snapshots]) -> bool:
         pairing, needed = self._needed(fresh)
@@ -165,9 +215,24 @@ class Training:
             if needed[b] > trusted:
                 return False
             reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
-            if not np.max(fresh[b].lowest(trusted).frequency_error(reduced)) <= self.tolerance:
+            if not np.max(fresh[b].lowest(trusted).largest_error(reduced)) <= self.tolerance:
                 return False
         return True
+
+    def _worth_adding(self, fresh: dict[int, Snapshots]) -> dict[int, Snapshots]:
+        """Return the points of `fresh` that are to join the others: where these are many, the bad ones alone."""
+        many = any(
+            s.eigenvalues.shape[0] * self.trusted[b] > MANY_SHAPES and self._block(b).size > LARGE
+            for b, s in self.snapshots.items()
+        )
+        pairing, needed = self._needed(fresh)
+        if not many or pairing != self.pairing or any(needed[b] > n for b, n in self.trusted.items()):
+            return fresh
+        bad = np.zeros(len(next(iter(fresh.values())).theta), dtype=bool)
+        for b, trusted in self.trusted.items():
+            reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
+            bad |= ~(fresh[b].lowest(trusted).largest_error(reduced) <= 0.5 * self.tolerance)
+        return {b: s.rows(bad) for b, s in fresh.items()}
 
     def _add(self, fresh: dict[int, Snapshots]) -> None:
         self.snapshots = {b: s + fresh[b] for b, s in self.snapshots.items()}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +12,10 @@ from numpy.typing import NDArray
 
 from fmu.fem.basis_cache import load_basis, store_basis
 from fmu.fem.candidates import SoftPairing
+from fmu.fem.modal import RIGID
+from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.structure import PairedStructure
+from fmu.fem.training import box_points
 from fmu.posterior.maxima import local_maxima
 
 if TYPE_CHECKING:
@@ -20,25 +25,80 @@ FloatArray = NDArray[np.float64]
 
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
+LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
 # Below the maximum by more than this, a probability does not matter.
 PLAUSIBLE = 50.0
 PATIENCE = 3
+_CHECKED, _CHECK_SEED = 32, 10_000
 
 
-def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
+class ReductionWarning(UserWarning):
+    """Training ended before the reduced model was as good as asked for."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What a reduced model promises.
+
+    Attributes
+    ----------
+    frequency : float
+        Largest relative error of a frequency, over the whole box.
+    log_prob : float
+        Largest error of the log-probability, wherever that is within `PLAUSIBLE` of its maximum.
+    """
+
+    frequency: float = FREQUENCY_TOLERANCE
+    log_prob: float = LOG_PROB_TOLERANCE
+
+    @classmethod
+    def of(cls, reduction: bool | float) -> Tolerance | None:
+        """Return what a problem's argument `reduction` asks for, None if it wants no reduced model.
+
+        Raises
+        ------
+        ValueError
+            If it is neither true or false nor a number in (0, 0.01].
+
+        Notes
+        -----
+        Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, z_i being
+        the standardised errors: it is proportional to them, and so is what is allowed, from 1e-3 at 1e-6 on. But
+        where log P is off by ε(θ), |ε| ≤ t, a posterior mean moves by Cov(g, ε) ≤ t sd(g) to first order: by up to
+        t of its own standard deviation. So t stays at 0.1 however loose the frequencies are, beside which the
+        Monte Carlo error of 100 effective draws is as large.
+        """
+        if isinstance(reduction, bool | np.bool_):
+            return cls() if reduction else None
+        if not (isinstance(reduction, int | float | np.number) and 0.0 < reduction <= LOOSEST_FREQUENCY):
+            raise ValueError(
+                "reduction: must be true, false or the largest relative error of a frequency, above 0 and at most "
+                f"{LOOSEST_FREQUENCY} (got {reduction!r})"
+            )
+        frequency = float(reduction)
+        return cls(frequency, min(LOG_PROB_TOLERANCE * (frequency / FREQUENCY_TOLERANCE), LOOSEST_LOG_PROB))
+
+
+def reduce_model(problem: UpdatingProblem, structure: PairedStructure, promised: Tolerance) -> None:
     """Train the reduced model of `structure`, or fetch it from the cache.
 
-    Frequencies are good to `FREQUENCY_TOLERANCE` (relative) over the whole box, and the log-probability to
-    `LOG_PROB_TOLERANCE` wherever it is within `PLAUSIBLE` of its maximum, at every point that was tried. Points on
-    a jump, where modes swap and either model may take either of them, say nothing of the basis. Where what is
-    left is rounding of the full model, more points do not help, and training ends: a run's certificate says
-    what was promised and not kept (`fmu.analysis.certificate`).
+    Frequencies are good to the tolerance over the whole box, and the log-probability to its own wherever it is
+    within `PLAUSIBLE` of its maximum, at every point that was tried. Points on a jump, where modes swap and either
+    model may take either of them, say nothing of the basis. Where more points do not help, as what is left is
+    rounding of the full model, or the basis would have more vectors than pay (`fmu.fem.training.affordable`),
+    training ends; a run's certificate says what was promised and not kept (`fmu.analysis.certificate`).
+
+    Warns
+    -----
+    ReductionWarning
+        If training ended before the tolerances were met, from the cache too.
     """
-    tolerances = (FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE, PLAUSIBLE)
+    tolerances = (promised.frequency, promised.log_prob, PLAUSIBLE)
     key = {"problem": problem.configuration(), "tolerances": tolerances}
     state = load_basis(key)
     if state is not None:
         structure.restore(state)
+        _warn_if_missed(structure, promised, state)
         return
     n = structure.n_parameters
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
@@ -50,17 +110,60 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure) -> None:
     def wanting() -> FloatArray | None:
         points = plausible_points(problem, 64, rng)
         difference = np.sum(likelihood.terms(points) - likelihood.full_terms(points), axis=1)
-        wrong = ~(np.abs(difference) <= LOG_PROB_TOLERANCE)
+        wrong = ~(np.abs(difference) <= promised.log_prob)
         if not isinstance(structure.rule, SoftPairing):
-            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], FREQUENCY_TOLERANCE)
+            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], promised.frequency)
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         return points[:, :n] if wrong.any() and not has_stalled(differences) else None
 
     # without such terms the computed modes take no part in the log-probability
     state = structure.train(
-        lower, upper, FREQUENCY_TOLERANCE, wanting if hasattr(likelihood, "full_terms") else None
+        lower, upper, promised.frequency, wanting if hasattr(likelihood, "full_terms") else None
     )
+    error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, promised.frequency)
+    reached = np.array([error, differences[-1] if differences else 0.0])
+    if not (reached[0] <= promised.frequency and reached[1] <= promised.log_prob):
+        state["reached"] = reached
     store_basis(key, state)
+    _warn_if_missed(structure, promised, state)
+
+
+def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
+    """Return the largest relative error of the measured modes' frequencies at fresh points of the box."""
+    theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
+    exact, reduced = structure.full_modes(theta).eigenvalues, structure.modes(theta).eigenvalues
+    elastic = exact > RIGID * np.fmax.reduce(exact, axis=1, keepdims=True)
+    # of a frequency, half as much
+    error = np.max(np.where(elastic, 0.5 * np.abs(reduced / np.where(elastic, exact, 1.0) - 1.0), 0.0), axis=1)
+    wrong = ~(error <= tolerance) & np.isfinite(exact).all(axis=1)
+    wrong[wrong] = ~on_a_jump(structure, theta[wrong], tolerance)
+    return float(np.max(error[wrong], initial=0.0))
+
+
+def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict[str, FloatArray]) -> None:
+    if "reached" not in state:
+        return
+    frequency, log_prob = state["reached"].tolist()
+    blocks = structure.reduced.blocks if structure.reduced is not None else ()
+    sizes = " + ".join(str(block.size) for block in blocks if isinstance(block, ReducedBlock))
+    missed = []
+    if not frequency <= promised.frequency:
+        missed.append(f"its frequencies by up to {frequency:.3g} (asked for: {promised.frequency:g})")
+    if not log_prob <= promised.log_prob:
+        missed.append(f"its log-probability by up to {log_prob:.3g} (asked for: {promised.log_prob:g})")
+    warnings.warn(
+        f"reduction: with a basis of {sizes} vectors the reduced model is off, {' and '.join(missed)}; take a "
+        f"looser tolerance, as reduction={_looser(promised, frequency):g}, narrower bounds or priors, or "
+        "reduction=False, the full model",
+        ReductionWarning,
+        stacklevel=4,
+    )
+
+
+def _looser(promised: Tolerance, reached: float) -> float:
+    """Return the next power of ten that has been reached, or is looser than what was asked for."""
+    wanted = max(reached, 10.0 * promised.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
+    return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 
 
 def has_stalled(differences: Sequence[float]) -> bool:

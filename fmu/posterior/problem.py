@@ -17,7 +17,7 @@ from fmu.fem.structure import PairedStructure
 from fmu.posterior.assembly import Likelihood, check_names, likelihood_of, paired_model
 from fmu.posterior.errors import ErrorModel
 from fmu.posterior.failures import Failure, FailureRecord, why_no_log_likelihood
-from fmu.posterior.focus import reduce_model
+from fmu.posterior.focus import Tolerance, reduce_model
 from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import JointPrior, Parameter
@@ -46,8 +46,10 @@ class UpdatingProblem:
         that in `fmu.posterior.soft`.
     softness : float
         τ, of ``"soft"`` alone.
-    reduction : bool
-        Whether a SeparableModel is answered by a certified reduced model inside the bounds.
+    reduction : bool or float
+        Whether a SeparableModel is answered by a certified reduced model inside the bounds. A number, above 0 and
+        at most 0.01, is the largest relative error that its frequencies may have; true stands for 1e-6. What the
+        log-probability may be off follows from that (`fmu.posterior.focus.Tolerance.of`).
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. For
         frequencies the uncertainty of `data` holds if they have one, and then `beta` must not be given; otherwise
@@ -67,6 +69,8 @@ class UpdatingProblem:
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
         (theta − offset)/scale is of order one: the unit box where there are bounds.
+    promised : Tolerance or None
+        What the reduced model promises; None where there is none.
     failures : list of Failure
         ``(theta, reason)`` for every theta inside the bounds whose solve failed or whose log-likelihood was not
         finite, the first ten thousand.
@@ -92,7 +96,7 @@ class UpdatingProblem:
         *,
         pairing: str = "shape",
         softness: float = SOFTNESS,
-        reduction: bool = True,
+        reduction: bool | float = True,
         beta: ArrayLike | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
@@ -102,7 +106,9 @@ class UpdatingProblem:
         self.n_structural = len(self.parameters)
         self.name = name
         check_names(self.parameters)
+        wanted = Tolerance.of(reduction)
         self.model = paired_model(model, data, self.parameters, pairing, softness)
+        self.promised = wanted if isinstance(self.model, PairedStructure) else None
         self.likelihood: Likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
         if isinstance(self.likelihood, JointLikelihood):
             self.parameters += self.likelihood.noise
@@ -123,8 +129,8 @@ class UpdatingProblem:
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
         self._prior = JointPrior(self.parameters)
-        if reduction and isinstance(self.model, PairedStructure):
-            reduce_model(self, self.model)
+        if self.promised is not None and isinstance(self.model, PairedStructure):
+            reduce_model(self, self.model, self.promised)
             self._failed = FailureRecord()  # what failed on the way is nobody's evaluation
 
     def __repr__(self) -> str:
@@ -247,7 +253,8 @@ class UpdatingProblem:
 
     def configuration(self) -> dict[str, Any]:
         """Return what defines the posterior, in plain Python types."""
-        return {
+        other = {} if self.promised in (None, Tolerance()) else {"reduction": self.promised.frequency}
+        return other | {
             "name": self.name,
             "model": self._model_description(),
             "data": self.data.as_dict(),

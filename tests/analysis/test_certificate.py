@@ -4,6 +4,7 @@ import pytest
 import fmu
 from fmu.analysis.certificate import CertificateWarning, certify
 from fmu.fem.reduced_basis import ReducedBlock
+from fmu.posterior.focus import Tolerance
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +23,8 @@ def test_certificate_is_within_its_tolerances(trace, problem):
     assert 0 < attrs["certificate_frequency_error"] <= 1e-6
     assert 0 < attrs["certificate_log_prob_error"] <= 1e-3
     assert attrs["certificate_pairing_changes"] == attrs["certificate_full_solves"] == 0
+    assert attrs["certificate_frequency_tolerance"] == 1e-6
+    assert attrs["certificate_log_prob_tolerance"] == 1e-3
     assert certify(trace, problem).items() <= attrs.items()
 
 
@@ -45,6 +48,21 @@ def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
     with pytest.warns(CertificateWarning, match="missed its tolerance"):
         certificate = certify(trace, problem)
     assert certificate["certificate_frequency_error"] > 1e-6
+
+
+def test_a_looser_promise_is_kept_where_the_usual_one_is_not(trace, problem, monkeypatch):
+    """The loose basis, held against its own tolerance and then against the usual one."""
+    loose = fmu.UpdatingProblem(
+        problem.model.structure, problem.data, problem.parameters, beta=problem.likelihood.beta, reduction=1e-3
+    )
+    certificate = certify(trace, loose)
+    assert certificate["certificate_frequency_tolerance"] == 1e-3
+    assert certificate["certificate_log_prob_tolerance"] == 0.1
+    assert 1e-6 < certificate["certificate_frequency_error"] <= 1e-3
+    assert certificate["certificate_log_prob_error"] <= 0.1
+    monkeypatch.setattr(loose, "promised", Tolerance())
+    with pytest.warns(CertificateWarning, match="'certificate_frequency_tolerance': 1e-06"):
+        certify(trace, loose)
 
 
 def test_a_wrong_rank_is_found_out(trace, problem, monkeypatch):

@@ -9,9 +9,10 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu import cases
-from fmu.config import load
+from fmu.config import ConfigurationError, load
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
 from fmu.fem.terms import Term
+from fmu.posterior.focus import Tolerance
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import Normal
 from tests import cantilever
@@ -69,6 +70,29 @@ def test_a_frame(frame_text, tmp_path):
     assert_allclose(from_file.log_prob(theta), built.log_prob(theta), rtol=1e-9)
     assert_allclose(from_file.model.structure.geometry.nodes, built.model.structure.geometry.nodes, atol=1e-15)
     assert from_file.data.sensors == ((3, "x"), (4, "y"))
+
+
+@pytest.mark.parametrize(
+    ("value", "promised"), [("true", Tolerance()), ("1e-3", Tolerance(1e-3, 0.1)), ("false", None)]
+)
+def test_how_good_the_reduced_model_must_be(frame_text, tmp_path, value, promised):
+    text = frame_text.replace("reduction = false", f"reduction = {value}")
+    (tmp_path / "portal.toml").write_text(text)
+    assert load(tmp_path / "portal.toml").promised == promised
+
+
+@pytest.mark.parametrize(
+    ("value", "rule"),
+    [
+        ("0.02", r"less than or equal to 0\.01 \(got 0\.02\)"),
+        ("0", r"greater than 0 \(got 0\)"),
+        ('"yes"', r"true, false or a number \(got 'yes'\)"),
+    ],
+)
+def test_a_reduction_that_is_none_is_a_mistake(frame_text, tmp_path, value, rule):
+    (tmp_path / "portal.toml").write_text(frame_text.replace("reduction = false", f"reduction = {value}"))
+    with pytest.raises(ConfigurationError, match=rf"reduction: must be {rule}"):
+        load(tmp_path / "portal.toml")
 
 
 def test_matrices(matrices_text, folder):

@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
 from fmu.fem.modal import FullBlock, frequency_hz
-from fmu.fem.reduced_basis import ReducedBlock, Snapshots, proper_orthogonal_basis, smallest_basis
+from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel, selection
+from fmu.fem.snapshots import Snapshots, proper_orthogonal_basis, smallest_basis
 from fmu.fem.terms import Term
 
 COUNT = 4

@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu import cases
+from fmu.fem import training
 from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel
 from fmu.fem.reduced_basis import ReducedBlock
@@ -16,7 +17,7 @@ from fmu.fem.structure import PairedStructure
 from fmu.fem.terms import Term
 from fmu.fem.training import Trained, Training
 from fmu.posterior import focus
-from fmu.posterior.focus import LOG_PROB_TOLERANCE, plausible_points
+from fmu.posterior.focus import LOG_PROB_TOLERANCE, ReductionWarning, Tolerance, plausible_points
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import Normal
@@ -122,6 +123,11 @@ def test_a_theta_outside_the_bounds_gets_the_full_models_frequencies_and_is_coun
     assert problem.model.full_solves == before + 2
 
 
+def promise(monkeypatch, frequency, log_prob):
+    """Let every problem ask for these tolerances."""
+    monkeypatch.setattr(Tolerance, "of", classmethod(lambda cls, reduction: cls(frequency, log_prob)))
+
+
 @pytest.fixture
 def bases(tmp_path, monkeypatch):
     """Return an empty cache of its own."""
@@ -217,7 +223,7 @@ def test_training_goes_on_until_the_log_probability_is_right(bases, monkeypatch)
     full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
-    monkeypatch.setattr(focus, "LOG_PROB_TOLERANCE", 1e9)
+    promise(monkeypatch, 1e-6, 1e9)
     assert sum(b.size for b in build().model.reduced.blocks) < sum(size)
 
 
@@ -280,7 +286,70 @@ def test_training_ends_where_no_basis_is_good_enough(bases, monkeypatch):
     """What the full model computes is off by more than is asked for, as by rounding."""
     rounds, refined = [], Training.refined
     monkeypatch.setattr(Training, "refined", lambda self, theta: rounds.append(theta) or refined(self, theta))
-    monkeypatch.setattr(focus, "LOG_PROB_TOLERANCE", 1e-300)
+    promise(monkeypatch, 1e-6, 1e-300)
     monkeypatch.setattr(focus, "on_a_jump", lambda structure, theta, tolerance: np.zeros(len(theta), dtype=bool))
-    assert np.isfinite(two_chains().log_prob([1.0, 1.1]))
-    assert len(rounds) < 10
+    with pytest.warns(ReductionWarning, match=r"^reduction: with a basis of \d+ vectors .* log-probability by up"):
+        assert np.isfinite(two_chains().log_prob([1.0, 1.1]))
+    assert 3 <= len(rounds) < 10
+
+
+@pytest.mark.parametrize("given", [0, 0.0, -1e-6, 0.02, 1, float("nan"), float("inf"), "1e-6", None])
+def test_a_tolerance_is_a_number_up_to_a_hundredth(chain, given):
+    with pytest.raises(ValueError, match=r"^reduction: must be true, false or .* at most 0\.01 \(got "):
+        oscillators(chain, reduction=given)
+
+
+def test_what_the_log_probability_may_be_off_follows_the_frequencies_up_to_a_tenth():
+    assert Tolerance.of(True) == Tolerance.of(np.True_) == Tolerance.of(1e-6) == Tolerance(1e-6, 1e-3)
+    assert Tolerance.of(False) is None
+    assert Tolerance.of(1e-7).log_prob == pytest.approx(1e-4)
+    assert Tolerance.of(np.float64(1e-5)).log_prob == pytest.approx(1e-2)
+    assert Tolerance.of(1e-4).log_prob == pytest.approx(0.1)
+    assert Tolerance.of(1e-2) == Tolerance(1e-2, 0.1)
+
+
+def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_basis(bases, trainings, chain):
+    usual, loose = oscillators(chain), oscillators(chain, reduction=1e-4)
+    assert "reduction" not in usual.configuration()
+    assert loose.configuration() == usual.configuration() | {"reduction": 1e-4}
+    assert oscillators(chain, reduction=1e-6).configuration() == usual.configuration()
+    assert oscillators(chain, reduction=False).promised is None
+    assert len(list(bases.iterdir())) == len(trainings) == 2
+    young = cases.load("cantilever-young")
+    sizes, errors = [], []
+    theta = young.sample_prior(np.random.default_rng(2), 100)
+    exact = frequency_hz(young.model.full_modes(theta).eigenvalues)
+    for reduction in (1e-6, 1e-4, 1e-2):
+        problem = UpdatingProblem(
+            young.model.structure, young.data, young.parameters, beta=young.likelihood.beta, reduction=reduction
+        )
+        sizes.append(sum(b.size for b in problem.model.reduced.blocks if isinstance(b, ReducedBlock)))
+        errors.append(np.max(np.abs(problem.frequencies(theta) / exact - 1.0)) / reduction)
+        full = problem.likelihood.error.log_prob_terms(exact).sum(axis=1)
+        near = full > full.max() - focus.PLAUSIBLE
+        assert_allclose(
+            problem.log_likelihood(theta)[near], full[near], rtol=0, atol=2 * problem.promised.log_prob
+        )
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > sizes[-1]
+    assert np.all(np.array(errors) < 2.0)
+
+
+def test_what_training_did_not_reach_is_said_again_when_it_comes_from_the_cache(bases, monkeypatch, trainings):
+    """As if more than eight vectors would not pay."""
+    monkeypatch.setattr(training, "affordable", lambda n_dof: 8)
+    monkeypatch.setattr(training, "DENSE_LIMIT", 10)
+    words = r"^reduction: with a basis of 8 .*frequencies by up to \S+ \(asked for: 1e-06\).*reduction=0\.0"
+    with pytest.warns(ReductionWarning, match=words) as said:
+        first = cases.load("cantilever-young")
+    with pytest.warns(ReductionWarning) as again:
+        second = cases.load("cantilever-young")
+    assert len(trainings) == 1
+    assert str(again[0].message) == str(said[0].message)
+    theta = first.sample_prior(np.random.default_rng(0), 50)
+    assert_array_equal(second.log_prob(theta), first.log_prob(theta))
+    reached = float(str(said[0].message).split("by up to ")[1].split()[0])
+    error = np.max(
+        np.abs(first.frequencies(theta) / frequency_hz(first.model.full_modes(theta).eigenvalues) - 1.0)
+    )
+    assert 0.1 * reached < error < 3.0 * reached

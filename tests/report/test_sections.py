@@ -176,6 +176,22 @@ def test_certificate_is_held_against_what_was_promised(hmc):
     section = origin.certificate(run)
     assert section.parts[0].words.endswith("The reduced model does not keep its promise.")
     assert table(section)[1]["found"] == "0.5"
+    assert [row["allowed"] for row in table(section)[:2]] == ["1e−6", "0.001"]
+
+
+def test_certificate_is_held_against_a_looser_promise(hmc):
+    loose = hmc.trace.copy()
+    loose.attrs = {
+        **hmc.trace.attrs,
+        "certificate_frequency_error": 5e-4,
+        "certificate_log_prob_error": 0.05,
+        "certificate_frequency_tolerance": 1e-3,
+        "certificate_log_prob_tolerance": 0.1,
+    }
+    (run,) = runs_of({"hmc": loose}).values()
+    section = origin.certificate(run)
+    assert section.parts[0].words.endswith("The reduced model keeps its promise.")
+    assert [row["allowed"] for row in table(section)[:2]] == ["0.001", "0.1"]
 
 
 def test_settings_show_what_was_learnt_and_where_it_comes_from(hmc):

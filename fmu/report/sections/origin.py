@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from fmu.posterior.focus import FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE
+from fmu.posterior.focus import Tolerance
 from fmu.report.document import Code, Details, Omitted, Part, Section, Table, Text
 from fmu.report.markdown import MISSING, whole
 from fmu.report.numbers import fixed, significant
@@ -42,14 +42,19 @@ def certificate(run: Run) -> Section | Omitted:
         return Omitted(title, "no reduced model took part that could be certified")
     frequency, log_prob = (float(attrs[f"certificate_{name}_error"]) for name in ("frequency", "log_prob"))
     changes = int(attrs["certificate_pairing_changes"])
-    is_kept = frequency <= FREQUENCY_TOLERANCE and log_prob <= LOG_PROB_TOLERANCE and not changes
+    usual = Tolerance()
+    allowed = Tolerance(
+        float(attrs.get("certificate_frequency_tolerance", usual.frequency)),
+        float(attrs.get("certificate_log_prob_tolerance", usual.log_prob)),
+    )
+    is_kept = frequency <= allowed.frequency and log_prob <= allowed.log_prob and not changes
     said = (
         f"{attrs['certificate_draws']} of the draws kept were solved again with the full model. The reduced model "
         + ("keeps its promise." if is_kept else "does not keep its promise.")
     )
     rows = (
-        ("largest relative error of a frequency", significant(frequency, 2), significant(FREQUENCY_TOLERANCE, 2)),
-        ("largest error of the log-probability", significant(log_prob, 2), significant(LOG_PROB_TOLERANCE, 2)),
+        ("largest relative error of a frequency", significant(frequency, 2), significant(allowed.frequency, 2)),
+        ("largest error of the log-probability", significant(log_prob, 2), significant(allowed.log_prob, 2)),
         ("draws at which the pairing changed", str(changes), "0"),
         (
             "full solves during the run, outside the reduced model's box",

@@ -1,0 +1,145 @@
+"""What is done otherwise where a structure or its basis is large gives what is done where they are small."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from fmu.fem import reduced_basis, snapshots, structure, training
+from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modal import FullBlock
+from fmu.fem.reduced_basis import ReducedBlock
+from fmu.fem.snapshots import Snapshots, proper_orthogonal_basis
+from fmu.fem.structure import PairedStructure
+from fmu.fem.training import Training, affordable, box_points
+
+PARTS, ELEMENTS = 10, 40
+
+
+def cantilever():
+    """Return a cantilever of ten groups with moduli of their own, not along an axis of its section: one block."""
+    turned = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    nodes = np.linspace(0.0, 1.0, ELEMENTS + 1)[:, None] * turned[0]
+    elements = np.stack([np.arange(ELEMENTS), np.arange(1, ELEMENTS + 1)], axis=1)
+    section, steel = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6), Material(E=2.1e11, nu=0.3, rho=7850.0)
+    groups = [
+        ElementGroup(str(g), part, section, steel, (0.3, 1.0, 0.2))
+        for g, part in enumerate(np.split(elements, PARTS))
+    ]
+    model = Frame(nodes, groups, {0: DIRECTIONS}).separable({f"E{g}": [("E", str(g))] for g in range(PARTS)})
+    return model, np.full(PARTS, 1.6e11), np.full(PARTS, 2.6e11)
+
+
+@pytest.fixture(scope="module")
+def solved():
+    model, lower, upper = cantilever()
+    (dofs,) = model.blocks
+    block = FullBlock(model, dofs)
+    return block, Snapshots.solve(block, box_points(lower, upper, 8, seed=1), 6), 0.5 * (lower + upper)
+
+
+def test_shapes_compressed_by_and_by_span_the_same_space(solved, monkeypatch):
+    block, known, centre = solved
+    at_once = proper_orthogonal_basis(block, known, centre)
+    monkeypatch.setattr(snapshots, "MANY_SHAPES", 60)
+    monkeypatch.setattr(snapshots, "LARGE", 10)
+    by_and_by = proper_orthogonal_basis(block, known, centre)
+    M = sum(term.matrix for term in block.M_terms)
+    assert_allclose(by_and_by.T @ (M @ by_and_by), np.eye(by_and_by.shape[1]), atol=1e-9)
+    errors = [known.largest_error(ReducedBlock(block, V[:, :60], 6)).max() for V in (at_once, by_and_by)]
+    assert 1e-12 < errors[0] < 1e-3
+    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+
+
+def test_a_term_is_projected_by_its_own_rows(solved, monkeypatch):
+    block, known, centre = solved
+    basis = proper_orthogonal_basis(block, known, centre)[:, :20]
+    whole = ReducedBlock(block, basis, 6)._K
+    monkeypatch.setattr(reduced_basis, "_LARGE", 10)
+    assert_allclose(ReducedBlock(block, basis, 6)._K, whole, rtol=1e-9, atol=1e-12 * np.abs(whole).max())
+
+
+def test_the_few_lowest_modes_are_those_of_all(solved, monkeypatch):
+    block, known, centre = solved
+    reduced = ReducedBlock(block, proper_orthogonal_basis(block, known, centre)[:, :32], 6)
+    theta = centre * np.random.default_rng(2).uniform(0.8, 1.2, size=(7, PARTS))
+    lam, phi = reduced.modes(theta, 6)
+    monkeypatch.setattr(reduced_basis, "_PARTIAL", 32)
+    theta[3] = np.nan
+    few_lam, few_phi = reduced.modes(theta, 6)
+    rest = np.arange(7) != 3
+    assert np.isnan(few_lam[3]).all()
+    assert np.isnan(few_phi[3]).all()
+    assert_allclose(few_lam[rest], lam[rest], rtol=1e-10)
+    assert_allclose(np.abs(np.sum(few_phi[rest] * phi[rest], axis=1)), 1.0, rtol=1e-8)
+    for i in np.flatnonzero(rest):
+        one = reduced.modes(theta[i : i + 1], 6)
+        assert_array_equal(one[0][0], few_lam[i])
+        assert_array_equal(one[1][0], few_phi[i])
+    all_modes = reduced.modes(theta[:1], 32)
+    assert all_modes[1].shape == (1, 32, 32)
+
+
+def paired(**options):
+    model, lower, upper = cantilever()
+    reference = 0.5 * (lower + upper)
+    structure_ = PairedStructure(model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=reference)
+    return structure_, structure_.train(lower, upper, **options), lower, upper
+
+
+def test_a_batch_in_parts_changes_no_bit(monkeypatch):
+    whole, state, lower, upper = paired(tolerance=1e-3)
+    monkeypatch.setattr(structure, "_MOST_NUMBERS", 3 * max(b.size for b in whole.reduced.blocks) ** 2)
+    model, *_ = cantilever()
+    parts = PairedStructure(
+        model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=0.5 * (lower + upper)
+    )
+    parts.restore(state)
+    assert 1 <= parts._at_once <= 3 < whole._at_once
+    theta = box_points(lower, upper, 8, seed=5)
+    for gradient in (False, True):
+        one, other = whole.modes(theta, gradient), parts.modes(theta, gradient)
+        assert_array_equal(one.eigenvalues, other.eigenvalues)
+        assert_array_equal(one.rank, other.rank)
+        assert (one.gradient is None) == (other.gradient is None) == (not gradient)
+        if gradient:
+            assert_array_equal(one.gradient, other.gradient)
+
+
+def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
+    rounds, good = [], Training._good_for
+    monkeypatch.setattr(Training, "_good_for", lambda self, fresh: rounds.append(1) or good(self, fresh))
+    monkeypatch.setattr(training, "DENSE_LIMIT", 10)
+    monkeypatch.setattr(training, "affordable", lambda n_dof: 12)
+    cut, *_ = paired(wanting=lambda: np.full((1, PARTS), 2e11))
+    assert not cut.confirmed
+    assert rounds == []
+    assert [b.size for b in cut.reduced.blocks] == [12]
+
+
+def test_many_points_of_which_few_are_bad(monkeypatch):
+    """Only those that turned out badly join the others, and the tolerance is reached nevertheless."""
+    monkeypatch.setattr(training, "LARGE", 10)
+    monkeypatch.setattr(training, "MANY_SHAPES", 10)
+
+    def a_part_of_the_box_first(lower, upper, n, seed):
+        return box_points(lower, lower + 0.1 * (upper - lower) if seed == 0 else upper, n, seed)
+
+    monkeypatch.setattr(training, "box_points", a_part_of_the_box_first)
+    added, add = [], Training._add
+    monkeypatch.setattr(
+        Training, "_add", lambda self, fresh: added.append(len(fresh[0].theta)) or add(self, fresh)
+    )
+    trained, _, lower, upper = paired(tolerance=1e-5)
+    fresh = len(box_points(lower, upper, 32, seed=1))
+    assert trained.confirmed
+    assert added
+    assert all(0 < n < fresh for n in added)
+    theta = box_points(lower, upper, 32, seed=77)
+    exact = trained.full_modes(theta).eigenvalues
+    assert_allclose(trained.modes(theta).eigenvalues, exact, rtol=4e-5)
+
+
+def test_what_pays():
+    assert affordable(400) == 400
+    assert affordable(2500) == 600
+    assert affordable(10_000) == affordable(1_000_000) == 1000
