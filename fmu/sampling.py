@@ -34,11 +34,13 @@ class StoppedRun(KeyboardInterrupt):
     ----------
     trace : xarray.DataTree or None
         What had been drawn by then, None if that was nothing but warm-up.
+    where : str
+        In words.
     """
 
-    def __init__(self, words: str, trace: xr.DataTree | None) -> None:
-        super().__init__(words)
-        self.trace = trace
+    def __init__(self, where: str, trace: xr.DataTree | None) -> None:
+        super().__init__(f"the run was stopped {where}")
+        self.trace, self.where = trace, where
 
 
 def sample(
@@ -128,6 +130,7 @@ def sample(
     import numpy as np
 
     from fmu.analysis.failure_ledger import failure_rate_exceeded
+    from fmu.analysis.live import live_diagnostics
     from fmu.analysis.trace import to_trace
     from fmu.interruption import interruptible
     from fmu.progress import reporting
@@ -142,7 +145,7 @@ def sample(
             f"(got {sampler!r})"
         )
     draws = whole_number("draws", draws, 1)
-    limit = _limit(draws, until_ess, max_draws)
+    limit = most_draws(draws, until_ess, max_draws)
     failure_rate_exceeded(0, 0, max_failure_rate)  # whether it is a rate
     if until_ess is not None and maxima is None and hasattr(problem, "parameters"):
         from fmu.analysis.search import find_map
@@ -171,6 +174,7 @@ def sample(
                 too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
                     failed, solves, max_failure_rate, failures=why
                 ),
+                live=live_diagnostics,
             )
             result = begun.extend(draws)
             while result.draws < limit and not _is_enough(
@@ -179,9 +183,10 @@ def sample(
                 result = begun.extend(min(result.draws, limit - result.draws))
         except Interrupted as stopped:
             so_far = stopped.result
-            words = "in warm-up" if so_far is None else f"after {so_far.draws} draws"
-            trace = None if so_far is None else trace_of(so_far, complete=False)
-            raise StoppedRun(f"the run was stopped {words}", trace) from None
+            if so_far is None:
+                raise StoppedRun("in warm-up", None) from None
+            where = f"after {so_far.draws} of {draws} draws"
+            raise StoppedRun(where, trace_of(so_far, complete=False)) from None
     return trace_of(result, complete=True)
 
 
@@ -190,6 +195,7 @@ def _store(
 ) -> Store:
     """Return where the run is kept."""
     from fmu.analysis.provenance import described
+    from fmu.analysis.trace import names_of
     from fmu.checkpoints import Checkpoint
     from fmu.checkpoints.identity import Identity
     from fmu.checkpoints.store import Store
@@ -205,7 +211,9 @@ def _store(
     }
     configuration = described(problem, settings.name, describe(settings), run)
     where = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
-    return Store(where, Identity.of(configuration))
+    names = names_of(problem)
+    units = tuple(getattr(problem, "units", ("",) * len(names)))
+    return Store(where, Identity.of(configuration), names, units)
 
 
 def _engine(workers: Any, stack: ExitStack) -> Engine:
@@ -241,8 +249,8 @@ def _with_structure(
     return trace
 
 
-def _limit(draws: int, until_ess: float | None, max_draws: int | None) -> int:
-    """Return the most steps to keep; ValueError unless the numbers make sense together."""
+def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> int:
+    """Return the most steps that `sample` keeps; ValueError unless the numbers make sense together."""
     from fmu.samplers.settings import positive_number, whole_number
 
     if until_ess is None:

@@ -63,7 +63,7 @@ def to_trace(
     """
     import xarray as xr
 
-    names = _names(density)
+    names = names_of(density)
     units = tuple(getattr(density, "units", ("",) * density.ndim))
     groups = {
         "posterior": _variables(result.posterior.position, names, units),
@@ -147,7 +147,7 @@ def check_trace(trace: Any, origin: str = "trace") -> None:
         raise ValueError(f"{origin}: must be a trace written by fmu (it has no {', '.join(missing)})")
 
 
-def _names(density: LogDensity) -> tuple[str, ...]:
+def names_of(density: LogDensity) -> tuple[str, ...]:
     """Return the parameters' names; ``x0``, ``x1``, ... where the density has none."""
     return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from fmu.checkpoints.durable import DamagedError
+from fmu.posterior.failures import Failure
 from fmu.samplers.group import Standing
 from fmu.samplers.record import Steps
 from fmu.samplers.snapshot import Snapshot
@@ -60,8 +61,8 @@ class State(NamedTuple):
     segments: list[Segment]
 
 
-def packed_steps(steps: Steps, failures: list[tuple[Any, str]]) -> bytes:
-    """Return an HDF5 file of steps, and of the points that failed on the way: theta and why."""
+def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
+    """Return an HDF5 file of steps, and of the points that failed on the way."""
     import h5py
 
     buffer = io.BytesIO()
@@ -70,8 +71,8 @@ def packed_steps(steps: Steps, failures: list[tuple[Any, str]]) -> bytes:
         for name, values in steps.stats.items():
             file[f"stats/{name}"] = values
         if failures:
-            file["failures/theta"] = np.array([theta for theta, _ in failures], dtype=float)
-            file["failures/reason"] = [reason for _, reason in failures]
+            file["failures/theta"] = np.array([failure.theta for failure in failures], dtype=float)
+            file["failures/reason"] = [failure.reason for failure in failures]
     return buffer.getvalue()
 
 
@@ -83,7 +84,7 @@ def unpacked_steps(content: bytes) -> Steps:
         return Steps(file["position"][()], {name: values[()] for name, values in file["stats"].items()})
 
 
-def unpacked_failures(content: bytes) -> list[tuple[Any, str]]:
+def unpacked_failures(content: bytes) -> list[Failure]:
     """Return the points that failed on the way."""
     import h5py
 
@@ -91,7 +92,7 @@ def unpacked_failures(content: bytes) -> list[tuple[Any, str]]:
         if "failures" not in file:
             return []
         reasons = file["failures/reason"].asstr()[()]
-        return list(zip(file["failures/theta"][()], map(str, reasons), strict=True))
+        return [Failure(theta, str(why)) for theta, why in zip(file["failures/theta"][()], reasons, strict=True)]
 
 
 def packed_state(state: State) -> bytes:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from filelock import FileLock, Timeout
 
+from fmu.analysis.failure_ledger import FailedSolves, failures_csv
 from fmu.checkpoints.content import (
     Segment,
     State,
@@ -23,10 +23,11 @@ from fmu.checkpoints.content import (
 from fmu.checkpoints.durable import DamagedError, digest, payload_of, signed, write_durably
 from fmu.checkpoints.identity import Identity
 from fmu.checkpoints.settings import Checkpoint
+from fmu.posterior.failures import Failure
 from fmu.samplers.record import Steps
 from fmu.samplers.run import LIVE_S, Kept, Unkept
 
-LOCK = "lock"
+LOCK, LEDGER = "lock", "failures.csv"
 TITLE = "fmu state 1"
 _STATES = 2  # kept at a time: should the last be damaged, the one before it is there
 
@@ -41,12 +42,15 @@ class Store:
     There is one directory a group, ``group-1`` for the first. ``steps-000001.h5`` and so on in it hold the draws,
     in HDF5; ``state-000007`` what the sampler needs to go on after them, the list of these files and their
     checksums. A file appears whole or not at all, so that the directory can be read at any time; whatever lies
-    there that no state lists, counts for nothing and is drawn again.
+    there that no state lists, counts for nothing and is drawn again. ``failures.csv`` is the ledger of failed
+    solves, where there are some.
 
     Parameters
     ----------
     settings : Checkpoint
     identity : Identity
+    names, units : sequence of str
+        Of the parameters.
 
     Raises
     ------
@@ -56,8 +60,12 @@ class Store:
         If the directory cannot be made or written to.
     """
 
-    def __init__(self, settings: Checkpoint, identity: Identity) -> None:
+    def __init__(
+        self, settings: Checkpoint, identity: Identity, names: Sequence[str], units: Sequence[str]
+    ) -> None:
         self.settings, self.identity = settings, identity
+        self._names, self._units = names, units
+        self._failed: list[FailedSolves] = []
         self.directory = Path(settings.directory)
         self.most_steps = settings.draws
         self._groups: dict[int, _GroupFiles] = {}
@@ -86,7 +94,10 @@ class Store:
         self._kept_at[group] = time.monotonic()
         files = self._files(group)
         state = files.last_intact(self.identity.hash)
-        return None if state is None else Kept(state.standing, state.elapsed_s, files.steps(state))
+        if state is None:
+            return None
+        self._note(files.failures(group))
+        return Kept(state.standing, state.elapsed_s, files.steps(state))
 
     def is_due(self, group: int, steps: int) -> bool:
         """Say whether a group that has since taken so many steps is to be kept again."""
@@ -102,7 +113,9 @@ class Store:
             If the disk is full, or gone. What was kept before is intact.
         """
         try:
-            self._files(group).append(self.identity.hash, unkept)
+            segment = self._files(group).append(self.identity.hash, unkept)
+            if segment.failed or unkept.failures:
+                self._note([_failed(group, segment, unkept.failures)])
         except OSError as error:
             done = unkept.first
             raise OSError(
@@ -110,10 +123,6 @@ class Store:
                 f"{unkept.phase} step {done + 1} of group {group + 1} is kept there"
             ) from error
         self._kept_at[group] = time.monotonic()
-
-    def failures(self) -> list[tuple[Any, str]]:
-        """Return the points at which the log-density was not finite, and why, of everything that is kept."""
-        return [failure for group in sorted(self._groups) for failure in self._groups[group].failures()]
 
     def close(self) -> None:
         """Let others at the directory."""
@@ -124,6 +133,13 @@ class Store:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    def _note(self, failed: list[FailedSolves]) -> None:
+        """Put failed solves into the ledger."""
+        if failed:
+            self._failed += failed
+            content = failures_csv(self._names, self._units, self._failed)
+            write_durably(self.directory / LEDGER, content.encode())
 
     def _files(self, group: int) -> _GroupFiles:
         if group not in self._groups:
@@ -163,16 +179,13 @@ class _GroupFiles:
         for segment in state.segments:
             yield segment.phase, segment.first, unpacked_steps(self._content(segment))
 
-    def failures(self) -> list[tuple[Any, str]]:
+    def failures(self, group: int) -> list[FailedSolves]:
         """Return what failed in all segments."""
-        found = []
-        for segment in self.segments:
-            if segment.failed:
-                found += unpacked_failures(self._content(segment))
-        return found
+        failing = (segment for segment in self.segments if segment.failed)
+        return [_failed(group, segment, unpacked_failures(self._content(segment))) for segment in failing]
 
-    def append(self, configuration: str, unkept: Unkept) -> None:
-        """Write a segment, then the state that lists it, and forget older states."""
+    def append(self, configuration: str, unkept: Unkept) -> Segment:
+        """Write a segment, then the state that lists it, and forget older states; the segment is returned."""
         self.directory.mkdir(exist_ok=True)
         content = packed_steps(unkept.steps, unkept.failures)
         stats = unkept.steps.stats
@@ -193,6 +206,7 @@ class _GroupFiles:
         self._number += 1
         for _, old in numbered(self.directory, "state")[:-_STATES]:
             old.unlink(missing_ok=True)
+        return segment
 
     def _content(self, segment: Segment) -> bytes:
         """Return the bytes of a segment; DamagedError unless they are those that were written."""
@@ -203,6 +217,10 @@ class _GroupFiles:
         if digest(content) != segment.sha256:
             raise DamagedError(f"the checksum of {segment.name} is wrong")
         return content
+
+
+def _failed(group: int, segment: Segment, failures: Sequence[Failure]) -> FailedSolves:
+    return FailedSolves(group, segment.phase, segment.first + segment.steps, failures, segment.failed)
 
 
 def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-BAD_INPUT = 2
+BAD_INPUT, BROKEN_OFF = 2, 1
 
 
 class Commands(click.Group):
@@ -24,17 +24,24 @@ class Commands(click.Group):
             _stop(error.format_message())
         except click.Abort:
             click.echo("Stopped.", err=True)
-            sys.exit(1)
+            sys.exit(BROKEN_OFF)
         except (ValueError, OSError) as error:
             _stop(
                 str(error.args[0]) if hasattr(error, "mistakes") else str(error), *getattr(error, "mistakes", ())
             )
+        except RuntimeError as error:
+            from fmu.engines.engine import LostTaskError
+            from fmu.samplers.run import TooManyFailuresError
+
+            if not isinstance(error, LostTaskError | TooManyFailuresError):
+                raise
+            _stop(str(error), code=BROKEN_OFF)
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _stop(message: str, *mistakes: object) -> None:
+def _stop(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
     """Print one line, and one more for each mistake in a file."""
     for line in (f"Error: {message}", *(f"  {mistake}" for mistake in mistakes)):
         indent = "  " if line.startswith("  ") else ""
         click.echo(indent + " ".join(line.split()), err=True)
-    sys.exit(BAD_INPUT)
+    sys.exit(code)

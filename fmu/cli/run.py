@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from fmu.cli.output import claimed, write_csv
+from fmu.cli.output import claimed, make_writable
+from fmu.cli.sampled import sampled, tell
 from fmu.cli.source import source
-from fmu.cli.tables import echo_comparison, text
-from fmu.progress import labelled, progress_bars
-from fmu.sampling import SAMPLERS
+from fmu.progress import Report, json_lines, progress_bars
+from fmu.sampling import MAX_FAILURE_RATE, SAMPLERS, most_draws
 
 if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
+    from fmu.config.kept import KeptProblem
 
-    from fmu.analysis.diagnosis import Diagnosis
-    from fmu.posterior.problem import UpdatingProblem
+_FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate"}
+"""What may be said anew when a run is resumed: the draws do not depend on it."""
 
 
 @click.command("run")
-@click.argument("case")
+@click.argument("case", required=False)
 @click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=("hmc",),
               show_default=True, help="May be given several times.")  # fmt: skip
 @click.option("--pairing", type=click.Choice(("shape", "index", "soft")),
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 @click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Steps kept.")
 @click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
 @click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")
+@click.option("--groups", type=click.IntRange(min=1),
+              help="Groups of chains that advance and learn by themselves, for several workers; part of what "
+              "determines the draws.  [default: 1; of emcee, every ensemble]")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--starts", type=click.IntRange(min=1),
               help="Climbs of the search for maxima before sampling; fewer are faster and may miss one.  "
@@ -45,102 +49,105 @@ if TYPE_CHECKING:
               "--max-draws are reached before.")  # fmt: skip
 @click.option("--max-draws", type=click.IntRange(min=1), help="The most steps kept with --until-ess."
               "  [default: 32 times --draws]")  # fmt: skip
+@click.option("--max-failure-rate", type=click.FloatRange(0, 1), default=MAX_FAILURE_RATE, show_default=True,
+              help="Stop when a larger share of the solves has failed.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: runs/CASE-PAIRING]")
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the directory.")
+@click.option("--resume", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="DIR",
+              help="Go on with the run in DIR that was stopped or killed, to its end.")  # fmt: skip
+@click.option("--keep-draws", type=click.IntRange(min=1), default=1000, show_default=True,
+              help="Keep the run on disk every so many steps,")  # fmt: skip
+@click.option("--keep-seconds", type=click.FloatRange(min=0), default=30.0, show_default=True,
+              help="and every so many seconds: as much is lost if it is killed.")  # fmt: skip
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes that the groups of chains are shared out to; of a Python function, the single "
+              "evaluations.")  # fmt: skip
+@click.option("--cluster", metavar="ADDRESS",
+              help="A Dask cluster instead: tcp://HOST:PORT of its scheduler, or local:N.")  # fmt: skip
+@click.option("--progress", type=click.Choice(("bars", "json", "none")), default="bars", show_default=True,
+              help="Bars on a terminal, or lines of JSON on standard error.")  # fmt: skip
 @click.option("--report/--no-report", "reports", default=True, help="Write HTML pages too, as fmu report does.")
+@click.pass_context
 def command(
-    case: str,
-    samplers: tuple[str, ...],
-    pairing: str | None,
+    context: click.Context,
+    case: str | None,
+    resume: Path | None,
     out: Path | None,
     overwrite: bool,
     reports: bool,
-    starts: int | None,
-    **steps: Any,
+    workers: int,
+    cluster: str | None,
+    progress: str,
+    **orders: Any,
 ) -> int:
     """Sample CASE: a built-in problem, or one that a TOML file describes.
 
     Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
     Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, and pages to
-    read (report/index.html); keeps CASE (problem.toml, run.json).
+    read (report/index.html); where solves failed, a ledger of them (failures-SAMPLER.csv); keeps CASE
+    (problem.toml, run.json). What is drawn is kept on disk meanwhile: Ctrl-C stops cleanly, and a run that was
+    stopped or killed goes on with --resume, bit for bit.
     """
-    given = source(case, pairing)
-    with claimed(out or Path("runs") / f"{given.stem}-{given.pairing}", overwrite) as directory:
-        from fmu.analysis.comparison import side_by_side
-        from fmu.analysis.diagnosis import diagnose_all
-        from fmu.analysis.diagnostics import summary
-        from fmu.analysis.search import STARTS, default_starts, find_map
-        from fmu.analysis.trace import save_trace
-        from fmu.config.kept import keep
-        from fmu.sampling import sample
+    from fmu.config.kept import KeptProblem
 
-        problem = given.load()
-        starts = starts or default_starts(problem)
-        if sys.stderr.isatty() or starts != STARTS:  # it may take long
-            click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
-        traces, summaries = {}, {}
-        with _explained(problem), progress_bars() as report:
-            maxima = steps["maxima"] = find_map(problem, starts)
-            for name in dict.fromkeys(samplers):
-                traces[name] = sample(problem, name, progress=report and labelled(report, name), **steps)
-                keep(given.path, directory, given.pairing)
-                save_trace(traces[name], directory / f"{name}.nc")
-                summaries[name] = summary(traces[name])
-                write_csv(summaries[name], directory / f"summary-{name}.csv")
-        write_csv(maxima.table(), directory / "map.csv")
-        verdicts = diagnose_all(traces, summaries=summaries)
-        comparison = side_by_side(traces, summaries, verdicts)
-        write_csv(comparison, directory / "comparison.csv")
-    click.echo(f"Maxima of the posterior\n{maxima}\n")
-    for name, table in summaries.items():
-        click.echo(f"{name}\n{text(table.assign(unit=table.attrs['units']))}\n")
-        _echo_failed_points(name, traces[name], problem)
-    echo_comparison(comparison, verdicts)
-    short = _short_of(steps["until_ess"], summaries, verdicts)
-    if short:
-        click.echo(f"\nStopped at the most draws, short of --until-ess {steps['until_ess']:g}: {', '.join(short)}")
-    click.echo(f"\nWritten to {directory}")
-    if reports:
-        from fmu.report.html import publish
+    with ExitStack() as stack:
+        if resume is None:
+            if case is None:
+                raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
+            given = source(case, orders.pop("pairing"))
+            most_draws(orders["draws"], orders["until_ess"], orders["max_draws"])  # whether they go together
+            asked, load = KeptProblem(given.path, given.path.parent, given.pairing, orders), given.load
+            where = out or Path("runs") / f"{given.stem}-{given.pairing}"
+            directory = stack.enter_context(claimed(where, overwrite))
+        else:
+            asked = _resumed(context, resume, orders)
+            load, directory = asked.load, resume
+            make_writable(resume)
+        from fmu.checkpoints.run_directory import RunDirectory
+        from fmu.engines.engine import engine
 
-        click.echo(f"Report: {publish(traces, directory)}")
-    return 1 if short else 0
+        problem = load()
+        running = stack.enter_context(RunDirectory(directory))
+        if resume is None:
+            running.begin(asked)
+        at_work = stack.enter_context(engine(workers, cluster))
+        report = stack.enter_context(_reporting(progress))
+        outcome = sampled(problem, asked, running, at_work, report)
+    return tell(outcome, directory, reports)
 
 
-def _short_of(
-    until_ess: float | None, summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
-) -> list[str]:
-    """Return the samplers that did not come to the effective sample size with a good verdict."""
-    if until_ess is None:
-        return []
-    from fmu.analysis.diagnosis import is_enough
+def _resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:
+    """Return the problem of a run and what was asked for; BadParameter if something else is asked now."""
+    from fmu.checkpoints.run_directory import unfinished
+    from fmu.config.kept import ORIGIN, kept
 
-    return [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
-
-
-def _echo_failed_points(name: str, trace: xr.DataTree, problem: UpdatingProblem) -> None:
-    """Say how many points inside the bounds had no finite log-probability, if there were any."""
-    groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
-    failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
-    if failed:
-        click.echo(
-            f"{name}: {failed} points inside the bounds had no finite log-probability{_why(problem)}\n", err=True
+    said = [p for p in context.command.params if _is_said(context, p)]
+    changed = [p for p in said if p.name not in _FREE]
+    if changed:
+        what = "CASE" if changed[0].name == "case" else changed[0].opts[0]
+        raise click.BadParameter(
+            f"{what} is that of the run, which keeps it in {directory}: leave it out.", param_hint="'--resume'"
         )
+    where = unfinished(directory)
+    found = kept(where) if (where / ORIGIN).is_file() else None
+    if found is None or not found.orders:
+        raise click.BadParameter(f"{directory} is not of a run that can be resumed.", param_hint="'--resume'")
+    anew = {str(p.name): orders[str(p.name)] for p in said if p.name in found.orders}
+    return replace(found, orders={**found.orders, **anew})
+
+
+def _is_said(context: click.Context, parameter: click.Parameter) -> bool:
+    return context.get_parameter_source(str(parameter.name)) is not ParameterSource.DEFAULT
 
 
 @contextmanager
-def _explained(problem: UpdatingProblem) -> Iterator[None]:
-    """Add to an error why the user's function failed, where it did."""
-    try:
-        yield
-    except ValueError as error:
-        why = _why(problem)
-        if not why:
-            raise
-        raise ValueError(f"{error}{why}") from error
-
-
-def _why(problem: UpdatingProblem) -> str:
-    """Return the first reason why the function of a black-box model failed; empty if it never did."""
-    reasons = getattr(problem.model, "reasons", ())
-    return f"; the function failed first at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""
+def _reporting(progress: str) -> Iterator[Report | None]:
+    """Give what shows the progress."""
+    if progress == "json":
+        with json_lines(sys.stderr) as lines:
+            yield lines
+    elif progress == "bars":
+        with progress_bars() as bars:
+            yield bars
+    else:
+        yield None

@@ -1,17 +1,28 @@
-"""The problem file that a run keeps, and where it came from: what it takes to build the problem again."""
+"""What a run keeps of where it came from: the problem file, and what was asked for, to build and to resume it."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any
+
+from fmu.checkpoints.durable import write_durably
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
 
 FILE, ORIGIN = "problem.toml", "run.json"
-_ABOUT = "Written by fmu run: where problem.toml came from. The folder is relative to this file's."
+_ABOUT = (
+    "Written by fmu run: where problem.toml came from, and what was asked for. The folder is relative to this "
+    "file's."
+)
 
 
-class KeptProblem(NamedTuple):
+@dataclass(frozen=True)
+class KeptProblem:
     """A problem file and what the run added to it.
 
     Attributes
@@ -21,23 +32,49 @@ class KeptProblem(NamedTuple):
         Where the files that it names are.
     pairing : str or None
         How the run paired modes; None to do as the file says.
+    orders : mapping of str to JSON value
+        What was asked for: samplers, draws, seed and so on.
+    finished : tuple of str
+        The samplers that are done.
     """
 
     file: Path
     folder: Path
     pairing: str | None
+    orders: Mapping[str, Any] = field(default_factory=dict)
+    finished: tuple[str, ...] = ()
+
+    def load(self) -> UpdatingProblem:
+        """Return the problem; ConfigurationError if its file is broken."""
+        from fmu import config
+
+        return config.read(self.file).build(self.file.name, self.folder, self.pairing)
 
 
-def keep(source: Path, directory: Path, pairing: str) -> None:
-    """Keep a problem file, verbatim, in the directory of its run."""
+def keep(
+    source: Path,
+    directory: Path,
+    pairing: str,
+    orders: Mapping[str, Any] | None = None,
+    finished: Sequence[str] = (),
+    folder: Path | None = None,
+) -> None:
+    """Keep a problem file, verbatim, in the directory of its run, and what was asked for and is done.
+
+    `folder` is where the files that it names are: its own, if not given.
+    """
+    folder = source.parent if folder is None else folder
     origin = {
         "about": _ABOUT,
         "file": source.name,
-        "folder": Path(os.path.relpath(source.resolve().parent, directory.resolve())).as_posix(),
+        "folder": Path(os.path.relpath(folder.resolve(), directory.resolve())).as_posix(),
         "pairing": pairing,
+        "orders": dict(orders or {}),
+        "finished": list(finished),
     }
-    (directory / FILE).write_bytes(source.read_bytes())
-    (directory / ORIGIN).write_text(json.dumps(origin, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_durably(directory / FILE, source.read_bytes())
+    text = json.dumps(origin, indent=1, ensure_ascii=False) + "\n"
+    write_durably(directory / ORIGIN, text.encode())
 
 
 def kept(directory: Path, model: Path | None = None) -> KeptProblem:
@@ -62,8 +99,9 @@ def kept(directory: Path, model: Path | None = None) -> KeptProblem:
     try:
         origin = json.loads((directory / ORIGIN).read_text(encoding="utf-8"))
         folder, pairing = str(origin["folder"]), str(origin["pairing"])
+        orders, finished = dict(origin["orders"]), tuple(map(str, origin["finished"]))
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{directory / ORIGIN} is not as fmu run wrote it ({error})") from error
     if model is not None:
-        return KeptProblem(model, model.parent, pairing)
-    return KeptProblem(directory / FILE, directory / folder, pairing)
+        return KeptProblem(model, model.parent, pairing, orders, finished)
+    return KeptProblem(directory / FILE, directory / folder, pairing, orders, finished)

@@ -1,0 +1,117 @@
+"""The directory of ``fmu run`` while the run goes on: one process at a time, and what it needs to go on later."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from filelock import FileLock, Timeout
+
+from fmu.checkpoints.store import LEDGER, LOCK
+from fmu.config.kept import ORIGIN, KeptProblem, keep
+
+if TYPE_CHECKING:
+    from fmu.analysis.maxima import Maxima
+
+FOLDER = "checkpoints"
+_MAXIMA = "maxima.nc"
+
+
+class RunDirectory:
+    """Holds a run's directory for one process.
+
+    Below ``checkpoints`` there is a directory a sampler (`fmu.checkpoints.store.Store`), the problem with what was
+    asked for, and what the search for maxima found. It is taken away when the run has ended.
+
+    Parameters
+    ----------
+    path : Path
+        It exists.
+
+    Raises
+    ------
+    ValueError
+        If another process is at work in it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.folder = path, path / FOLDER
+        self.folder.mkdir(exist_ok=True)
+        self._lock = FileLock(self.folder / LOCK, timeout=0)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise ValueError(f"--out: another fmu run is at work in {path}") from None
+
+    def __enter__(self) -> RunDirectory:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._lock.release()
+
+    def begin(self, problem: KeptProblem) -> None:
+        """Forget what an earlier run has left to go on from, and keep the problem and what is asked for."""
+        for path in self.folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif path.name != LOCK:
+                path.unlink()
+        self._keep(problem, self.folder)
+
+    def abandon(self) -> None:
+        """Take everything away, if nothing has been drawn: the run was not one that could be made."""
+        if not any(self.folder.glob("*/*/state-*")):
+            self.ended()
+
+    def of_sampler(self, name: str) -> Path:
+        """Return the directory where the run of a sampler is kept."""
+        return self.folder / name
+
+    def maxima(self, search: Callable[[], Maxima]) -> Maxima:
+        """Return what the search for maxima found, now or before the run was broken off."""
+        import xarray as xr
+
+        from fmu.analysis.diagnosis import maxima_of, with_maxima
+        from fmu.analysis.trace import save_trace
+
+        path = self.folder / _MAXIMA
+        if path.is_file():
+            try:
+                found = maxima_of(xr.load_datatree(path, engine="h5netcdf"))
+            except (OSError, ValueError, KeyError):  # damaged: it is searched for again
+                found = None
+            if found is not None:
+                return found
+        found = search()
+        save_trace(with_maxima(xr.DataTree(), found), path)
+        return found
+
+    def take_ledger(self, sampler: str, to: Path) -> None:
+        """Copy a sampler's ledger of failed solves; without one, take away that of an earlier run."""
+        ledger = self.of_sampler(sampler) / LEDGER
+        if ledger.is_file():
+            shutil.copyfile(ledger, to)
+        else:
+            to.unlink(missing_ok=True)
+
+    def finished(self, sampler: str, problem: KeptProblem) -> None:
+        """Note that the trace of a sampler is written, and take away what it has left to go on from."""
+        for directory in (self.path, self.folder):
+            self._keep(problem, directory)
+        shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)
+
+    def ended(self) -> None:
+        """Take away what is only needed to go on: nothing is left to be done."""
+        self._lock.release()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _keep(self, problem: KeptProblem, directory: Path) -> None:
+        pairing = str(problem.pairing)
+        keep(problem.file, directory, pairing, problem.orders, problem.finished, problem.folder)
+
+
+def unfinished(directory: Path) -> Path:
+    """Return where the run in a directory keeps what it was asked for: below, as long as it is not done with."""
+    return directory / FOLDER if (directory / FOLDER / ORIGIN).is_file() else directory

@@ -1,0 +1,235 @@
+"""What ``fmu run`` does with a problem: search, sample, write, tell."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from fmu.cli.output import write_csv
+from fmu.cli.tables import echo_comparison, text
+from fmu.progress import Report, labelled
+from fmu.sampling import StoppedRun
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.analysis.diagnosis import Diagnosis
+    from fmu.analysis.maxima import Maxima
+    from fmu.checkpoints.run_directory import RunDirectory
+    from fmu.config.kept import KeptProblem
+    from fmu.engines.engine import Engine
+    from fmu.posterior.problem import UpdatingProblem
+
+_STOPPED = 130  # as the shell has it of a command that Ctrl-C ended
+_OF_THE_RUN = ("draws", "warmup", "chains", "groups", "seed", "init", "until_ess", "max_draws", "max_failure_rate")
+
+
+class Sampled(NamedTuple):
+    """What a run came to.
+
+    Attributes
+    ----------
+    problem : UpdatingProblem
+    orders : mapping of str to JSON value
+        What was asked for.
+    maxima : Maxima
+    traces : dict of str to DataTree
+    summaries : dict of str to DataFrame
+    stopped : str
+        What was stopped and where, in words; empty if nothing was.
+    """
+
+    problem: UpdatingProblem
+    orders: Mapping[str, Any]
+    maxima: Maxima
+    traces: dict[str, xr.DataTree]
+    summaries: dict[str, pd.DataFrame]
+    stopped: str = ""
+
+
+def sampled(
+    problem: UpdatingProblem, asked: KeptProblem, running: RunDirectory, engine: Engine, report: Report | None
+) -> Sampled:
+    """Sample a problem with all samplers asked for, but for those that are done, and write what comes of each."""
+    from fmu.analysis.search import STARTS, default_starts, find_map
+
+    orders = asked.orders
+    starts = orders["starts"] or default_starts(problem)
+
+    def search() -> Maxima:
+        if sys.stderr.isatty() or starts != STARTS:  # it may take long
+            click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
+        return find_map(problem, starts)
+
+    with _explained(problem), _warnings_as_lines():
+        try:
+            outcome = Sampled(problem, orders, running.maxima(search), {}, {})
+            for name in dict.fromkeys(orders["samplers"]):
+                stopped = _one(name, outcome, asked, running, engine, report)
+                if stopped:
+                    return outcome._replace(stopped=stopped)
+                asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
+                running.finished(name, asked)
+        except ValueError:
+            running.abandon()
+            raise
+    write_csv(outcome.maxima.table(), running.path / "map.csv")
+    running.ended()
+    return outcome
+
+
+def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
+    """Print the tables and verdicts of a run, write the comparison and the pages; return the exit code."""
+    from fmu.analysis.comparison import side_by_side
+    from fmu.analysis.diagnosis import diagnose_all
+
+    if outcome.stopped:
+        click.echo(f"Stopped: {outcome.stopped}. To go on: fmu run --resume {directory}", err=True)
+        return _STOPPED
+    traces, summaries = outcome.traces, outcome.summaries
+    verdicts = diagnose_all(traces, summaries=summaries)
+    comparison = side_by_side(traces, summaries, verdicts)
+    write_csv(comparison, directory / "comparison.csv")
+    click.echo(f"Maxima of the posterior\n{outcome.maxima}\n")
+    for name, table in summaries.items():
+        click.echo(f"{name}\n{text(table.assign(unit=table.attrs['units']))}\n")
+        _echo_failed_points(name, traces[name], directory, outcome.problem)
+    echo_comparison(comparison, verdicts)
+    until_ess = outcome.orders["until_ess"]
+    short = _short_of(until_ess, summaries, verdicts)
+    if short:
+        click.echo(f"\nStopped at the most draws, short of --until-ess {until_ess:g}: {', '.join(short)}")
+    click.echo(f"\nWritten to {directory}")
+    if reports:
+        from fmu.report.html import publish
+
+        click.echo(f"Report: {publish(traces, directory)}")
+    return 1 if short else 0
+
+
+def _one(
+    name: str,
+    outcome: Sampled,
+    asked: KeptProblem,
+    running: RunDirectory,
+    engine: Engine,
+    report: Report | None,
+) -> str:
+    """Put the trace of one sampler into the outcome; return in words where it was stopped, if it was."""
+    from fmu.analysis.diagnostics import summary
+    from fmu.analysis.trace import load_trace, save_trace
+
+    path = running.path / f"{name}.nc"
+    if name in asked.finished:
+        trace, stopped = load_trace(path), ""
+    else:
+        drawn, stopped = _drawn(name, outcome, running, engine, report)
+        if drawn is None:
+            return stopped
+        trace = drawn
+        save_trace(trace, path)
+    outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
+    write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
+    return stopped
+
+
+def _drawn(
+    name: str, outcome: Sampled, running: RunDirectory, engine: Engine, report: Report | None
+) -> tuple[xr.DataTree | None, str]:
+    """Return the trace of one sampler, and in words where it was stopped, if it was."""
+    from fmu.checkpoints import Checkpoint
+    from fmu.samplers.run import TooManyFailuresError
+    from fmu.sampling import sample
+
+    ledger, orders = running.path / f"failures-{name}.csv", outcome.orders
+    try:
+        trace = sample(
+            outcome.problem,
+            name,
+            **{key: orders[key] for key in _OF_THE_RUN if not (key == "groups" and name == "emcee")},
+            maxima=outcome.maxima,
+            checkpoint=Checkpoint(running.of_sampler(name), orders["keep_draws"], orders["keep_seconds"]),
+            workers=engine,
+            progress=report and labelled(report, name),
+        )
+    except StoppedRun as stop:
+        return stop.trace, f"{name} {stop.where}"
+    except TooManyFailuresError as error:
+        raise TooManyFailuresError(
+            f"{name}: {error}. See {ledger}; to go on all the same: fmu run --resume {running.path} "
+            "--max-failure-rate 1",
+            error.result,
+        ) from None
+    finally:
+        running.take_ledger(name, ledger)
+    return trace, ""
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Show warnings on checkpoints as lines to read, without the place in the code that they come from."""
+    from fmu.checkpoints.store import CheckpointWarning
+    from fmu.samplers.run import OtherArithmeticWarning
+
+    show = warnings.showwarning
+
+    def as_line(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, CheckpointWarning | OtherArithmeticWarning):
+            click.echo(f"Note: {message}", err=True)
+        else:
+            show(message, category, *where, **more)
+
+    warnings.showwarning = as_line
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
+
+
+def _short_of(
+    until_ess: float | None, summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
+) -> list[str]:
+    """Return the samplers that did not come to the effective sample size with a good verdict."""
+    if until_ess is None:
+        return []
+    from fmu.analysis.diagnosis import is_enough
+
+    return [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
+
+
+def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:
+    """Say how many points inside the bounds had no finite log-probability, if there were any."""
+    groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
+    failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
+    if failed:
+        where = f"see {directory / f'failures-{name}.csv'}"
+        click.echo(
+            f"{name}: {failed} points inside the bounds had no finite log-probability, {where}{_why(problem)}\n",
+            err=True,
+        )
+
+
+@contextmanager
+def _explained(problem: UpdatingProblem) -> Iterator[None]:
+    """Add to an error why the user's function failed, where it did."""
+    try:
+        yield
+    except ValueError as error:
+        why = _why(problem)
+        if not why:
+            raise
+        raise ValueError(f"{error}{why}") from error
+
+
+def _why(problem: UpdatingProblem) -> str:
+    """Return the first reason why the function of a black-box model failed; empty if it never did."""
+    reasons = getattr(problem.model, "reasons", ())
+    return f"; the function failed first at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""
