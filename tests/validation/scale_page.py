@@ -1,0 +1,286 @@
+"""The page and the figures of the study of scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from fmu.fem.training import affordable
+from fmu.report.markdown import MISSING, number, table, whole
+from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Rows = Sequence[Mapping[str, Any]]
+Found = Mapping[str, Rows]
+BLUE, GREEN = colour("hmc"), colour("slice")
+
+INTRODUCTION = (
+    "Written by `make validate` (`python -m tests.validation.scale results`). A regular concrete frame of beam "
+    "elements, clamped at the foundation; the moduli of its columns and of its floor beams are uncertain in "
+    "groups of storeys, with Gaussian priors of 7 % about their nominal value, truncated at three standard "
+    "deviations (±21 %). Ten frequencies of a true frame are what is measured, with errors of 0.5 %; modes are "
+    "paired by shape. Seconds are those of one processor core, BLAS on one thread, unless they are by the "
+    "clock; memory is the largest resident set, each row in a process of its own (Python and its libraries take "
+    "0.1 GiB of it). A full solve is that of `PairedStructure.full_modes`: a factorisation, Lanczos and the "
+    "pairing."
+)
+
+
+def n_dof(row: Mapping[str, Any]) -> int:
+    """Return the degrees of freedom of a row's frame."""
+    return int(6 * row["storeys"] * row["x_axes"] * row["y_axes"])
+
+
+def page(found: Found) -> str:
+    """Return the page in Markdown."""
+    parts = [
+        f"# Scale\n\n{INTRODUCTION}",
+        _demand(found["demand"]),
+        _whole_run(found["demand"]),
+        _by_dof(found["dof"]),
+        _by_parameters(found["parameters"]),
+        _by_chains(found["chains"]),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _power(row: Mapping[str, Any]) -> str:
+    return number(row["reduction"], ".0e")
+
+
+def _ms(seconds: float | None) -> str:
+    return MISSING if seconds is None else number(1e3 * seconds, ".3g")
+
+
+def _ratio(value: float) -> str:
+    return number(value, ".3g") if value < 100 else whole(round(value))
+
+
+def _demand(rows: Rows) -> str:
+    first = rows[0]
+    lines = [
+        (
+            f"`{_power(row)}`",
+            whole(row["basis"]),
+            number(row["offline_s"], ".0f"),
+            whole(row["offline_solves"]),
+            f"{row['offline_solving_s'] / row['offline_s']:.0%}",
+            _ms(row["value_s"]),
+            _ms(row["gradient_s"]),
+            _ratio(row["full_s"] / row["value_s"]),
+            _ratio(first["gradient_s"] / row["gradient_s"]),
+            number(row["frequency_error"], ".1e"),
+            number(row["offline_gib"], ".2f"),
+            number(row["online_gib"], ".2f"),
+        )
+        for row in rows
+    ]
+    header = (
+        "`reduction`", "basis", "offline, s", "full solves", "share of them", "log_prob, ms", "with gradient, ms",
+        "full solve / log_prob", f"gradient against {_power(first)}", "error at 16 draws of the prior",
+        "offline, GiB", "with a batch, GiB",
+    )  # fmt: skip
+    said = [f"- `{_power(row)}`: {text}" for row in rows for text in row["said"]]
+    return (
+        f"## {whole(n_dof(first))} degrees of freedom, {first['parameters']} parameters, {first['chains']} "
+        "chains\n"
+        "\n"
+        f"A full solve takes {first['full_s']:.2g} s. Times online are a theta's, in a batch of "
+        f"{first['chains']}. The tolerance is that of the frequencies over the whole box, at fresh points, "
+        "corners and faces; what the log-probability may be off follows from it "
+        "(`fmu.posterior.focus.Tolerance`).\n\n"
+        + table(header, lines)
+        + ("\n\nWhat training says:\n\n" + "\n".join(said) if said else "\n\nTraining reached every tolerance.")
+        + "\n\n![Basis and time against the tolerance](scale/tolerance.png)"
+    )
+
+
+def _whole_run(rows: Rows) -> str:
+    parts = []
+    for row in (row for row in rows if row["steps"]):
+        found = row["certificate"]
+        kept = found["frequency_error"] <= found["frequency_tolerance"]
+        kept = kept and found["log_prob_error"] <= found["log_prob_tolerance"] and not found["pairing_changes"]
+        lines = [
+            ("offline, s", number(row["offline_s"], ".0f")),
+            ("sampling and what is kept of it, s", number(row["run_s"], ".0f")),
+            ("both, s", number(row["offline_s"] + row["run_s"], ".0f")),
+            ("both by the clock, beside whatever else the machine did, s",
+             number(row["offline_wall_s"] + row["run_wall_s"], ".0f")),
+            ("gradients", whole(row["gradients"])),
+            ("the same with full solves alone, h (computed)",
+             number(row["gradients"] * row["full_s"] / 3600, ".0f")),
+            ("peak memory, GiB", number(row["peak_gib"], ".2f")),
+            ("largest R-hat, smallest bulk ESS", f"{row['rhat']:.3f}, {row['ess']:.0f}"),
+            ("certificate, largest error of a frequency; promised",
+             f"{number(found['frequency_error'], '.1e')}; {number(found['frequency_tolerance'], '.0e')}"),
+            ("certificate, largest error of the log-probability; promised",
+             f"{found['log_prob_error']:.2g}; {found['log_prob_tolerance']:g}"),
+            ("draws at which the pairing changed", whole(found["pairing_changes"])),
+        ]  # fmt: skip
+        parts.append(
+            f"## The whole run: HMC, {row['chains']} chains × ({row['steps']} + {row['steps']}) draws, "
+            f"`reduction={_power(row)}`\n\n"
+            f"Four leapfrog steps a draw, step size and metric learnt. The certificate, of 64 draws solved again, "
+            f"{'keeps' if kept else 'does not keep'} its promise.\n\n" + table(("quantity", "found"), lines)
+        )
+    return "\n\n".join(parts)
+
+
+def _by_dof(rows: Rows) -> str:
+    base = rows[0]
+    lines = []
+    for row in rows:
+        online = (
+            (
+                whole(row["basis"]),
+                number(row["offline_s"], ".1f"),
+                _ms(row["value_s"]),
+                _ms(row["gradient_s"]),
+                _ratio(row["full_s"] / row["value_s"]),
+            )
+            if row["reduction"]
+            else (MISSING,) * 5
+        )
+        lines.append(
+            (whole(n_dof(row)), _ms(row["full_s"]), _ratio(row["full_s"] / base["full_s"]), *online,
+             number(row["peak_gib"], ".2f"))
+        )  # fmt: skip
+    header = (
+        "DOF", "full solve, ms", "against the first", "basis", "offline, s", "log_prob, ms", "with gradient, ms",
+        "full solve / log_prob", "peak, GiB",
+    )  # fmt: skip
+    last = rows[-1]
+    said = ""
+    if not last["reduction"]:
+        before = rows[-2]
+        hours = before["offline_solves"] * last["full_s"] / 3600
+        said = (
+            f"\n\nOf {whole(n_dof(last))} DOF one solve of the full model is measured, no training: that takes as "
+            f"many solves as that of {whole(n_dof(before))} DOF did, {whole(before['offline_solves'])}, which "
+            f"would be {hours:.1f} h of one core for solves alone (computed). It is done once: the basis is "
+            "cached."
+        )
+    return (
+        f"## Degrees of freedom\n\n{base['parameters']} parameters, `reduction={_power(base)}`, batches of "
+        f"{base['chains']}.\n\n"
+        + table(header, lines, words=())
+        + said
+        + "\n\n![Growth with degrees of freedom, parameters and chains](scale/growth.png)"
+    )
+
+
+def _by_parameters(rows: Rows) -> str:
+    lines = []
+    base: dict[float, Mapping[str, Any]] = {}
+    for row in rows:
+        first = base.setdefault(row["reduction"], row)
+        lines.append(
+            (
+                f"`{_power(row)}`",
+                whole(row["parameters"]),
+                whole(row["basis"]),
+                number(row["offline_s"], ".1f"),
+                _ms(row["value_s"]),
+                _ms(row["gradient_s"]),
+                _ratio(row["gradient_s"] / first["gradient_s"]),
+                _ratio(row["full_s"] / row["value_s"]),
+                number(row["peak_gib"], ".2f"),
+                "warned" if row["said"] else "reached",
+            )
+        )
+    header = (
+        "`reduction`", "parameters", "basis", "offline, s", "log_prob, ms", "with gradient, ms",
+        "gradient against the first", "full solve / log_prob", "peak, GiB", "tolerance",
+    )  # fmt: skip
+    size = n_dof(rows[0])
+    said = [f"- {row['parameters']} parameters, `{_power(row)}`: {text}" for row in rows for text in row["said"]]
+    return (
+        f"## Parameters\n\n{whole(size)} DOF, batches of {rows[0]['chains']}. Of a frame of that size a basis "
+        f"pays up to {affordable(size)} vectors; training ends there and says so.\n\n"
+        + table(header, lines, words=(0, -1))
+        + ("\n\n" + "\n".join(said) if said else "")
+    )
+
+
+def _by_chains(rows: Rows) -> str:
+    first = rows[0]
+    lines = [
+        (
+            whole(row["chains"]),
+            _ms(row["value_s"]),
+            _ms(row["gradient_s"]),
+            _ratio(first["gradient_s"] / row["gradient_s"]),
+            number(row["peak_gib"], ".2f"),
+        )
+        for row in rows
+    ]
+    header = ("chains", "log_prob, ms a theta", "with gradient, ms a theta", "faster than one alone", "peak, GiB")
+    return (
+        f"## Chains\n\n{whole(n_dof(first))} DOF, {first['parameters']} parameters, "
+        f"`reduction={_power(first)}`: a basis of {first['basis']} vectors, from the cache. All chains are "
+        "solved as one batch.\n\n" + table(header, lines, words=())
+    )
+
+
+def figures(found: Found) -> dict[str, Figure]:
+    """Return the figures by the names of their files."""
+    return {"tolerance.png": _tolerances(found["demand"]), "growth.png": _growth(found)}
+
+
+def _tolerances(rows: Rows) -> Figure:
+    figure = new_figure(8.0, 3.3)
+    left, right = figure.subplots(1, 2)
+    x = [row["reduction"] for row in rows]
+    left.plot(x, [row["basis"] for row in rows], "o-", color=BLUE)
+    left.set_ylim(bottom=0)
+    left.set_ylabel("vectors in the basis")
+    for name, label, shade, marker in (
+        ("full_s", "full solve", BLACK, "--"),
+        ("gradient_s", "log_prob and gradient", VERMILLION, "s-"),
+        ("value_s", "log_prob", BLUE, "o-"),
+    ):
+        right.plot(x, [1e3 * row[name] for row in rows], marker, color=shade, label=label)
+    right.set_yscale("log")
+    right.set_ylabel("ms a theta")
+    right.legend(frameon=False, fontsize=FONT - 1)
+    for axes in (left, right):
+        axes.set_xscale("log")
+        axes.set_xticks(x)
+        axes.minorticks_off()
+        axes.set_xlabel("tolerance of the frequencies, `reduction`".replace("`", ""))
+    right.minorticks_on()
+    figure.suptitle(f"{whole(n_dof(rows[0]))} DOF, {rows[0]['parameters']} parameters", fontsize=FONT + 1)
+    return figure
+
+
+def _growth(found: Found) -> Figure:
+    figure = new_figure(10.5, 3.4)
+    dof, parameters, chains = figure.subplots(1, 3, sharey=True)
+    reduced = [row for row in found["dof"] if row["reduction"]]
+    _line(dof, [n_dof(row) for row in found["dof"]], found["dof"], "full_s", "full solve", BLACK, "^--")
+    _line(dof, [n_dof(row) for row in reduced], reduced, "gradient_s", "log_prob and gradient", VERMILLION, "s-")
+    _line(dof, [n_dof(row) for row in reduced], reduced, "value_s", "log_prob", BLUE, "o-")
+    dof.set_xlabel(f"degrees of freedom ({reduced[0]['parameters']} parameters)")
+    dof.set_ylabel("ms a theta")
+    tolerances = list(dict.fromkeys(row["reduction"] for row in found["parameters"]))
+    for tolerance, shade in zip(tolerances, (VERMILLION, GREEN), strict=False):
+        rows = [row for row in found["parameters"] if row["reduction"] == tolerance]
+        label = f"log_prob and gradient, {number(tolerance, '.0e')}"
+        _line(parameters, [row["parameters"] for row in rows], rows, "gradient_s", label, shade, "s-")
+    parameters.set_xlabel(f"parameters ({whole(n_dof(found['parameters'][0]))} DOF)")
+    x = [row["chains"] for row in found["chains"]]
+    _line(chains, x, found["chains"], "gradient_s", "log_prob and gradient", VERMILLION, "s-")
+    _line(chains, x, found["chains"], "value_s", "log_prob", BLUE, "o-")
+    first = found["chains"][0]
+    chains.set_xlabel(f"chains ({whole(n_dof(first))} DOF, {first['parameters']} parameters)")
+    for axes in (dof, parameters, chains):
+        axes.legend(frameon=False, fontsize=FONT - 2)
+    return figure
+
+
+def _line(axes: Axes, x: Sequence[float], rows: Rows, name: str, label: str, shade: str, style: str) -> None:
+    axes.loglog(x, [1e3 * row[name] for row in rows], style, color=shade, label=label)
