@@ -43,15 +43,12 @@ class LostTaskError(RuntimeError):
 
 
 class Engine(Protocol):
-    """Does tasks, in an order and a place of its own.
+    """Does tasks, in an order and a place of its own."""
 
-    Attributes
-    ----------
-    workers : int
-        How many tasks run at once.
-    """
-
-    workers: int
+    @property
+    def workers(self) -> int:
+        """How many tasks run at once."""
+        ...
 
     def lines(
         self,
@@ -174,8 +171,10 @@ def engine(workers: int = 1, cluster: str | None = None) -> Engine:
     ``with fmu.engine(workers=4) as engine, model.spread_over(engine): fmu.find_map(problem)``
     """
     if cluster is not None:
-        from fmu.engines.dask_cluster import DaskCluster
-
+        try:
+            from fmu.engines.dask_cluster import DaskCluster
+        except ImportError as error:
+            raise ValueError("--cluster: needs the package distributed: pip install 'fmu[distributed]'") from error
         return DaskCluster(cluster)
     if workers < 1:
         raise ValueError(f"workers: must be at least 1 (got {workers})")

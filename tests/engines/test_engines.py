@@ -7,9 +7,10 @@ import pytest
 from fmu.engines.engine import InProcess, default_workers, engine
 
 
-@pytest.fixture(scope="module", params=["in process", "processes"])
+@pytest.fixture(scope="module", params=["in process", "processes", "cluster"])
 def any_engine(request):
-    with engine(workers=1 if request.param == "in process" else 2) as any_engine:
+    arguments = {"in process": (1,), "processes": (2,), "cluster": (1, "local:2")}[request.param]
+    with engine(*arguments) as any_engine:
         yield any_engine
 
 

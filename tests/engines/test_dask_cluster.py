@@ -1,0 +1,105 @@
+"""A Dask cluster: workers that die take nothing with them, and what cannot work is said in one line."""
+
+import os
+import socket
+import sys
+import time
+
+import engine_tasks
+import pytest
+
+from fmu.engines.engine import LostTaskError, engine
+
+pytest.importorskip("distributed")
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with engine(cluster="local:2") as cluster:
+        yield cluster
+
+
+def test_workers_are_processes_of_one_thread(cluster):
+    assert cluster.workers == 2
+    pids = set(cluster.lines(engine_tasks.process_id, None, [0.05] * 20))
+    assert len(pids) == 2
+    assert os.getpid() not in pids
+    for interrupt, threads in cluster.lines(engine_tasks.threads, None, [0, 0]):
+        assert interrupt == 1  # ignored
+        assert set(threads) == {1}
+
+
+def test_what_is_shared_is_sent_once(cluster, tmp_path):
+    shared = engine_tasks.Counted(tmp_path / "arrivals")
+    for _ in range(2):
+        cluster.lines(engine_tasks.process_id, shared, [0.05] * 10)
+    assert len((tmp_path / "arrivals").read_text()) == 2
+
+
+def test_a_task_whose_worker_was_killed_is_done_again(cluster, tmp_path):
+    given = ["a", "mortal", "b", "c", "d"]
+    assert cluster.lines(engine_tasks.die_once, str(tmp_path), given) == given
+
+
+def test_a_task_that_kills_three_workers_is_given_up(cluster, tmp_path):
+    with pytest.raises(LostTaskError, match="task 1: its worker died 3 times in a row") as error:
+        cluster.lines(engine_tasks.die_often, str(tmp_path), ["a", "lethal"])
+    assert error.value.line == 1
+    assert (tmp_path / "tries-lethal").read_text() == "xxx"
+    assert cluster.lines(engine_tasks.square, None, [2, 3]) == [4, 9]
+
+
+def test_the_error_of_one_task_stops_the_others(cluster, tmp_path):
+    with pytest.raises(ValueError, match="must be long"):
+        cluster.lines(engine_tasks.beat, str(tmp_path), ["beat", "fail"])
+    assert cluster.lines(engine_tasks.square, None, [2, 3]) == [4, 9]
+    before = (tmp_path / "beat").read_text()
+    time.sleep(0.1)
+    assert (tmp_path / "beat").read_text() == before
+
+
+def test_a_cluster_that_is_there_already(cluster, tmp_path):
+    """It has one user more for a while; what the workers of one kept is no business of the other."""
+    address = cluster._client.scheduler.address
+    seen = []
+    with engine(cluster=address) as another:
+        assert another.workers == 2
+        results = another.lines(engine_tasks.square, None, [1, 2, 3], report=lambda *message: seen.append(message))
+    assert results == [1, 4, 9]
+    assert sorted(message[3]["run"] for message in seen) == ["1", "2", "3"]
+    assert cluster.lines(engine_tasks.square, None, [4]) == [16]
+
+
+def test_what_was_lost_with_the_last_worker_is_sent_again(tmp_path):
+    with engine(cluster="local:1") as cluster:
+        assert cluster.lines(engine_tasks.die_once, str(tmp_path), ["mortal", "a"]) == ["mortal", "a"]
+        with pytest.raises(LostTaskError, match="task 0"):
+            cluster.lines(engine_tasks.die_often, str(tmp_path), ["lethal"])
+    assert (tmp_path / "tries-lethal").read_text() == "xxx"
+
+
+@pytest.mark.parametrize("cluster", ["here", "local:0", "local:two", "tcp://host", "http://host:80"])
+def test_what_a_cluster_is_called(cluster):
+    with pytest.raises(ValueError, match=r"--cluster: must be tcp://host:port or local:N \(got"):
+        engine(cluster=cluster)
+
+
+@pytest.mark.parametrize("listens", [False, True])
+def test_an_address_that_does_not_answer(listens, monkeypatch, capfd):
+    monkeypatch.setattr("fmu.engines.dask_cluster._ANSWER_S", 0.5)
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        if listens:
+            silent.listen()
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(ValueError, match=f"--cluster: no scheduler answers .got {address}.") as error:
+            engine(cluster=address)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_without_the_package(monkeypatch):
+    monkeypatch.delitem(sys.modules, "fmu.engines.dask_cluster", raising=False)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"--cluster: needs the package distributed: pip install 'fmu\[dist"):
+        engine(cluster="local:2")
