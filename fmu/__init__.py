@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from fmu.analysis.search import find_map as find_map
     from fmu.analysis.trace import load_trace as load_trace
     from fmu.analysis.trace import save_trace as save_trace
+    from fmu.checkpoints.settings import Checkpoint as Checkpoint
     from fmu.config import load as load
+    from fmu.engines.engine import engine as engine
     from fmu.fem.black_box import BlackBoxModel as BlackBoxModel
     from fmu.fem.frame import ElementGroup as ElementGroup
     from fmu.fem.frame import Frame as Frame
@@ -60,12 +62,14 @@ if TYPE_CHECKING:
     from fmu.samplers.proposals import RandomWalk as RandomWalk
     from fmu.samplers.slice import Slice as Slice
     from fmu.samplers.tempering import Tempering as Tempering
+    from fmu.sampling import StoppedRun as StoppedRun
     from fmu.sampling import sample as sample
 
     __version__: str
 
 _HOME = {
     "BlackBoxModel": "fmu.fem.black_box",
+    "Checkpoint": "fmu.checkpoints.settings",
     "ElementGroup": "fmu.fem.frame",
     "Ensemble": "fmu.samplers.ensemble",
     "Factor": "fmu.fem.updates",
@@ -90,6 +94,7 @@ _HOME = {
     "Section": "fmu.fem.section",
     "SeparableModel": "fmu.fem.separable",
     "Slice": "fmu.samplers.slice",
+    "StoppedRun": "fmu.sampling",
     "Tempering": "fmu.samplers.tempering",
     "Term": "fmu.fem.terms",
     "Uniform": "fmu.posterior.priors",
@@ -97,6 +102,7 @@ _HOME = {
     "check": "fmu.analysis.check",
     "compare": "fmu.analysis.comparison",
     "diagnose": "fmu.analysis.diagnosis",
+    "engine": "fmu.engines.engine",
     "evidence": "fmu.analysis.evidence",
     "expectation": "fmu.analysis.prediction",
     "export": "fmu.report.export",
@@ -113,6 +119,7 @@ _HOME = {
 
 __all__ = [
     "BlackBoxModel",
+    "Checkpoint",
     "ElementGroup",
     "Ensemble",
     "Factor",
@@ -137,6 +144,7 @@ __all__ = [
     "SeparableModel",
     "ShapeErrors",
     "Slice",
+    "StoppedRun",
     "Tempering",
     "Term",
     "Uniform",
@@ -146,6 +154,7 @@ __all__ = [
     "check",
     "compare",
     "diagnose",
+    "engine",
     "evidence",
     "expectation",
     "export",
