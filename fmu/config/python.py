@@ -51,6 +51,32 @@ class PythonTable(Table):
         return Built(model, {})
 
 
+class Imported:
+    """A function of a module beside a file. In another process it is imported again, from the same folder.
+
+    Parameters
+    ----------
+    function : callable
+    place : str
+        ``module:function``.
+    folder : Path
+    """
+
+    def __init__(self, function: Callable[..., Any], place: str, folder: Path) -> None:
+        self.__wrapped__ = function
+        self._place, self._folder = place, folder
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function."""
+        return self.__wrapped__(*arguments)
+
+    def __repr__(self) -> str:
+        return f"Imported({self._place!r})"
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path]]:
+        return imported, (self._place, self._folder)
+
+
 def imported(place: str, folder: Path) -> Callable[..., Any]:
     """Return the function at ``module:function``, from a folder or from what is installed.
 
@@ -64,6 +90,7 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
     Returns
     -------
     callable
+        It travels to other processes.
 
     Raises
     ------
@@ -90,7 +117,7 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
         raise BrokenError([Mistake(WHERE, got(f"must be in {getattr(module, '__file__', name)}", attribute))])
     if not callable(function):
         raise BrokenError([Mistake(WHERE, f"must be a function (got {place}, of type {type(function).__name__})")])
-    return function
+    return Imported(function, place, folder.resolve()) if beside else function
 
 
 def _not_importable(name: str, error: BaseException) -> BrokenError:

@@ -98,6 +98,10 @@ class CandidateView:
         self._model, self._rule = model, rule
         self._reference_size = np.sum(rule.shapes**2, axis=0)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is prepared when needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_views"}
+
     @cached_property
     def _views(self) -> list[_View]:
         """The blocks looked at; prepared when they are first needed."""

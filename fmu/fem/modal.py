@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.separable import SeparableModel
 from fmu.fem.shape_derivatives import by_bordered_system
+from fmu.fem.shape_maps import Mapped, Picked
 from fmu.fem.terms import CoefficientMap, Term, coefficient_gradients, weighted_sum
 
 FloatArray = NDArray[np.float64]
@@ -253,10 +254,8 @@ class FullBlock:
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return what takes shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
         if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
-            dofs = rows.indices
-            return lambda phi: phi[:, dofs], reference
-        dense = rows.toarray()
-        return lambda phi: dense @ phi, reference
+            return Picked(rows.indices), reference
+        return Mapped(rows.toarray()), reference
 
 
 def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:

@@ -70,6 +70,11 @@ class SensorView:
         self.model, self.pairing, self._sensors = model, pairing, sensors
         self._n_sensors = sensors.shape[0]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is prepared when needed."""
+        prepared = ("_solve", "_compared", "_rows")
+        return {name: value for name, value in self.__dict__.items() if name not in prepared}
+
     # prepared when they are first needed: many problems have no errors of shapes, and never look
 
     @cached_property

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.modal import FullBlock, Seen
 from fmu.fem.shape_derivatives import by_all_modes
+from fmu.fem.shape_maps import Mapped
 from fmu.fem.terms import CoefficientMap, Term
 
 FloatArray = NDArray[np.float64]
@@ -60,6 +61,14 @@ class ReducedBlock:
         self._M_map = CoefficientMap(block.M_terms)
         # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
         self.constant_mass = all(term.constant for term in block.M_terms)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is another view of the same numbers."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._set_terms(self._K, self._M)
 
     def truncated(self, size: int) -> ReducedBlock:
         """Return the block reduced by the first `size` vectors of its basis alone."""
@@ -145,9 +154,9 @@ class ReducedBlock:
         """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
         seen = rows @ self.basis
         if len(seen) <= self.size:
-            return lambda phi: seen @ phi, reference
+            return Mapped(seen), reference
         Q, R = np.linalg.qr(seen)
-        return lambda phi: R @ phi, Q.T @ reference
+        return Mapped(R), Q.T @ reference
 
     def _set_terms(self, K: FloatArray, M: FloatArray) -> None:
         self._K, self._M = K, M
