@@ -107,10 +107,10 @@ def command(
         from fmu.engines.engine import engine
 
         problem = load()
+        at_work = stack.enter_context(engine(workers, cluster))
         running = stack.enter_context(RunDirectory(directory))
         if resume is None:
             running.begin(asked)
-        at_work = stack.enter_context(engine(workers, cluster))
         report = stack.enter_context(_reporting(progress))
         outcome = sampled(problem, asked, running, at_work, report)
     return tell(outcome, directory, reports)
