@@ -22,11 +22,17 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+from fmu.engines.engine import MOST_DEATHS, Engine, LostTaskError
+from fmu.fem.answers import Answer as Answer
+from fmu.fem.answers import AnswerError as AnswerError
+from fmu.fem.answers import checked
 
 FloatArray = NDArray[np.float64]
 
@@ -34,15 +40,6 @@ MOST_REASONS = 20
 # reasons kept for who asks for that of a theta soon after it failed, and the most of a message that may be a log
 _MOST_LATEST = 10_000
 _LONGEST = 500
-_PARTS = ("frequencies", "shapes", "gradient")
-
-
-class Answer(NamedTuple):
-    """What the function gave at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) where it has them."""
-
-    frequencies: FloatArray
-    shapes: FloatArray | None = None
-    gradient: FloatArray | None = None
 
 
 class Failure(NamedTuple):
@@ -50,10 +47,6 @@ class Failure(NamedTuple):
 
     theta: FloatArray
     reason: str
-
-
-class AnswerError(ValueError):
-    """What the function gave is not what it should give."""
 
 
 class BlackBoxModel:
@@ -106,6 +99,11 @@ class BlackBoxModel:
         self.name = name or _name_of(function)
         self.reasons: list[Failure] = []
         self._latest: dict[bytes, str] = {}
+        self._engine: Engine | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out where it is called, and what failed: a copy is about what fails there."""
+        return self.__dict__ | {"reasons": [], "_latest": {}, "_engine": None}
 
     def __repr__(self) -> str:
         return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
@@ -122,13 +120,41 @@ class BlackBoxModel:
             except (Exception, SystemExit):  # which of the points is at fault shows one at a time
                 return [answer for point in theta for answer in self.answers(point[None])]
         found: list[Answer | None] = []
-        for point in theta:
-            try:
-                found += self._called(point[None])
-            except (Exception, SystemExit) as error:
-                self.fail(point, _in_words(error))
-                found.append(None)
+        for point, (answer, reason) in zip(theta, self._tried(theta), strict=True):
+            if answer is None:
+                self.fail(point, reason)
+            found.append(answer)
         return found
+
+    @contextmanager
+    def spread_over(self, engine: Engine) -> Iterator[BlackBoxModel]:
+        """Call the function for several theta at once, in the workers of an engine, as long as a block lasts.
+
+        Answers and failures are those of the calling process, in the same order. Of a theta at which the function
+        takes its process with it, the third time, that is the reason why it failed. A batched function has all
+        theta in one call, and is not spread.
+
+        Parameters
+        ----------
+        engine : Engine
+            See `fmu.engine`. The function has to travel: one of a module does by its name, others by value.
+
+        Examples
+        --------
+        ``with fmu.engine(workers=8) as engine, model.spread_over(engine): fmu.find_map(problem)``
+        """
+        before, self._engine = self._engine, engine
+        try:
+            yield self
+        finally:
+            self._engine = before
+
+    def tried(self, theta: FloatArray) -> tuple[Answer | None, str]:
+        """Return what the function gives at one theta (n_parameters,), or None and why it failed."""
+        try:
+            return self._called(theta[None])[0], ""
+        except (Exception, SystemExit) as error:
+            return None, _in_words(error)
 
     def at(self, theta: FloatArray) -> Answer:
         """Return what the function gives at one theta, shape (n_parameters,).
@@ -167,50 +193,37 @@ class BlackBoxModel:
             digest = ""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
 
+    def _tried(self, theta: FloatArray) -> Iterable[tuple[Answer | None, str]]:
+        """Return `tried` at points (n, n_parameters), one after the other or by the engine."""
+        if self._engine is None or self.batched or len(theta) < 2:
+            return map(self.tried, theta)
+        return _spread(self, theta, self._engine)
+
     def _called(self, theta: FloatArray) -> Sequence[Answer]:
         """Return the answers at points (n, n_parameters), of which there is one unless the function is batched."""
-        lead = (len(theta),) if self.batched else ()
-        given = _parts(self.function(theta.copy() if self.batched else theta[0].copy()))
-        frequencies = _real("frequencies", given[0])
-        if frequencies.ndim != len(lead) + 1 or frequencies.shape[:-1] != lead or frequencies.shape[-1] == 0:
-            expected = ", ".join([*map(str, lead), "n"]) + ("" if lead else ",")
-            raise AnswerError(f"frequencies: must have shape ({expected}) (got {frequencies.shape})")
-        m = frequencies.shape[-1]
-        shapes = None if given[1] is None else _real("shapes", given[1])
-        if shapes is not None and (
-            shapes.ndim != len(lead) + 2 or (*shapes.shape[:-2], shapes.shape[-1]) != (*lead, m)
-        ):
-            expected = ", ".join([*map(str, lead), "n_sensors", str(m)])
-            raise AnswerError(f"shapes: must have shape ({expected}) (got {shapes.shape})")
-        gradient = None if given[2] is None else _real("gradient", given[2])
-        if gradient is not None and gradient.shape != (*lead, m, self.n_parameters):
-            raise AnswerError(f"gradient: must have shape {(*lead, m, self.n_parameters)} (got {gradient.shape})")
-        if not self.batched:
-            return [Answer(frequencies, shapes, gradient)]
-        none = [None] * len(theta)
-        rows = (frequencies, none if shapes is None else shapes, none if gradient is None else gradient)
-        return [Answer(*row) for row in zip(*rows, strict=True)]
+        if self.batched:
+            return checked(self.function(theta.copy()), self.n_parameters, len(theta))
+        return checked(self.function(theta[0].copy()), self.n_parameters)
 
 
-def _parts(given: Any) -> list[Any]:
-    """Return frequencies, shapes and gradient, None for what is not there."""
-    if isinstance(given, Mapping):
-        unknown = [key for key in given if key not in _PARTS]
-        if unknown or "frequencies" not in given:
-            raise AnswerError(f"must return frequencies, and may return shapes and gradient (got {list(given)})")
-        return [given.get(part) for part in _PARTS]
-    if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
-        if len(given) > len(_PARTS):
-            raise AnswerError(f"must return at most frequencies, shapes and gradient (got {len(given)} arrays)")
-        return [*given, *[None] * (len(_PARTS) - len(given))]
-    return [given, None, None]
+def _spread(model: BlackBoxModel, theta: FloatArray, engine: Engine) -> list[tuple[Answer | None, str]]:
+    """Return `BlackBoxModel.tried` at points (n, n_parameters); a point that kills its workers has failed."""
+    found: dict[int, tuple[Answer | None, str]] = {}
+    while len(found) < len(theta):
+        missing = [i for i in range(len(theta)) if i not in found]
+
+        def keep(line: int, result: tuple[Answer | None, str], missing: Sequence[int] = missing) -> None:
+            found[missing[line]] = result
+
+        try:
+            engine.lines(_try_there, model, [theta[i] for i in missing], keep)
+        except LostTaskError as lost:
+            found[missing[lost.line]] = None, f"the process that called it died {MOST_DEATHS} times ({lost.how})"
+    return [found[i] for i in range(len(theta))]
 
 
-def _real(name: str, given: ArrayLike) -> FloatArray:
-    array = np.asarray(given)
-    if array.dtype.kind not in "fiu":
-        raise AnswerError(f"{name}: must be real numbers (got {type(given).__name__} of {array.dtype})")
-    return array.astype(float)
+def _try_there(model: BlackBoxModel, theta: FloatArray, _: object) -> tuple[Answer | None, str]:
+    return model.tried(theta)
 
 
 def _in_words(error: BaseException) -> str:

@@ -1,0 +1,85 @@
+"""What a user's function may answer, and what is wrong with what it did answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+_PARTS = ("frequencies", "shapes", "gradient")
+
+
+class Answer(NamedTuple):
+    """What the function gave at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) where it has them."""
+
+    frequencies: FloatArray
+    shapes: FloatArray | None = None
+    gradient: FloatArray | None = None
+
+
+class AnswerError(ValueError):
+    """What the function gave is not what it should give."""
+
+
+def checked(given: Any, n_parameters: int, n_points: int | None = None) -> list[Answer]:
+    """Return what a function gave as answers, one a point.
+
+    Parameters
+    ----------
+    given : array_like, mapping or tuple
+        As `fmu.fem.black_box` says.
+    n_parameters : int
+    n_points : int, optional
+        Points of a batched function; without it there is one, and no leading axis.
+
+    Raises
+    ------
+    AnswerError
+        If it is not what it should be.
+    """
+    lead = () if n_points is None else (n_points,)
+    parts = _parts(given)
+    frequencies = _real("frequencies", parts[0])
+    if frequencies.ndim != len(lead) + 1 or frequencies.shape[:-1] != lead or frequencies.shape[-1] == 0:
+        expected = ", ".join([*map(str, lead), "n"]) + ("" if lead else ",")
+        raise AnswerError(f"frequencies: must have shape ({expected}) (got {frequencies.shape})")
+    m = frequencies.shape[-1]
+    shapes = None if parts[1] is None else _real("shapes", parts[1])
+    if shapes is not None and (
+        shapes.ndim != len(lead) + 2 or (*shapes.shape[:-2], shapes.shape[-1]) != (*lead, m)
+    ):
+        expected = ", ".join([*map(str, lead), "n_sensors", str(m)])
+        raise AnswerError(f"shapes: must have shape ({expected}) (got {shapes.shape})")
+    gradient = None if parts[2] is None else _real("gradient", parts[2])
+    if gradient is not None and gradient.shape != (*lead, m, n_parameters):
+        raise AnswerError(f"gradient: must have shape {(*lead, m, n_parameters)} (got {gradient.shape})")
+    if n_points is None:
+        return [Answer(frequencies, shapes, gradient)]
+    none = [None] * n_points
+    rows = (frequencies, none if shapes is None else shapes, none if gradient is None else gradient)
+    return [Answer(*row) for row in zip(*rows, strict=True)]
+
+
+def _parts(given: Any) -> list[Any]:
+    """Return frequencies, shapes and gradient, None for what is not there."""
+    if isinstance(given, Mapping):
+        unknown = [key for key in given if key not in _PARTS]
+        if unknown or "frequencies" not in given:
+            raise AnswerError(f"must return frequencies, and may return shapes and gradient (got {list(given)})")
+        return [given.get(part) for part in _PARTS]
+    if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
+        if len(given) > len(_PARTS):
+            raise AnswerError(f"must return at most frequencies, shapes and gradient (got {len(given)} arrays)")
+        return [*given, *[None] * (len(_PARTS) - len(given))]
+    return [given, None, None]
+
+
+def _real(name: str, given: ArrayLike) -> FloatArray:
+    array = np.asarray(given)
+    if array.dtype.kind not in "fiu":
+        raise AnswerError(f"{name}: must be real numbers (got {type(given).__name__} of {array.dtype})")
+    return array.astype(float)
