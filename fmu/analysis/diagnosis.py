@@ -46,12 +46,15 @@ class Diagnosis:
         shapes unlike the measured ones, a pairing that jumps.
     searched : bool
         Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
+    stopped : str
+        How far a run came that was stopped before its end, in words; empty if it was not.
     """
 
     converged: bool
     reasons: tuple[str, ...]
     warnings: tuple[str, ...]
     searched: bool = False
+    stopped: str = ""
 
     @property
     def verdict(self) -> str:
@@ -61,7 +64,8 @@ class Diagnosis:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is to be said beside the verdict: the reasons, or what a good one does not cover."""
-        return (UNSEARCHED,) if self.converged and not self.searched else self.reasons
+        said = (UNSEARCHED,) if self.converged and not self.searched else self.reasons
+        return (*said, self.stopped) if self.stopped else said
 
     def __str__(self) -> str:
         lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
@@ -149,7 +153,9 @@ def judge(
     reasons += missed_places(trace, others or {}, best)
     reasons += convergence_failures(trace, table)
     warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
-    return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None)
+    steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
+    stopped = f"the run was stopped after {steps} draws, and can go on" if steps else ""
+    return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped)
 
 
 def diagnose_all(

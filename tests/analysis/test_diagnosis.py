@@ -264,3 +264,13 @@ def test_bad_arguments(good, section, in_b):
         diagnose(good, section)
     with pytest.raises(ValueError, match=r"others\.b: must have the parameters \('E1', 'rho'\) \(got \('Ix1'"):
         diagnose(good, others={"b": in_b})
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_run_that_was_stopped_says_so_whatever_the_verdict(good, converged):
+    trace = good.copy() if converged else good.isel(draw=slice(20))
+    trace.attrs = good.attrs | {"complete": 0, "draws": 500}
+    found = judge(trace)
+    assert found.converged == converged
+    assert found.remarks[-1] == "the run was stopped after 500 draws, and can go on"
+    assert judge(good).stopped == ""

@@ -24,7 +24,7 @@ def convergence(run: Run) -> Verdict:
     if run.diagnosis.converged:
         beside = run.diagnosis.remarks or (COVERED,)
         return Verdict(question, "Converged", True, "Why the run counts as converged", (SOUND, *beside))
-    return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.reasons)
+    return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.remarks)
 
 
 def model_fit(run: Run) -> Verdict:
