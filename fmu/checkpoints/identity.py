@@ -81,7 +81,7 @@ def _differences(there: Any, here: Any, where: str = "") -> Iterator[str]:
     elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
         for i, (one, other) in enumerate(zip(there, here, strict=True)):
             yield from _differences(one, other, f"{where}.{i}")
-    elif there != here:
+    elif json.dumps(there) != json.dumps(here):  # NaN is NaN
         yield f"{where} {_short(there)} there, {_short(here)} here"
 
 
