@@ -160,7 +160,9 @@ def sample(
         return _with_structure(to_trace(result, problem, start), problem, maxima, full_solves, complete)
 
     with ExitStack() as stack:
-        store = None if checkpoint is None else _store(checkpoint, problem, settings, arguments, init, start)
+        store = None
+        if checkpoint is not None:
+            store = stack.enter_context(_store(checkpoint, problem, settings, arguments, init, start))
         try:
             begun = Run(
                 problem,
@@ -169,7 +171,7 @@ def sample(
                 init=init if start is None else start,
                 progress=stack.enter_context(reporting(progress, settings.name)),
                 engine=_engine(workers, stack),
-                keeper=None if store is None else stack.enter_context(store),
+                keeper=store,
                 stop=None if store is None else stack.enter_context(interruptible()),
                 too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
                     failed, solves, max_failure_rate, failures=why
