@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 __all__ = ["describe", "load", "names", "path"]
@@ -69,7 +70,9 @@ def path(name: str) -> Path:
     return _FOLDER / f"{name}.toml"
 
 
-def load(name: str, pairing: str | None = None, beta: ArrayLike | None = None) -> UpdatingProblem:
+def load(
+    name: str, pairing: str | None = None, beta: ArrayLike | None = None, *, engine: Engine | None = None
+) -> UpdatingProblem:
     """Return a built-in problem.
 
     Parameters
@@ -80,6 +83,8 @@ def load(name: str, pairing: str | None = None, beta: ArrayLike | None = None) -
         By MAC, by number in the sorted spectrum as in the paper, or softly; as its file says if not given.
     beta : float or array_like, shape (n_modes,), optional
         Weight of a squared frequency error, 1/Hz², instead of the trust in the data that the file gives.
+    engine : Engine, optional
+        Trains the reduced model with its workers, see `fmu.engine`.
 
     Returns
     -------
@@ -92,4 +97,4 @@ def load(name: str, pairing: str | None = None, beta: ArrayLike | None = None) -
     """
     from fmu.config import load as load_file
 
-    return load_file(path(name), pairing, beta)
+    return load_file(path(name), pairing, beta, engine=engine)

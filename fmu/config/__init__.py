@@ -14,6 +14,7 @@ from fmu.config.mistakes import Mistake, got, of_validation
 
 if TYPE_CHECKING:
     from fmu.config.problem import ProblemFile
+    from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 LARGEST_FILE = 2**23
@@ -22,7 +23,9 @@ LARGEST_NUMBER = 1e60
 """In SI units: of numbers beyond it, and of their reciprocals, products overflow and tell nothing."""
 
 
-def load(path: str | os.PathLike[str], pairing: str | None = None, beta: Any = None) -> UpdatingProblem:
+def load(
+    path: str | os.PathLike[str], pairing: str | None = None, beta: Any = None, *, engine: Engine | None = None
+) -> UpdatingProblem:
     """Return the updating problem that a TOML file describes.
 
     Parameters
@@ -32,6 +35,8 @@ def load(path: str | os.PathLike[str], pairing: str | None = None, beta: Any = N
         Instead of that of the file.
     beta : float or array_like, shape (n_modes,), optional
         Instead of the trust in the data that the file gives, 1/Hz².
+    engine : Engine, optional
+        Trains the reduced model with its workers, see `fmu.engine`.
 
     Returns
     -------
@@ -45,7 +50,7 @@ def load(path: str | os.PathLike[str], pairing: str | None = None, beta: Any = N
         If there is no such file.
     """
     path = Path(path)
-    return read(path).build(path.name, path.parent, pairing, beta)
+    return read(path).build(path.name, path.parent, pairing, beta, engine)
 
 
 def read(path: Path) -> ProblemFile:

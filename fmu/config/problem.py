@@ -18,6 +18,7 @@ from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.model import Built
 from fmu.config.parameters import ParameterTable
 from fmu.config.python import PythonTable
+from fmu.engines.engine import Engine
 from fmu.fem.candidates import SOFTNESS
 from fmu.posterior.focus import LOOSEST_FREQUENCY
 from fmu.posterior.measurement import ModalData
@@ -60,7 +61,14 @@ class ProblemFile(Table):
     parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
     """What is uncertain, in the order of theta."""
 
-    def build(self, source: str, folder: Path, pairing: str | None = None, beta: Any = None) -> UpdatingProblem:
+    def build(
+        self,
+        source: str,
+        folder: Path,
+        pairing: str | None = None,
+        beta: Any = None,
+        engine: Engine | None = None,
+    ) -> UpdatingProblem:
         """Return the problem.
 
         Parameters
@@ -71,6 +79,8 @@ class ProblemFile(Table):
             Where files that it names are.
         pairing, beta : optional
             Instead of those of the file.
+        engine : Engine, optional
+            Trains the reduced model.
 
         Raises
         ------
@@ -101,6 +111,7 @@ class ProblemFile(Table):
                 beta=None if errors else trust,
                 error=[table.build(noise) for table in errors] if errors else self.error,  # type: ignore[arg-type]
                 name=f"{self.name}, by {pairing or self.pairing}",
+                engine=engine,
             )
         except BrokenError as error:
             raise ConfigurationError(source, error.mistakes) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,14 +37,15 @@ class Snapshots:
         """Solve the full block at every theta."""
         return cls(theta, *block.modes(theta, min(count, block.size)))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Snapshots]) -> Snapshots:
+        """Return the snapshots of all parts."""
+        rows = zip(*((part.theta, part.eigenvalues, part.shapes) for part in parts), strict=True)
+        return cls(*(np.concatenate(row) for row in rows))
+
     def __add__(self, other: Snapshots) -> Snapshots:
         """Return the snapshots of both."""
-        pairs = zip(
-            (self.theta, self.eigenvalues, self.shapes),
-            (other.theta, other.eigenvalues, other.shapes),
-            strict=True,
-        )
-        return Snapshots(*(np.concatenate(pair) for pair in pairs))
+        return Snapshots.joined([self, other])
 
     def lowest(self, count: int) -> Snapshots:
         """Return the snapshots of the lowest `count` modes alone."""

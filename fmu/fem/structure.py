@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.engines.engine import Engine
 from fmu.fem.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
 from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.model import BlockModel, Modes
@@ -129,6 +130,7 @@ class PairedStructure:
         upper: FloatArray,
         tolerance: float = 1e-6,
         wanting: Callable[[], FloatArray | None] | None = None,
+        engine: Engine | None = None,
     ) -> dict[str, FloatArray]:
         """Train the reduced model over a box; see `fmu.fem.training.Training.run`.
 
@@ -140,13 +142,15 @@ class PairedStructure:
         wanting : callable, optional
             Returns points (n, n_parameters) at which the reduced model, as trained so far, is not good enough for
             a purpose of one's own; None where it is.
+        engine : Engine, optional
+            Solves the full model at several points at once.
 
         Returns
         -------
         dict of str to ndarray
             What `restore` needs to have the same reduced model again.
         """
-        training = Training(self.full, self.rule, lower, upper, tolerance)
+        training = Training(self.full, self.rule, lower, upper, tolerance, engine=engine)
         with single_thread():
             self._install(training.run())
             for _ in range(20 if wanting is not None else 0):

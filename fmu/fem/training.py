@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from fmu.engines.engine import Engine
 from fmu.fem.modal import DENSE_LIMIT, FullBlock
 from fmu.fem.model import Block, BlockModel
 from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
@@ -23,6 +26,8 @@ _ROUNDS = 12
 # lie a little further out, and the same miss would repeat itself round after round.
 _CAREFUL_ROUND = 3
 _MOST_VECTORS = 1000
+# Points that make a task: few enough to keep many workers busy, whose number must not matter.
+_CHUNK = 4
 
 
 def affordable(n_dof: int) -> int:
@@ -69,6 +74,8 @@ class Training:
         Largest relative error of a needed frequency at the sampled and at the fresh points.
     n_sobol : int
         Points of the Sobol sequence, beside corners and faces; fresh sets are half as large.
+    engine : Engine, optional
+        Solves the full model at several points at once. What comes out does not depend on it.
     """
 
     def __init__(
@@ -79,11 +86,13 @@ class Training:
         upper: FloatArray,
         tolerance: float,
         n_sobol: int = 64,
+        engine: Engine | None = None,
     ) -> None:
         self.full, self.rule = full, rule
         self.lower, self.upper = lower, upper
         self.tolerance = tolerance
         self.n_sobol = n_sobol
+        self._engine = engine
         self.snapshots: dict[int, Snapshots] = {}
         self.pairing: Pairing = rule
         self.basis: dict[int, FloatArray] = {}
@@ -152,8 +161,13 @@ class Training:
 
     def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
         """Solve the blocks that the rule looks at, for all modes that might be needed."""
-        counts = self.rule.counts(self.full).items()
-        return {b: Snapshots.solve(self._block(b), theta, count) for b, count in counts}
+        counts = self.rule.counts(self.full)
+        if self._engine is None:
+            return {b: Snapshots.solve(self._block(b), theta, count) for b, count in counts.items()}
+        parts = [theta[first : first + _CHUNK] for first in range(0, len(theta), _CHUNK)]
+        tasks = [(b, part, count) for b, count in counts.items() for part in parts]
+        solved = iter(self._engine.lines(_solve_there, self.full, tasks))
+        return {b: Snapshots.joined(list(islice(solved, len(parts)))) for b in counts}
 
     def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
         """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""
@@ -242,6 +256,12 @@ class Training:
         if not isinstance(block, FullBlock):
             raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
         return block
+
+
+def _solve_there(full: BlockModel, task: tuple[int, FloatArray, int], _: object) -> Snapshots:
+    b, theta, count = task
+    block: Any = full.blocks[b]
+    return Snapshots.solve(block, theta, count)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:

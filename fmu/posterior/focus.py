@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.engines.engine import Engine
 from fmu.fem.basis_cache import load_basis, store_basis
 from fmu.fem.candidates import SoftPairing
 from fmu.fem.modal import RIGID
@@ -79,14 +80,17 @@ class Tolerance:
         return cls(frequency, min(LOG_PROB_TOLERANCE * (frequency / FREQUENCY_TOLERANCE), LOOSEST_LOG_PROB))
 
 
-def reduce_model(problem: UpdatingProblem, structure: PairedStructure, promised: Tolerance) -> None:
+def reduce_model(
+    problem: UpdatingProblem, structure: PairedStructure, promised: Tolerance, engine: Engine | None = None
+) -> None:
     """Train the reduced model of `structure`, or fetch it from the cache.
 
     Frequencies are good to the tolerance over the whole box, and the log-probability to its own wherever it is
     within `PLAUSIBLE` of its maximum, at every point that was tried. Points on a jump, where modes swap and either
     model may take either of them, say nothing of the basis. Where more points do not help, as what is left is
     rounding of the full model, or the basis would have more vectors than pay (`fmu.fem.training.affordable`),
-    training ends; a run's certificate says what was promised and not kept (`fmu.analysis.certificate`).
+    training ends; a run's certificate says what was promised and not kept (`fmu.analysis.certificate`). An engine
+    solves the full model at several points at once.
 
     Warns
     -----
@@ -118,7 +122,7 @@ def reduce_model(problem: UpdatingProblem, structure: PairedStructure, promised:
 
     # without such terms the computed modes take no part in the log-probability
     state = structure.train(
-        lower, upper, promised.frequency, wanting if hasattr(likelihood, "full_terms") else None
+        lower, upper, promised.frequency, wanting if hasattr(likelihood, "full_terms") else None, engine
     )
     error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, promised.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])

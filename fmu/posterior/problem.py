@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.engines.engine import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.candidates import SOFTNESS
 from fmu.fem.model import ModalModel
@@ -59,6 +60,8 @@ class UpdatingProblem:
         (`fmu.posterior.residual`) that needs measured shapes and a SeparableModel; or what is to be summed of
         `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
     name : str
+    engine : Engine, optional
+        Trains the reduced model with its workers (see `fmu.engine`), to the same in every bit. It is not kept.
 
     Attributes
     ----------
@@ -100,6 +103,7 @@ class UpdatingProblem:
         beta: ArrayLike | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
+        engine: Engine | None = None,
     ) -> None:
         self.data = data
         self.parameters = tuple(parameters)
@@ -130,7 +134,7 @@ class UpdatingProblem:
         self._failed = FailureRecord()
         self._prior = JointPrior(self.parameters)
         if self.promised is not None and isinstance(self.model, PairedStructure):
-            reduce_model(self, self.model, self.promised)
+            reduce_model(self, self.model, self.promised, engine)
             self._failed = FailureRecord()  # what failed on the way is nobody's evaluation
 
     def __repr__(self) -> str:
