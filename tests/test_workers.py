@@ -91,10 +91,12 @@ def test_another_number_of_groups_gives_other_draws_of_the_same_posterior(alone)
 
 def test_progress_comes_from_the_workers_group_by_group(processes):
     seen = []
-    fmu.sample(
-        LinearProblem(pause_s=0.002), "hmc", workers=processes, **SETTINGS | {"draws": 20, "warmup": 20, "groups": 2},
-        progress=lambda phase, done, total, info: seen.append((phase, done, total, info["group"])),
-    )  # fmt: skip
+    settings = SETTINGS | {"draws": 20, "warmup": 20, "groups": 2, "workers": processes}
+
+    def watch(phase, done, total, info):
+        seen.append((phase, done, total, info["group"]))
+
+    fmu.sample(LinearProblem(pause_s=0.002), "hmc", progress=watch, **settings)
     assert {group for *_, group in seen} == {"1/2", "2/2"}
     assert ("warmup", 20, 20, "1/2") in seen
     assert ("draws", 20, 20, "2/2") in seen
