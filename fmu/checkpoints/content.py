@@ -53,12 +53,15 @@ class State(NamedTuple):
         What the phases of the run have taken.
     segments : list of Segment
         All steps so far.
+    total : int
+        Steps of the phase, for who looks on.
     """
 
     configuration: str
     standing: Standing
     elapsed_s: Mapping[str, float]
     segments: list[Segment]
+    total: int
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
@@ -105,6 +108,7 @@ def packed_state(state: State) -> bytes:
         "learnt": standing.learnt,
         "elapsed_s": dict(state.elapsed_s),
         "segments": state.segments,
+        "total": state.total,
     }
     arrays = {f"group{k}": array for k, array in enumerate(standing.group.arrays)}
     arrays["outline"] = np.frombuffer(json.dumps(outline).encode(), dtype=np.uint8)
@@ -122,6 +126,6 @@ def unpacked_state(payload: bytes) -> State:
         group = Snapshot(outline["group"], [arrays[f"group{k}"] for k in range(len(arrays))])
         standing = Standing(group, outline["done"], outline["learnt"])
         segments = [Segment(*segment) for segment in outline["segments"]]
-        return State(outline["configuration"], standing, outline["elapsed_s"], segments)
+        return State(outline["configuration"], standing, outline["elapsed_s"], segments, outline["total"])
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise DamagedError(f"it holds no state ({error})") from error

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
 
+from fmu.checkpoints.presence import FILE as PRESENCE
+from fmu.checkpoints.presence import announce, leave
 from fmu.checkpoints.store import LEDGER, LOCK
 from fmu.config.kept import ORIGIN, KeptProblem, keep
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from fmu.analysis.maxima import Maxima
 
 FOLDER = "checkpoints"
-_MAXIMA = "maxima.nc"
+MAXIMA = "maxima.nc"
 
 
 class RunDirectory:
@@ -44,11 +46,14 @@ class RunDirectory:
             self._lock.acquire()
         except Timeout:
             raise ValueError(f"--out: another fmu run is at work in {path}") from None
+        announce(self.folder)
 
     def __enter__(self) -> RunDirectory:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        if self._lock.is_locked:
+            leave(self.folder)
         self._lock.release()
 
     def begin(self, problem: KeptProblem) -> None:
@@ -56,7 +61,7 @@ class RunDirectory:
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
-            elif path.name != LOCK:
+            elif path.name not in (LOCK, PRESENCE):
                 path.unlink()
         self._keep(problem, self.folder)
 
@@ -76,7 +81,7 @@ class RunDirectory:
         from fmu.analysis.diagnosis import maxima_of, with_maxima
         from fmu.analysis.trace import save_trace
 
-        path = self.folder / _MAXIMA
+        path = self.folder / MAXIMA
         if path.is_file():
             try:
                 found = maxima_of(xr.load_datatree(path, engine="h5netcdf"))

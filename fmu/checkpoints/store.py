@@ -22,6 +22,7 @@ from fmu.checkpoints.content import (
 )
 from fmu.checkpoints.durable import DamagedError, digest, payload_of, signed, write_durably
 from fmu.checkpoints.identity import Identity
+from fmu.checkpoints.presence import announce, leave
 from fmu.checkpoints.settings import Checkpoint
 from fmu.posterior.failures import Failure
 from fmu.samplers.record import Steps
@@ -79,6 +80,7 @@ class Store:
         try:
             identity.check(self.directory)
             identity.write(self.directory)
+            announce(self.directory)
         except BaseException:
             self.close()
             raise
@@ -126,6 +128,8 @@ class Store:
 
     def close(self) -> None:
         """Let others at the directory."""
+        if self._lock.is_locked:
+            leave(self.directory)
         self._lock.release()
 
     def __enter__(self) -> Store:
@@ -199,7 +203,8 @@ class _GroupFiles:
             int(stats["n_nonfinite"].sum()) if "n_nonfinite" in stats else 0,
         )
         write_durably(self.directory / segment.name, content)
-        state = State(configuration, unkept.standing, unkept.elapsed_s, [*self.segments, segment])
+        segments = [*self.segments, segment]
+        state = State(configuration, unkept.standing, unkept.elapsed_s, segments, unkept.total)
         path = self.directory / f"state-{self._number + 1:06d}"
         write_durably(path, signed(TITLE, packed_state(state)))
         self.segments.append(segment)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import click
 
-from fmu.cli import cases, check, compare, export, init, paper, report, run, schema
+from fmu.cli import cases, check, compare, export, init, paper, report, run, schema, watch
 from fmu.cli.errors import Commands
 
 
@@ -17,5 +17,5 @@ def main() -> None:
     """Bayesian finite-element model updating."""
 
 
-for _module in (init, schema, cases, check, run, compare, report, export, paper):
+for _module in (init, schema, cases, check, run, watch, compare, report, export, paper):
     main.add_command(_module.command)

@@ -90,6 +90,8 @@ class Unkept(NamedTuple):
     steps : Steps
     failures : list
         Points without a finite log-density since the group was kept last.
+    total : int
+        Steps of the phase, as far as it is known.
     """
 
     standing: Standing
@@ -98,6 +100,7 @@ class Unkept(NamedTuple):
     first: int
     steps: Steps
     failures: list[Any]
+    total: int
 
 
 class Keeper(Protocol):
@@ -279,7 +282,7 @@ class Run:
             group.failures += done.failures
             why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
             ended = self._stop() or why is not None or group.standing.done[phase] >= target
-            self._keep(group, phase, at_once=ended)
+            self._keep(group, phase, target, at_once=ended)
             if why is not None:
                 raise TooManyFailuresError(why, self._so_far())
             if self._watch is not None and phase == DRAWS:
@@ -308,14 +311,14 @@ class Run:
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
-    def _keep(self, group: _Group, phase: str, *, at_once: bool) -> None:
+    def _keep(self, group: _Group, phase: str, target: int, *, at_once: bool) -> None:
         """Have a group kept if it is time to."""
         first, stop = group.unkept[phase], group.standing.done[phase]
         if self._keeper is None or not (at_once or self._keeper.is_due(group.index, stop - first)):
             return
         steps = self._records[phase].steps(first, stop, group.chains)
-        elapsed = dict(self._elapsed_s)
-        self._keeper.keep(group.index, Unkept(group.standing, elapsed, phase, first, steps, group.failures))
+        unkept = Unkept(group.standing, dict(self._elapsed_s), phase, first, steps, group.failures, target)
+        self._keeper.keep(group.index, unkept)
         group.unkept[phase], group.failures = stop, []
 
     def _common(self, phase: str) -> FloatArray:

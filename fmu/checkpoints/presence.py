@@ -1,0 +1,84 @@
+"""Who is at work in a directory, to be read without taking its lock."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from fmu.checkpoints.durable import write_durably
+
+FILE = "at-work.json"
+# fields of /proc/PID/stat, counted behind the number and the name
+_SINCE_BOOT = 22 - 3
+_ENDED = "ZX"
+
+
+@dataclass(frozen=True)
+class Presence:
+    """A process at work.
+
+    Attributes
+    ----------
+    host : str
+    pid : int
+    began : float
+        When, in seconds since 1970.
+    birth : str
+        What tells the process from a later one of the same number; empty where the system does not say.
+    """
+
+    host: str
+    pid: int
+    began: float
+    birth: str
+
+    def is_alive(self) -> bool | None:
+        """Say whether the process still exists; None if that cannot be known from here."""
+        if self.host != socket.gethostname() or os.name != "posix":
+            return None
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:  # of another user
+            pass
+        return not self.birth or self.birth == _birth(self.pid)
+
+
+def announce(directory: Path) -> None:
+    """Note that this process is at work in a directory, whose lock it holds; without room for that, do without."""
+    pid = os.getpid()
+    here = Presence(socket.gethostname(), pid, time.time(), _birth(pid))
+    with suppress(OSError):
+        write_durably(directory / FILE, json.dumps(asdict(here)).encode())
+
+
+def leave(directory: Path) -> None:
+    """Take the note away: whoever left it there afterwards was killed."""
+    with suppress(OSError):
+        (directory / FILE).unlink(missing_ok=True)
+
+
+def present(directory: Path) -> Presence | None:
+    """Return who is at work, or was killed at it; None if nobody, or the note is damaged."""
+    try:
+        held = json.loads((directory / FILE).read_text(encoding="utf-8"))
+        return Presence(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _birth(pid: int) -> str:
+    """Return the system's start and the process's after it; empty without /proc, and of a process that ended."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
+        fields = behind_name.split()
+        return "" if fields[0] in _ENDED else f"{boot} {fields[_SINCE_BOOT]}"
+    except (OSError, IndexError):
+        return ""
