@@ -106,8 +106,8 @@ def command(
         from fmu.checkpoints.run_directory import RunDirectory
         from fmu.engines.engine import engine
 
-        problem = load()
         at_work = stack.enter_context(engine(workers, cluster))
+        problem = load(at_work)
         running = stack.enter_context(RunDirectory(directory))
         if resume is None:
             running.begin(asked)

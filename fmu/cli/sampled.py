@@ -69,11 +69,11 @@ def sampled(
             click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
         return find_map(problem, starts)
 
-    with _explained(problem), _warnings_as_lines():
+    with _explained(problem), _warnings_as_lines(), _spread(problem, engine, orders["groups"]) as of_groups:
         try:
             outcome = Sampled(problem, orders, running.maxima(search), {}, {})
             for name in dict.fromkeys(orders["samplers"]):
-                stopped = _one(name, outcome, asked, running, engine, report)
+                stopped = _one(name, outcome, asked, running, of_groups, report)
                 if stopped:
                     return outcome._replace(stopped=stopped)
                 asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
@@ -171,6 +171,23 @@ def _drawn(
     finally:
         running.take_ledger(name, ledger)
     return trace, ""
+
+
+@contextmanager
+def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
+    """Give the engine that advances groups of chains.
+
+    A Python function is expensive: its single evaluations are spread over the workers, unless groups of chains are
+    asked for; and then the chains advance in this process.
+    """
+    from fmu.engines.engine import InProcess
+    from fmu.fem.paired_black_box import PairedBlackBox
+
+    if engine.workers > 1 and groups is None and isinstance(problem.model, PairedBlackBox):
+        with problem.model.black_box.spread_over(engine):
+            yield InProcess()
+    else:
+        yield engine
 
 
 @contextmanager

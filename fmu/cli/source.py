@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 if TYPE_CHECKING:
+    from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -24,13 +25,13 @@ class Source(NamedTuple):
     pairing : str
         How its modes are paired: as asked for, or as the file says.
     load : callable
-        Returns the problem.
+        Returns the problem; an engine, if one is given, trains its reduced model where that may take long.
     """
 
     path: Path
     stem: str
     pairing: str
-    load: Callable[[], UpdatingProblem]
+    load: Callable[..., UpdatingProblem]
 
 
 def source(case: str, pairing: str | None) -> Source:
@@ -52,10 +53,10 @@ def source(case: str, pairing: str | None) -> Source:
         described = config.read(path)
         by = pairing or described.pairing
 
-        def load() -> UpdatingProblem:
+        def load(engine: Engine | None = None) -> UpdatingProblem:
             if sys.stderr.isatty():  # a large structure takes minutes, once
                 click.echo(f"Preparing {path} …", err=True)
-            return described.build(path.name, path.parent, by)
+            return described.build(path.name, path.parent, by, engine=engine)
 
         return Source(path, path.stem, by, load)
     from fmu import cases as builtin
@@ -67,4 +68,4 @@ def source(case: str, pairing: str | None) -> Source:
 
     path = builtin.path(case)
     by = pairing or config.read(path).pairing
-    return Source(path, case, by, lambda: builtin.load(case, pairing=by))
+    return Source(path, case, by, lambda engine=None: builtin.load(case, pairing=by))

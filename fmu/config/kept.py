@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.checkpoints.durable import write_durably
 
 if TYPE_CHECKING:
+    from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 FILE, ORIGIN = "problem.toml", "run.json"
@@ -44,11 +45,11 @@ class KeptProblem:
     orders: Mapping[str, Any] = field(default_factory=dict)
     finished: tuple[str, ...] = ()
 
-    def load(self) -> UpdatingProblem:
-        """Return the problem; ConfigurationError if its file is broken."""
+    def load(self, engine: Engine | None = None) -> UpdatingProblem:
+        """Return the problem, its reduced model trained by an engine; ConfigurationError if its file is broken."""
         from fmu import config
 
-        return config.read(self.file).build(self.file.name, self.folder, self.pairing)
+        return config.read(self.file).build(self.file.name, self.folder, self.pairing, engine=engine)
 
 
 def keep(
