@@ -266,7 +266,10 @@ def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:
 
 
 def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
-    restricted = (Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
+    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: nothing to have, or to send, twice
+        restricted = terms
+    else:
+        restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
     nonzero = tuple(t for t in restricted if abs(t.matrix).max() > 0.0)
     return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), terms[0].powers),)
 
