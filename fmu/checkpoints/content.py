@@ -79,6 +79,11 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
     return buffer.getvalue()
 
 
+def writable(text: str) -> str:
+    """Return a text as files can hold it: what a user's program says may be no Unicode, or hold a zero."""
+    return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
+
+
 def unpacked_steps(content: bytes) -> Steps:
     """Return the steps of such a file."""
     import h5py

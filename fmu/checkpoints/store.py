@@ -6,8 +6,10 @@ import re
 import time
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from fmu.analysis.failure_ledger import FailedSolves, failures_csv
@@ -19,6 +21,7 @@ from fmu.checkpoints.content import (
     unpacked_failures,
     unpacked_state,
     unpacked_steps,
+    writable,
 )
 from fmu.checkpoints.durable import DamagedError, digest, payload_of, signed, write_durably
 from fmu.checkpoints.identity import Identity
@@ -68,7 +71,8 @@ class Store:
         self._names, self._units = names, units
         self._failed: list[FailedSolves] = []
         self.directory = Path(settings.directory)
-        self.most_steps = settings.draws
+        self.most_steps, self.most_seconds = settings.draws, settings.seconds
+        self._is_named = False
         self._groups: dict[int, _GroupFiles] = {}
         self._kept_at: dict[int, float] = {}
         self.directory.mkdir(parents=True, exist_ok=True)
@@ -79,7 +83,7 @@ class Store:
             raise ValueError(f"checkpoint: another run is at work in {self.directory}") from None
         try:
             identity.check(self.directory)
-            identity.write(self.directory)
+            self._tidy()
             announce(self.directory)
         except BaseException:
             self.close()
@@ -114,10 +118,15 @@ class Store:
         OSError
             If the disk is full, or gone. What was kept before is intact.
         """
+        failures = [Failure(failure.theta, writable(failure.reason)) for failure in unkept.failures]
+        unkept = unkept._replace(failures=failures)
         try:
+            if not self._is_named:  # not before there are draws: a call that fails leaves the directory to another
+                self.identity.write(self.directory)
+                self._is_named = True
             segment = self._files(group).append(self.identity.hash, unkept)
-            if segment.failed or unkept.failures:
-                self._note([_failed(group, segment, unkept.failures)])
+            if segment.failed:
+                self._note([_failed(group, segment, failures)])
         except OSError as error:
             done = unkept.first
             raise OSError(
@@ -137,6 +146,12 @@ class Store:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    def _tidy(self) -> None:
+        """Take away what killed processes have left half written."""
+        for leftover in self.directory.rglob(".*.part"):
+            with suppress(OSError):  # it does no harm
+                leftover.unlink()
 
     def _note(self, failed: list[FailedSolves]) -> None:
         """Put failed solves into the ledger."""
@@ -158,6 +173,7 @@ class _GroupFiles:
         self.directory = directory
         self.segments: list[Segment] = []
         self._number = 0
+        self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> State | None:
         """Return the newest state that is whole, with all its segments, and go on from there."""
@@ -169,11 +185,12 @@ class _GroupFiles:
                     raise ValueError(f"checkpoint: {path} is of another run")
                 for segment in state.segments:
                     self._content(segment)
-            except DamagedError as error:
+            except (DamagedError, OSError) as error:
                 then = "begins anew" if path == states[0][1] else "goes on from the state before it"
                 warnings.warn(f"{path} is damaged ({error}): the group {then}", CheckpointWarning, stacklevel=5)
                 continue
             self.segments, self._number = list(state.segments), states[-1][0]
+            self._intact = [path]
             return state
         self._number = states[-1][0] if states else 0
         return None
@@ -200,7 +217,7 @@ class _GroupFiles:
             unkept.first,
             len(unkept.steps),
             int(stats["n_solves"].sum()),
-            int(stats["n_nonfinite"].sum()) if "n_nonfinite" in stats else 0,
+            max(int(np.sum(stats.get("n_nonfinite", 0))), len(unkept.failures)),
         )
         write_durably(self.directory / segment.name, content)
         segments = [*self.segments, segment]
@@ -209,8 +226,11 @@ class _GroupFiles:
         write_durably(path, signed(TITLE, packed_state(state)))
         self.segments.append(segment)
         self._number += 1
-        for _, old in numbered(self.directory, "state")[:-_STATES]:
-            old.unlink(missing_ok=True)
+        self._intact = [*self._intact, path][-_STATES:]
+        for _, old in numbered(self.directory, "state"):
+            if old not in self._intact:
+                with suppress(OSError):  # it does no harm
+                    old.unlink()
         return segment
 
     def _content(self, segment: Segment) -> bytes:

@@ -110,9 +110,12 @@ class Keeper(Protocol):
     ----------
     most_steps : int
         How many steps of a group may be lost.
+    most_seconds : float
+        How much of its time.
     """
 
     most_steps: int
+    most_seconds: float
 
     def kept(self, group: int) -> Kept | None:
         """Return a group as it was kept last, None if it has not been."""
@@ -299,9 +302,10 @@ class Run:
         """Return the next part of a group's work."""
         standing = group.standing
         steps = min(MOST_STEPS, target - standing.done[phase])
+        seconds = LIVE_S if self._hurried else math.inf
         if self._keeper is not None:
             steps = min(steps, self._keeper.most_steps - (standing.done[phase] - group.unkept[phase]))
-        seconds = LIVE_S if self._hurried else math.inf
+            seconds = min(seconds, self._keeper.most_seconds)
         label = f"{group.index + 1}/{self.groups}" if self.groups > 1 else ""
         return Part(standing.group, phase, steps, seconds, target, label)
 

@@ -1,0 +1,169 @@
+"""Runs in processes of their own that are killed, stopped, watched, and run out of disk."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu.checkpoints.durable import digest
+from fmu.checkpoints.store import numbered, read_state
+from tests.checkpoints.watched import DRAWS, STEPS, Watched, sampled
+
+ROOT = Path(__file__).parents[2]
+posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+pytestmark = posix
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return sampled(None)
+
+
+@contextmanager
+def started(directory, *arguments):
+    """A run in another process, which is there no longer afterwards."""
+    command = [sys.executable, "-u", "-m", "tests.checkpoints.watched", os.fspath(directory), *map(str, arguments)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_for(line, process):
+    for found in process.stdout:
+        if found.strip() == line:
+            return
+    pytest.fail(f"no {line!r}: {process.stderr.read()}")
+
+
+def gone_on(directory, whole):
+    """Go on to the end, demand that it is bitwise what it would have been, and return the first step drawn."""
+    steps = []
+    trace = sampled(directory, progress=lambda phase, done, *_: steps.append((phase, done)))
+    for group in ("posterior", "warmup_posterior", "sample_stats", "warmup_sample_stats"):
+        assert trace[group].identical(whole[group])
+    assert trace.attrs["n_solves"] == whole.attrs["n_solves"]
+    assert trace.attrs["complete"] == 1
+    return steps[0] if steps else None
+
+
+def test_killed(tmp_path, whole):
+    """Nobody else is let in before, everybody at once afterwards."""
+    with started(tmp_path, DRAWS, "draws", 25) as process:
+        wait_for("draws 25", process)
+        with pytest.raises(ValueError, match=rf"^checkpoint: another run is at work in {tmp_path}$"):
+            sampled(tmp_path)
+        process.kill()
+        process.wait()
+        assert gone_on(tmp_path, whole) == ("draws", 21)
+
+
+def test_watched_from_outside(tmp_path, whole):
+    """Whatever is read while it is written is whole; and who is refused does no harm."""
+    group, seen = tmp_path / "group-1", set()
+    with started(tmp_path, DRAWS) as process:
+        wait_for("warmup 1", process)
+        with pytest.raises(ValueError, match="another run is at work"):
+            sampled(tmp_path)
+        while process.poll() is None:
+            for number, path in numbered(group, "state"):
+                with suppress(FileNotFoundError):  # replaced meanwhile by a later one
+                    state = read_state(path)
+                    seen.add(number)
+                    for segment in state.segments:
+                        assert digest((group / segment.name).read_bytes()) == segment.sha256
+        assert process.stdout.read().endswith("complete\n")
+    assert len(seen) > 3
+    assert gone_on(tmp_path, whole) is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_asked_to_stop(tmp_path, whole, number):
+    with started(tmp_path, 2000) as process:
+        wait_for("draws 25", process)
+        process.send_signal(number)
+        said, complaints = process.communicate(timeout=30)
+        *steps, last = said.splitlines()
+    drawn = int(steps[-1].split()[1])
+    assert last == f"stopped after {drawn} of 2000 draws, {drawn} in the trace"
+    assert complaints == "Stopping after the step under way; once more to stop at once.\n"
+    assert process.returncode == 0
+    first = gone_on(tmp_path, whole)
+    assert first == (None if drawn >= DRAWS else ("draws", drawn + 1))
+
+
+def test_asked_twice_it_stops_at_once(tmp_path, whole):
+    with started(tmp_path, DRAWS, "warmup", 15) as process:
+        wait_for("warmup 15", process)
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.readline().startswith("Stopping after the step under way")
+        began = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        said, complaints = process.communicate(timeout=30)
+        assert time.monotonic() - began < 10.0
+    assert said == "interrupted\n"
+    assert complaints == ""
+    assert gone_on(tmp_path, whole) == ("warmup", 11)
+
+
+def test_a_file_that_is_too_large(tmp_path, whole):
+    with started(tmp_path, DRAWS, "draws", 25, "full") as process:
+        said, _ = process.communicate(timeout=30)
+    assert said.splitlines()[-1] == (
+        f"OSError checkpoint: cannot write to {tmp_path} (File too large); what was drawn before draws step 21 of "
+        "group 1 is kept there"
+    )
+    assert not list(tmp_path.rglob("*.part"))
+    assert gone_on(tmp_path, whole) == ("draws", 21)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 48 kB, and what gives it other options."""
+
+    def mount(*options):
+        return subprocess.run(["mount", *options, os.fspath(tmp_path)], capture_output=True).returncode
+
+    if os.geteuid() != 0 or mount("-t", "tmpfs", "-o", "size=48k", "tmpfs"):
+        pytest.skip("may not mount file systems")
+    yield tmp_path, mount
+    subprocess.run(["umount", os.fspath(tmp_path)], check=True)
+
+
+def test_a_full_disk(small_disk, whole):
+    directory, mount = small_disk
+    with pytest.raises(
+        OSError, match=rf"^checkpoint: cannot write to {directory} \(No space left on device\); what "
+    ):
+        sampled(directory)
+    assert not list(directory.rglob("*.part"))
+    assert mount("-o", "remount,size=10M") == 0
+    phase, first = gone_on(directory, whole)
+    assert first % STEPS == 1
+    assert (phase, first) != ("warmup", 1)
+
+
+def test_a_disk_that_may_only_be_read(small_disk, whole):
+    directory, mount = small_disk
+    assert mount("-o", "remount,size=10M") == 0
+    assert gone_on(directory, whole) == ("warmup", 1)
+    assert mount("-o", "remount,ro") == 0
+    for path in (directory, directory / "new"):
+        with pytest.raises(OSError, match="Read-only file system"):
+            sampled(path)
+
+
+def test_the_watched_density_fails_now_and_then(whole):
+    failed = int(whole["sample_stats"]["n_nonfinite"].sum())
+    assert 0 < failed < whole.attrs["n_solves"]
+    assert np.isneginf(Watched().log_prob(Watched().mean[None] + 1.0)).all()

@@ -1,0 +1,82 @@
+"""A run with a checkpoint, to be killed: python -m tests.checkpoints.watched DIR [DRAWS [PHASE STEP [full]]].
+
+Every step is a line on standard output, such as "draws 25". From the step that is given on, a step takes for ever;
+or, with "full", the disk is full.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+
+import numpy as np
+
+import fmu
+from fmu.checkpoints import Checkpoint
+from fmu.posterior.failures import Failure
+from tests.samplers.targets import CorrelatedGaussian
+
+WARMUP, DRAWS, CHAINS = 40, 60, 2
+STEPS = 10
+"""After how many of them a run is kept."""
+
+
+class Watched(CorrelatedGaussian):
+    """A Gaussian that fails here and there, and can be made slow."""
+
+    delay = 0.0
+
+    def __init__(self):
+        super().__init__()
+        self.failed = []
+
+    def log_prob(self, theta):
+        time.sleep(self.delay)
+        value = super().log_prob(theta)
+        bad = theta[:, 0] > self.mean[0] + 0.8
+        self.failed += [Failure(point.copy(), "too far\0 \udcff") for point in theta[bad]]
+        return np.where(bad, -np.inf, value)
+
+    def take_failures(self):
+        failed, self.failed = self.failed, []
+        return failed
+
+
+def sampled(directory, draws=DRAWS, density=None, **more):
+    """The run, in any process."""
+    density = density or Watched()
+    start = density.mean + 0.1 * np.arange(CHAINS)[:, None]
+    where = None if directory is None else Checkpoint(directory, draws=STEPS)
+    settings = {"warmup": WARMUP, "chains": CHAINS, "seed": 2, "init": start} | more
+    return fmu.sample(density, "mh", draws=draws, checkpoint=where, **settings)
+
+
+def main(directory, draws=DRAWS, phase="", step=0, full=""):
+    """Run, and say what is going on."""
+    density = Watched()
+    density.delay = 0.003
+
+    def progress(now, done, total, info):
+        print(now, done, flush=True)
+        if (now, done) == (phase, int(step)):
+            density.delay = 0.0 if full else 60.0
+            if full:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))
+
+    try:
+        sampled(directory, int(draws), density, progress=progress)
+        print("complete", flush=True)
+    except fmu.sampling.StoppedRun as stop:
+        print(
+            f"stopped {stop.where}, {stop.trace and stop.trace['posterior'].sizes['draw']} in the trace",
+            flush=True,
+        )
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+    except OSError as error:
+        print(f"OSError {error}", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
