@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -168,8 +168,11 @@ def _drawn(
             "--max-failure-rate 1",
             error.result,
         ) from None
+    except OSError as error:
+        raise OSError(f"{error}. To go on: fmu run --resume {running.path}") from error
     finally:
-        running.take_ledger(name, ledger)
+        with suppress(OSError):  # it is with what is kept, anyhow
+            running.take_ledger(name, ledger)
     return trace, ""
 
 
