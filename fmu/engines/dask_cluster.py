@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import queue
 import re
+import signal
 import threading
-import time
 import uuid
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +22,7 @@ import cloudpickle
 import dask
 import distributed
 
-from fmu.engines.dask_worker import Parcel, QuietWorker, carry_out
+from fmu.engines.dask_worker import Parcel, QuietWorker, carry_out, unchanged
 from fmu.engines.engine import MOST_DEATHS, ContextManager, Follow, InProcess, LostTaskError, Work
 from fmu.engines.worker import Order, unpacked
 from fmu.progress import Report
@@ -37,8 +38,7 @@ _TICK_S = 1.0
 class Flight(NamedTuple):
     """A task of a line, and how many workers died of it, or of another one at the same time.
 
-    Where all that had what the tasks share died, all tasks under way are lost, and nobody knows which is to blame:
-    so whatever was lost is tried again alone.
+    A task may also be lost with what it needs, by the fault of another: so whatever was lost is tried again alone.
     """
 
     line: int
@@ -151,20 +151,27 @@ class DaskCluster(ContextManager):
                 return
             order = Parcel(cloudpickle.dumps(waiting[0].order))
             key = f"fmu-{uuid.uuid4().hex}"
+            common = self._common(shared)
             future = self._client.submit(
-                carry_out, self._scattered(shared), key, order, self._topic, key=key, pure=False
+                carry_out, common, common.key, key, order, self._topic, key=key, pure=False
             )
             self._flying[key] = future, waiting.popleft()
             future.add_done_callback(lambda future: self._inbox.put(("done", future.key)))
 
-    def _scattered(self, shared: Any) -> Any:
-        """Return what all tasks share as a future, sent to all workers there are: unless they have it already."""
-        if self._shared is None or self._shared[0] is not shared or self._shared[1].status != "finished":
-            parcel = Parcel(cloudpickle.dumps(shared))
-            while not self._client.nthreads():
-                self._check_connection()
-                time.sleep(0.1)
-            self._shared = shared, self._client.scatter(parcel, broadcast=True, hash=False)
+    def _common(self, shared: Any) -> Any:
+        """Return what all tasks share as a future, of a task of its own: workers give it to each other.
+
+        If it dies with a worker, the scheduler has it made again; what a client scatters would be lost, and a
+        broadcast waits for ever for a worker that has just died.
+        """
+        if (
+            self._shared is None
+            or self._shared[0] is not shared
+            or self._shared[1].status not in ("pending", "finished")
+        ):
+            key, parcel = f"fmu-shared-{uuid.uuid4().hex}", Parcel(cloudpickle.dumps(shared))
+            with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
+                self._shared = shared, self._client.submit(unchanged, parcel, key=key, pure=False)
         return self._shared[1]
 
     def _landed(self, report: Report | None) -> Iterator[tuple[Flight, bytes | None]]:
@@ -192,7 +199,7 @@ class DaskCluster(ContextManager):
             outcome, number, message = cloudpickle.loads(future.result().content)
             if message is not None and self._told.get(key) != number:
                 self._pass_on(key, number, message, report)
-        except CancelledError:  # nobody has any more what the tasks share
+        except CancelledError:  # lost with what it needs
             deaths = flight.deaths + 1
         except distributed.KilledWorker as error:
             deaths = flight.deaths + error.allowed_failures + 1
@@ -219,10 +226,11 @@ class DaskCluster(ContextManager):
     def _abandon(self) -> None:
         """Forget the tasks under way; workers of this machine are stopped, and replaced."""
         if self._flying and self._client.status == "running":
+            busy = {address for address, keys in self._client.processing().items() if keys}
             self._client.cancel([future for future, _ in self._flying.values()])
-            if self._processes is not None:
-                self._shared = None
-                self._client.restart(timeout=_ANSWER_S)
+            for nanny in self._processes.workers.values() if self._processes is not None else ():
+                if nanny.worker_address in busy and nanny.pid is not None:  # the nanny starts another one
+                    os.kill(nanny.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
         self._flying.clear()
         self._told.clear()
 
@@ -231,7 +239,7 @@ def _local_cluster(workers: int) -> Any:
     """Start processes of this machine, of one thread each."""
     settings = {
         "distributed.scheduler.allowed-failures": 0,  # every death is told, and counted here
-        "distributed.scheduler.active-memory-manager.start": False,  # it would undo a broadcast
+        "distributed.scheduler.active-memory-manager.start": False,  # it would take away what the tasks share
     }
     with dask.config.set(settings):
         return distributed.LocalCluster(

@@ -36,9 +36,15 @@ class QuietWorker(WorkerPlugin):
         ignore_interrupts()
 
 
-def carry_out(shared: Parcel, key: str, order: Parcel, topic: str) -> Parcel:
+def unchanged(parcel: Parcel) -> Parcel:
+    """Return what is given."""
+    return parcel
+
+
+def carry_out(shared: Parcel, name: str, key: str, order: Parcel, topic: str) -> Parcel:
     """Carry out an order, and report under a topic: (order's key, number of the message, message), pickled.
 
+    What tasks share has a `name`, by which a worker knows whether it has unpickled it before.
     The last message goes with the outcome: there is no order between what is reported and what is returned.
     """
     _one_thread()
@@ -50,14 +56,14 @@ def carry_out(shared: Parcel, key: str, order: Parcel, topic: str) -> Parcel:
         sent, last = sent + 1, message[1]
         get_worker().log_event(topic, cloudpickle.dumps((key, sent, last)))
 
-    outcome = carried_out(order.content, _unpickled(shared), send)
+    outcome = carried_out(order.content, _unpickled(shared, name), send)
     return Parcel(cloudpickle.dumps((outcome, sent, last)))
 
 
-def _unpickled(parcel: Parcel) -> Shared:
+def _unpickled(parcel: Parcel, name: str) -> Shared:
     """Return what tasks share, unpickled once a thread: they may not want to share it with each other."""
-    if getattr(_kept, "parcel", None) is not parcel:
-        _kept.parcel, _kept.shared = parcel, Shared(parcel.content)
+    if getattr(_kept, "name", None) != name:
+        _kept.name, _kept.shared = name, Shared(parcel.content)
     return _kept.shared
 
 

@@ -1,6 +1,7 @@
 """A Dask cluster: workers that die take nothing with them, and what cannot work is said in one line."""
 
 import os
+import signal
 import socket
 import sys
 import time
@@ -25,7 +26,7 @@ def test_workers_are_processes_of_one_thread(cluster):
     assert len(pids) == 2
     assert os.getpid() not in pids
     for interrupt, threads in cluster.lines(engine_tasks.threads, None, [0, 0]):
-        assert interrupt == 1  # ignored
+        assert interrupt == signal.SIG_IGN
         assert set(threads) == {1}
 
 
@@ -39,6 +40,14 @@ def test_what_is_shared_is_sent_once(cluster, tmp_path):
 def test_a_task_whose_worker_was_killed_is_done_again(cluster, tmp_path):
     given = ["a", "mortal", "b", "c", "d"]
     assert cluster.lines(engine_tasks.die_once, str(tmp_path), given) == given
+
+
+def test_workers_that_die_between_calls_are_replaced(cluster):
+    """Nobody waits for a worker that cannot answer any more, to be told what the next tasks share."""
+    for shared in (10, 20):
+        for nanny in cluster._processes.workers.values():
+            os.kill(nanny.pid, signal.SIGKILL)
+        assert cluster.lines(engine_tasks.add, shared, [1, 2, 3]) == [shared + 1, shared + 2, shared + 3]
 
 
 def test_a_task_that_kills_three_workers_is_given_up(cluster, tmp_path):
@@ -61,6 +70,7 @@ def test_the_error_of_one_task_stops_the_others(cluster, tmp_path):
 def test_a_cluster_that_is_there_already(cluster, tmp_path):
     """It has one user more for a while; what the workers of one kept is no business of the other."""
     address = cluster._client.scheduler.address
+    cluster._client.wait_for_workers(2, timeout=30)
     seen = []
     with engine(cluster=address) as another:
         assert another.workers == 2
