@@ -352,3 +352,9 @@ def test_a_stream_that_breaks_ends_no_run():
             report("warmup", 1, 1, {})
             report("draws", 1, 1, {})
     assert broken.writes == 1
+
+
+def test_lines_are_made_as_often_as_wanted():
+    """The function must not be hidden by the module that it imports."""
+    for _ in range(2):
+        assert callable(fmu.progress.json_lines(io.StringIO()))

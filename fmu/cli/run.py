@@ -96,6 +96,7 @@ def command(
                 raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
             given = source(case, orders.pop("pairing"))
             most_draws(orders["draws"], orders["until_ess"], orders["max_draws"])  # whether they go together
+            _check_groups(orders)
             asked, load = KeptProblem(given.path, given.path.parent, given.pairing, orders), given.load
             where = out or Path("runs") / f"{given.stem}-{given.pairing}"
             directory = stack.enter_context(claimed(where, overwrite))
@@ -114,6 +115,18 @@ def command(
         report = stack.enter_context(_reporting(progress))
         outcome = sampled(problem, asked, running, at_work, report)
     return tell(outcome, directory, reports)
+
+
+def _check_groups(orders: dict[str, Any]) -> None:
+    """Raise ValueError, before hours are spent, if a sampler's chains cannot be divided as is asked."""
+    if orders["groups"] is None:
+        return
+    from fmu.samplers import named
+    from fmu.samplers.run import n_groups
+
+    for name in orders["samplers"]:
+        if name != "emcee":  # whose ensembles are the groups
+            n_groups(orders["groups"], orders["chains"], named(name))
 
 
 def _resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:

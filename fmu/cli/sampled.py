@@ -15,6 +15,7 @@ import click
 from fmu.cli.output import write_csv
 from fmu.cli.tables import echo_comparison, text
 from fmu.progress import Report, labelled
+from fmu.progress.lines import JSONLines
 from fmu.sampling import StoppedRun
 
 if TYPE_CHECKING:
@@ -65,7 +66,8 @@ def sampled(
     starts = orders["starts"] or default_starts(problem)
 
     def search() -> Maxima:
-        if sys.stderr.isatty() or starts != STARTS:  # it may take long
+        may_take_long = sys.stderr.isatty() or starts != STARTS
+        if may_take_long and not isinstance(report, JSONLines):  # whose stream is for programs
             click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
         return find_map(problem, starts)
 

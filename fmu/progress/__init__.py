@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
-    from fmu.progress.json_lines import JSONLines
+    from fmu.progress.lines import JSONLines
 
 Info = Mapping[str, str | int | float]
 """What else there is to say, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``; and of which ``group``."""
@@ -32,11 +32,11 @@ def progress_bars() -> Iterator[Report | None]:
 
 
 def json_lines(stream: TextIO) -> JSONLines:
-    """Return a callback that writes lines of JSON; `fmu.progress.json_lines.JSONLines` says what is in them.
+    """Return a callback that writes lines of JSON; `fmu.progress.lines.JSONLines` says what is in them.
 
     To be used as a context manager, or closed, so that the last line of a phase that ends early is written too.
     """
-    from fmu.progress.json_lines import JSONLines
+    from fmu.progress.lines import JSONLines
 
     return JSONLines(stream)
 

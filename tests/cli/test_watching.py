@@ -1,0 +1,148 @@
+"""fmu watch: the run of a directory, told in words and as JSON."""
+
+import json
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import fmu
+from fmu.checkpoints import Checkpoint
+from fmu.checkpoints.presence import announce
+from fmu.checkpoints.store import Store
+from fmu.cli import main
+from tests.samplers.targets import CorrelatedGaussian
+
+RUN = ("run", "cantilever-young", "--warmup", "10", "--draws", "25", "--chains", "2", "--starts", "2",
+       "--keep-draws", "5", "--no-report", "--progress", "none", "--out", "out")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """A run of three samplers that stopped in the second."""
+    folder = tmp_path_factory.mktemp("stopped")
+    keep, count = Store.keep, []
+
+    def keeping(store, group, unkept):
+        keep(store, group, unkept)
+        count.append(group)
+        if len(count) == 12:
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setattr(Store, "keep", keeping)
+        names = (word for name in ("mh", "emcee", "slice") for word in ("--sampler", name))
+        assert CliRunner().invoke(main, [*RUN, *names]).exit_code == 130
+    return folder / "out"
+
+
+@pytest.fixture
+def out(stopped, tmp_path, monkeypatch):
+    """A copy of it in the current directory."""
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copytree(stopped, "out"))
+
+
+def watch(*arguments):
+    result = CliRunner().invoke(main, ["watch", *map(str, arguments)], prog_name="fmu")
+    assert result.exit_code == 0, result.output
+    assert all(len(line) <= 100 or line.startswith(("{", "Note: ")) for line in result.stdout.splitlines())
+    return result.stdout.splitlines()
+
+
+def test_a_stopped_run(out):
+    lines = watch("out")
+    assert lines[0] == "out: stopped"
+    assert lines[2].split()[:6] == ["sampler", "group", "state", "phase", "steps", "kept"]
+    rows = {line.split()[0]: line.split() for line in lines[3:8]}
+    assert rows["mh"][1:4] == ["finished", "draws", "25/25"]
+    assert rows["emcee"][1:3] == ["all", "stopped"]
+    behind = min(int(rows[group][2].removesuffix("/25")) for group in ("1/2", "2/2"))
+    assert rows["emcee"][3:5] == ["draws", f"{behind}/25"]
+    assert rows["slice"] == ["slice", "waiting"]
+    assert lines[-1] == "To go on: fmu run --resume out"
+    assert (watch("out/checkpoints")[0], watch("out/checkpoints")[-1]) == (lines[0], lines[-1])
+
+
+def test_as_json(out):
+    (line,) = watch("out", "--json")
+    told = json.loads(line)
+    assert (told["state"], told["directory"], told["notes"]) == ("stopped", "out", [])
+    mh, emcee, _ = told["samplers"]
+    assert mh["together"]["solves"] == sum(
+        int(fmu.load_trace("out/mh.nc").attrs[name]) for name in ("n_solves", "warmup_n_solves")
+    )
+    assert mh["together"]["kept_s"] is None
+    assert len(emcee["groups"]) == 2
+
+
+def test_a_running_one_is_followed_to_its_end(out, monkeypatch):
+    announce(out / "checkpoints")
+    waited = []
+
+    def sleep(seconds):
+        waited.append(seconds)
+        if len(waited) == 2:
+            (out / "checkpoints" / "at-work.json").unlink()
+
+    monkeypatch.setattr("fmu.cli.watch.time.sleep", sleep)
+    lines = watch("out", "--follow", "--every", 7)
+    assert waited == [7.0, 7.0]
+    heads = [line for line in lines if line.startswith("out: ")]
+    assert len(heads) == 3
+    assert heads[0].startswith("out: running for 0:0")
+    assert heads[-1] == "out: stopped"
+    assert lines[-1] == "To go on: fmu run --resume out"
+
+
+def test_a_finished_run_has_verdicts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = CliRunner().invoke(main, [*RUN, "--sampler", "mh"])
+    assert told.exit_code == 0, told.output
+    lines = watch("out")
+    assert lines[0] == "out: finished"
+    assert lines[3].split()[:4] == ["mh", "finished", "draws", "25/25"]
+    verdict = next(line for line in told.stdout.splitlines() if line.startswith("mh  not converged"))
+    assert " ".join(" ".join(lines[5:]).split()) == " ".join(verdict.split())
+    assert watch("out", "--follow") == lines
+
+
+def test_the_checkpoint_of_a_call(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Store, "keep", lambda *_: signal.raise_signal(signal.SIGINT))
+    density = CorrelatedGaussian()
+    with pytest.raises(KeyboardInterrupt):
+        fmu.sample(density, "slice", warmup=10, draws=20, chains=2, checkpoint=Checkpoint("kept", draws=5))
+    assert watch("kept") == [
+        "kept: stopped",
+        "",
+        "sampler  state",
+        "sampler  stopped",
+        "",
+        "To go on: the same call of fmu.sample, with checkpoint='kept'",
+    ]
+
+
+def test_damage_is_said(out):
+    for path in (out / "checkpoints").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"\xff")
+    lines = watch("out")
+    assert lines[0] == "out: stopped"
+    assert any(line.startswith("Note: out/checkpoints/run.json is not as fmu run wrote it") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(("none",), "does not exist"), ((".",), "must be that of a run (got .)"), ((".", "--every", "0"), "x>0")],
+)
+def test_bad_input_is_one_line(tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, ["watch", *arguments])
+    assert result.exit_code == 2
+    assert len(result.stderr.splitlines()) == 1
+    assert words in result.stderr
+    assert list(tmp_path.iterdir()) == []
