@@ -84,7 +84,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def at_keep(monkeypatch):
-    """Have something happen when a group has been kept so many times, and if `again` as many times later, and so on."""
+    """Have something happen when groups have been kept so many times; with `again` every so many times."""
 
     def arranged(count, happen, again=False):
         kept, keep = [0], Store.keep
