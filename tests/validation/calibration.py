@@ -9,14 +9,17 @@ Talts, Betancourt, Simpson, Vehtari & Gelman (2018), arXiv:1804.06788; Modrák e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.effective import ess_mean
+from fmu.engines.engine import Engine, InProcess
 from fmu.fem.model import ModalModel
 from fmu.posterior.problem import UpdatingProblem
+from fmu.progress import Report
 from fmu.samplers import Run
 from tests.validation.contenders import Contender
 from tests.validation.storeys import DESIGN_HZ, PARAMETERS, problem, reduced_model
@@ -25,6 +28,11 @@ DRAWS = 63
 """L, the draws that the truth is ranked among: 64 possible ranks."""
 QUANTITIES = (*(parameter.name for parameter in PARAMETERS), "log-likelihood")
 MOST_EXTENSIONS = 5
+TOGETHER = 5
+"""Replicates of a task."""
+
+Outcome = tuple[NDArray[np.int64], float, int]
+"""Ranks of one truth (quantities,), the smallest ESS and the number of draws."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +53,11 @@ class Calibration:
     draws: NDArray[np.int64]
 
 
-def calibrate(contender: Contender, replicates: int, seed: int) -> Calibration:
+def calibrate(contender: Contender, replicates: int, seed: int, engine: Engine | None = None) -> Calibration:
     """Return the ranks of `replicates` truths, each with its own data and its own run, warm-up included.
+
+    Each has a generator of its own, from ``SeedSequence(seed).spawn(replicates)``: the ranks are the same on every
+    engine. Without one the replicates are run in this process.
 
     Raises
     ------
@@ -55,15 +66,22 @@ def calibrate(contender: Contender, replicates: int, seed: int) -> Calibration:
     """
     model = reduced_model()
     seeds = np.random.SeedSequence(seed).spawn(replicates)
-    outcomes = [_replicate(contender, model, one) for one in seeds]
-    ranks, ess, draws = zip(*outcomes, strict=True)
+    tasks = [seeds[first : first + TOGETHER] for first in range(0, replicates, TOGETHER)]
+    parts = (engine or InProcess()).lines(_replicates, (contender, model), tasks)
+    ranks, ess, draws = zip(*(outcome for part in parts for outcome in part), strict=True)
     return Calibration(np.array(ranks), np.array(ess), np.array(draws))
 
 
-def _replicate(
-    contender: Contender, model: ModalModel, seed: np.random.SeedSequence
-) -> tuple[NDArray[np.int64], float, int]:
-    """Return the ranks of one truth (quantities,), the smallest ESS and the number of draws."""
+def _replicates(
+    shared: tuple[Contender, ModalModel], seeds: Sequence[np.random.SeedSequence], report: Report | None
+) -> list[Outcome]:
+    """Return the outcomes of some replicates: the task of an engine."""
+    contender, model = shared
+    return [_replicate(contender, model, seed) for seed in seeds]
+
+
+def _replicate(contender: Contender, model: ModalModel, seed: np.random.SeedSequence) -> Outcome:
+    """Return the outcome of one truth."""
     rng = np.random.default_rng(seed)
     prior = problem(model, DESIGN_HZ)  # of which no data are asked
     truth = prior.sample_prior(rng, 1)
