@@ -55,6 +55,7 @@ validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update G
 	.venv/bin/python -m tests.validation.coverage results
 	.venv/bin/python -m tests.validation.evidence results
 	.venv/bin/python -m tests.validation.garteur results
+	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m tests.validation.scale results
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md

@@ -48,6 +48,11 @@ SECTIONS = {
         "maximum of the posterior of `cantilever-young` by shape. Guyan and Craig–Bampton are built for that one "
         "theta; the reduced basis serves every theta of the box.",
     ),
+    "checkpoints": (
+        "Keeping a run on disk",
+        "Against the same run that is not kept, in turns. Processor time counts what the process does; wall time "
+        "also its waiting for the disk, and whatever else the machine did.",
+    ),
     "threads": (
         "BLAS threads",
         "Wall time with two BLAS threads over time with one. The log-probability runs its own small problems on "

@@ -1,0 +1,271 @@
+"""Runs of every sampler that are killed without warning, and gone on with: python -m tests.validation.kills OUT.
+
+Exit code 1 where one of them is not, to the last bit, the run that nobody killed, or lost more than it may.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import itertools
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from fmu.checkpoints.store import numbered, read_state
+from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES, drawn, load, same, teller
+
+KILLS, OF_THEM_WRITING, SEED = 20, 6, 1
+STARTING, WARMUP, DRAWS, WRITING = "starting", "warmup", "draws", "writing"
+PHASES = (STARTING, WARMUP, DRAWS, WRITING)
+_PIPE = 1 << 20  # bytes: it takes all lines of a run
+_MOST_DEATHS = 60
+_CALLS = ("fsync", "replace")  # of the operating system, that writing a file durably is made of
+
+
+class Step(NamedTuple):
+    """A step as its line tells it."""
+
+    group: int
+    phase: str
+    number: int
+    time: float
+
+
+@dataclass
+class Row:
+    """What came of the kills of one sampler.
+
+    Attributes
+    ----------
+    name : str
+    seconds : float
+        That the run takes when nobody kills it.
+    phases : dict of str to int
+        In which phase the kills fell.
+    runs, equal : int
+        Runs gone on with to their end, and how many of them are the uninterrupted one to the last bit.
+    steps, lost_s : int, float
+        The most that a kill cost a group of chains.
+    longest_s : float
+        The longest time from one step to the next, with the writing between them.
+    again : int
+        How many times the run was killed that was killed again and again.
+    alarms : int
+        Runs gone on with that warned of other arithmetic, on the same machine.
+    """
+
+    name: str
+    seconds: float
+    phases: dict[str, int] = field(default_factory=lambda: dict.fromkeys(PHASES, 0))
+    runs: int = 0
+    equal: int = 0
+    steps: int = 0
+    lost_s: float = 0.0
+    longest_s: float = 0.0
+    again: int = 0
+    alarms: int = 0
+
+    @property
+    def failures(self) -> Iterator[str]:
+        """What is wrong, a sentence each."""
+        if self.equal < self.runs:
+            yield f"{self.name}: {self.runs - self.equal} of {self.runs} runs are not the uninterrupted one"
+        if self.steps > LOSS_STEPS:
+            yield f"{self.name}: {self.steps} steps lost, more than {LOSS_STEPS}"
+        if self.lost_s > LOSS_S + 2.0 * self.longest_s:
+            yield f"{self.name}: {self.lost_s:.2f} s lost, more than {LOSS_S:g} s and a step"
+        if self.alarms:
+            yield f"{self.name}: {self.alarms} runs warned of other arithmetic on the machine that they began on"
+
+    def kill(self, directory: Path, told: list[Step], phase: str | None = None) -> None:
+        """Take a kill into account: where it fell, and what it cost."""
+        self.phases[phase or (told[-1].phase if told else STARTING)] += 1
+        times = [step.time for step in told]
+        took = [later - earlier for earlier, later in zip(times[:1] + times, times, strict=False)]
+        self.longest_s = max(self.longest_s, *took) if told else self.longest_s
+        for group in {step.group for step in told}:
+            done = kept_steps(directory / f"group-{group}")
+            lost = [
+                s
+                for step, s in zip(told, took, strict=True)
+                if step.group == group and step.number > done[step.phase]
+            ]
+            self.steps, self.lost_s = max(self.steps, len(lost)), max(self.lost_s, sum(lost))
+
+    def went_on(self, found: Mapping[str, NDArray[Any]], reference: Mapping[str, NDArray[Any]]) -> None:
+        """Take a run that came to its end into account."""
+        self.runs += 1
+        self.equal += same(found, reference)
+
+
+def kept_steps(directory: Path) -> Mapping[str, int]:
+    """Return how many steps of each phase are kept of a group."""
+    states = numbered(directory, "state")
+    return read_state(states[-1][1]).standing.done if states else {WARMUP: 0, DRAWS: 0}
+
+
+def forked(work: Callable[[int], object]) -> tuple[int, int]:
+    """Do ``work(pipe)`` in a process of its own; return its number and what reads the pipe."""
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _PIPE)
+    number = os.fork()
+    if number:
+        os.close(writing)
+        return number, reading
+    try:
+        os.close(reading)
+        work(writing)
+        os._exit(0)
+    except BaseException:
+        traceback.print_exc()
+    os._exit(1)
+
+
+def steps_told(reading: int) -> list[Step]:
+    """Return all whole lines of a pipe whose other end is closed."""
+    with os.fdopen(reading, "rb") as pipe:
+        return [parsed(line) for line in pipe.read().split(b"\n")[:-1]]
+
+
+def parsed(line: bytes) -> Step:
+    """Return the step that a line tells."""
+    group, phase, number, now = line.decode().split()
+    return Step(int(group), phase, int(number), float(now))
+
+
+def die_at(call: int) -> None:
+    """Have this process kill itself at one of the calls that files are written with."""
+    count = itertools.count()
+
+    def deadly(true: Callable[..., Any]) -> Callable[..., Any]:
+        def instead(*arguments: Any) -> Any:
+            if next(count) == call:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return true(*arguments)
+
+        return instead
+
+    for name in _CALLS:
+        setattr(os, name, deadly(getattr(os, name)))
+
+
+def killed_once(
+    problem: Any, row: Row, reference: Mapping[str, Any], rng: np.random.Generator, n_calls: int
+) -> None:
+    """Kill runs once each, `KILLS` of them, and go on with each."""
+    for k in range(KILLS):
+        writing = k < OF_THEM_WRITING
+        status = 0
+        while not os.WIFSIGNALED(status):  # else the run was over before
+            with TemporaryDirectory() as folder:
+                directory = Path(folder)
+                call = int(rng.integers(n_calls)) if writing else -1
+
+                def work(pipe: int, directory: Path = directory, call: int = call) -> None:
+                    die_at(call)
+                    drawn(problem, row.name, directory, teller(pipe))
+
+                number, reading = forked(work)
+                if not writing:
+                    time.sleep(rng.uniform(0.0, row.seconds))
+                    os.kill(number, signal.SIGKILL)
+                _, status = os.waitpid(number, 0)
+                told = steps_told(reading)
+                if os.WIFSIGNALED(status):
+                    row.kill(directory, told, WRITING if writing else None)
+                    with warnings.catch_warnings(record=True) as seen:
+                        warnings.simplefilter("always")
+                        row.went_on(drawn(problem, row.name, directory), reference)
+                    row.alarms += bool(seen)
+
+
+def killed_again_and_again(row: Row, reference: Mapping[str, Any], rng: np.random.Generator) -> None:
+    """Kill one run, in a new interpreter every time, until it comes to its end in spite of that."""
+    with TemporaryDirectory() as folder:
+        directory, result = Path(folder) / "run", Path(folder) / "result.npz"
+        command = [
+            sys.executable,
+            "-m",
+            "tests.validation.kills_run",
+            row.name,
+            os.fspath(directory),
+            os.fspath(result),
+        ]
+        for attempt in range(_MOST_DEATHS):
+            with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=0, pipesize=_PIPE) as process:
+                if attempt % 4 == 1:
+                    time.sleep(rng.uniform(0.0, 1.0))
+                    told = []
+                else:
+                    first = process.stdout.readline()  # type: ignore[union-attr]
+                    told = [parsed(first)] if first else []
+                    time.sleep(rng.uniform(0.0, 0.7 * row.seconds) if first else 0.0)
+                    if not first:
+                        process.wait()
+                process.kill()
+                rest = process.stdout.read().split(b"\n")[:-1]  # type: ignore[union-attr]
+                if process.wait() == 0:
+                    with np.load(result) as file:
+                        row.went_on(dict(file), reference)
+                    return
+            row.again += 1
+            row.kill(directory, [*told, *map(parsed, rest)])
+    row.runs += 1  # that never came to its end
+
+
+def killed(problem: Any, name: str) -> Row:
+    """Return what comes of killing the runs of a sampler."""
+    rng = np.random.default_rng([SEED, list(SIZES).index(name)])
+    reference = drawn(problem, name)
+    with TemporaryDirectory() as folder:
+        directory = Path(folder)
+        began = time.monotonic()
+        number, reading = forked(lambda pipe: drawn(problem, name, directory, teller(pipe)))
+        _, status = os.waitpid(number, 0)
+        row = Row(name, time.monotonic() - began)
+        if status or len(steps_told(reading)) == 0:
+            raise RuntimeError(f"{name}: the run that nobody killed did not come to its end")
+        row.went_on(drawn(problem, name, directory), reference)
+        writes = sum(2 * numbered(group, "state")[-1][0] for group in directory.glob("group-*"))
+    killed_once(problem, row, reference, rng, n_calls=3 * writes)
+    killed_again_and_again(row, reference, rng)
+    return row
+
+
+def main(directory: str) -> int:
+    """Kill everything, write ``kills.md``, and return the exit code."""
+    from tests.validation.kills_page import write
+
+    rows = []
+    with threadpool_limits(1):
+        problem = load()
+        for name in SIZES:
+            rows.append(killed(problem, name))
+            print(rows[-1], flush=True)
+    used = sum(
+        usage.ru_utime + usage.ru_stime
+        for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )
+    write(rows, Path(directory), used)
+    failures = [failure for row in rows for failure in row.failures]
+    for failure in failures:
+        print(failure)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
