@@ -200,7 +200,7 @@ def _by_parameters(rows: Rows) -> str:
     said = [f"- {row['parameters']} parameters, `{_power(row)}`: {text}" for row in rows for text in row["said"]]
     return (
         f"## Parameters\n\n{whole(size)} DOF, batches of {rows[0]['chains']}. Of a frame of that size a basis "
-        f"pays up to {affordable(size)} vectors (`fmu.fem.training.affordable`). Training ends there and says what "
+        f"pays up to {affordable(size)} vectors. Training ends there and says what "
         "was reached, and what to do: a looser `reduction`, narrower bounds or priors, or the full model "
         "(`reduction=False`); fewer groups, where the data cannot tell them apart, do too.\n\n"
         + table(header, lines, words=(0, -1))
