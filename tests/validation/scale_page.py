@@ -251,10 +251,8 @@ def _tolerances(rows: Rows) -> Figure:
     right.legend(frameon=False, fontsize=FONT - 1)
     for axes in (left, right):
         axes.set_xscale("log")
-        axes.set_xticks(x)
-        axes.minorticks_off()
-        axes.set_xlabel("tolerance of the frequencies, `reduction`".replace("`", ""))
-    right.minorticks_on()
+        _ticks(axes, x, [number(value, ".0e") for value in x])
+        axes.set_xlabel("tolerance of the frequencies, reduction")
     figure.suptitle(f"{whole(n_dof(rows[0]))} DOF, {rows[0]['parameters']} parameters", fontsize=FONT + 1)
     return figure
 
@@ -279,9 +277,16 @@ def _growth(found: Found) -> Figure:
     _line(chains, x, found["chains"], "value_s", "log_prob", BLUE, "o-")
     first = found["chains"][0]
     chains.set_xlabel(f"chains ({whole(n_dof(first))} DOF, {first['parameters']} parameters)")
+    counts = sorted({row["parameters"] for row in found["parameters"]})
+    _ticks(parameters, counts, [str(count) for count in counts])
     for axes in (dof, parameters, chains):
         axes.legend(frameon=False, fontsize=FONT - 2)
     return figure
+
+
+def _ticks(axes: Axes, at: Sequence[float], labels: Sequence[str]) -> None:
+    axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+    axes.set_xticks(at, labels)
 
 
 def _line(axes: Axes, x: Sequence[float], rows: Rows, name: str, label: str, shade: str, style: str) -> None:
