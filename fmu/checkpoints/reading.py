@@ -25,6 +25,7 @@ WAITING, RUNNING, STOPPED, KILLED, SILENT, FINISHED = (
 )  # fmt: skip
 SILENT_S = 600.0
 """A run on another machine, which cannot be asked from here, is silent if no file of it is younger than this."""
+_BEGINS_S = 2.0
 _TRIES = 5
 
 
@@ -132,7 +133,7 @@ class RunReader:
             orders, finished = {"samplers": traces}, tuple(traces)
         begun = [path.parent.name for path in sorted(folder.glob("*/group-1"))]
         names = list(dict.fromkeys(orders.get("samplers", begun)))
-        ended = not folder.is_dir() and set(names) <= set(finished)
+        ended = where != folder and at_work is None and names and set(names) <= set(finished)
         now = FINISHED if ended else _state(at_work, folder)
         verdicts = _verdicts(self.directory) if ended else {}
         samplers, its = [], now
@@ -206,12 +207,21 @@ def _each(sampler: SamplerReading) -> tuple[Progress, ...]:
 
 def _state(at_work: Presence | None, directory: Path) -> str:
     """Return the state of a run that has not come to its end."""
-    if at_work is None:
-        return STOPPED
+    if at_work is None:  # or it has but made the directory, and is about to say so
+        return RUNNING if _begins(directory) else STOPPED
     alive = at_work.is_alive()
     if alive is not None:
         return RUNNING if alive else KILLED
     return RUNNING if time.time() - _youngest(directory) < SILENT_S else SILENT
+
+
+def _begins(directory: Path) -> bool:
+    """Say whether a directory has just been made, and holds nothing yet."""
+    try:
+        held = {path.name for path in directory.iterdir() if not path.name.startswith(".")}
+        return held <= {LOCK} and time.time() - directory.stat().st_mtime < _BEGINS_S
+    except OSError:  # it is not there
+        return False
 
 
 def _youngest(directory: Path) -> float:

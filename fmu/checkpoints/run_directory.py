@@ -109,6 +109,7 @@ class RunDirectory:
 
     def ended(self) -> None:
         """Take away what is only needed to go on: nothing is left to be done."""
+        (self.folder / ORIGIN).unlink(missing_ok=True)  # first: so the rest counts for nothing
         self._lock.release()
         shutil.rmtree(self.folder, ignore_errors=True)
 

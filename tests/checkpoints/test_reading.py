@@ -177,3 +177,13 @@ def test_no_run(tmp_path):
     (tmp_path / "notes.txt").touch()
     with pytest.raises(ValueError, match=r"directory: must be that of a run \(got "):
         read(tmp_path)
+
+
+def test_a_run_that_begins(tmp_path):
+    """Its directory is there before it has said who it is."""
+    lock = tmp_path / "checkpoints" / "lock"
+    lock.parent.mkdir()
+    lock.touch()
+    assert read(tmp_path).state == "running"
+    os.utime(lock.parent, (1.0, 1.0))
+    assert read(tmp_path).state == "stopped"
