@@ -25,7 +25,7 @@ MOST_STEPS = 1000
 """Steps of a part of the work at most: they come as a copy into the record of the run."""
 _ENOUGH = 20  # steps, before which their diagnostics mean nothing
 LIVE_S = 1.0
-"""Seconds that a part takes where somebody looks on, or may want to stop the run."""
+"""Seconds in which every group has its turn where somebody looks on, or may want to stop the run."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -284,10 +284,15 @@ class Run:
             group.standing = done.standing
             group.failures += done.failures
             why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
-            ended = self._stop() or why is not None or group.standing.done[phase] >= target
+            stopped = self._stop()
+            ended = stopped or why is not None or group.standing.done[phase] >= target
             self._keep(group, phase, target, at_once=ended)
             if why is not None:
                 raise TooManyFailuresError(why, self._so_far())
+            if stopped and self._engine.workers == 1 and any(g.standing.done[phase] < target for g in behind):
+                for other in behind:  # none is under way: they need not take another step each
+                    self._keep(other, phase, target, at_once=True)
+                raise Interrupted(self._so_far())
             if self._watch is not None and phase == DRAWS:
                 self._watch.look(self._common(phase))
             return None if ended else self._part(group, phase, target)
@@ -302,7 +307,8 @@ class Run:
         """Return the next part of a group's work."""
         standing = group.standing
         steps = min(MOST_STEPS, target - standing.done[phase])
-        seconds = LIVE_S if self._hurried else math.inf
+        turns = math.ceil(self.groups / self._engine.workers)
+        seconds = LIVE_S / turns if self._hurried else math.inf
         if self._keeper is not None:
             steps = min(steps, self._keeper.most_steps - (standing.done[phase] - group.unkept[phase]))
             seconds = min(seconds, self._keeper.most_seconds)
@@ -318,7 +324,9 @@ class Run:
     def _keep(self, group: _Group, phase: str, target: int, *, at_once: bool) -> None:
         """Have a group kept if it is time to."""
         first, stop = group.unkept[phase], group.standing.done[phase]
-        if self._keeper is None or not (at_once or self._keeper.is_due(group.index, stop - first)):
+        if self._keeper is None or stop == first:
+            return
+        if not (at_once or self._keeper.is_due(group.index, stop - first)):
             return
         steps = self._records[phase].steps(first, stop, group.chains)
         unkept = Unkept(group.standing, dict(self._elapsed_s), phase, first, steps, group.failures, target)
