@@ -8,8 +8,8 @@ many parts the work is done.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ class Setting:
 
     def given(self) -> dict[str, Any]:
         """Return what a snapshot of a group names instead of copying it."""
-        return {"scaled": self.scaled, "density": self.density, "sampler": self.sampler}
+        return {"scaled": self.scaled, "density": self.density} | dict(_settings("sampler", self.sampler))
 
 
 @dataclass(frozen=True)
@@ -257,6 +257,14 @@ class _Group:
         """End the adaptation."""
         self.settings, self.tuner = tuner.finished(), None
         self.kernel = self.settings.bind(self.setting.scaled)
+
+
+def _settings(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
+    """Yield settings and those within them, such as a proposal of the user's own, by name."""
+    yield name, thing
+    for key, value in getattr(thing, "__dict__", {}).items():
+        if is_dataclass(value) and not isinstance(value, type):
+            yield from _settings(f"{name}.{key}", value)
 
 
 class _Pace:

@@ -1,6 +1,7 @@
 import io
 import json
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,21 @@ from fmu.samplers.snapshot import Snapshot, restored, taken
 from fmu.samplers.starts import starting_points
 
 WARMUP, DRAWS, CHAINS = 60, 8, 3
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """A proposal that is not of the package."""
+
+    width: float = 0.3
+
+    def sample(self, rng, position):
+        return position + rng.uniform(-self.width, self.width, position.shape)
+
+    def log_ratio(self, candidate, position):
+        return np.zeros(len(position))
+
+
 SAMPLERS = {
     "mh": MetropolisHastings(),
     "independence": MetropolisHastings(Independence(np.zeros(5), np.eye(5))),
@@ -28,6 +44,8 @@ SAMPLERS = {
     "tempering, slice": Tempering(),
     "tempering, mh": Tempering("mh"),
     "tempering, hmc": Tempering("hmc"),
+    "mh, own proposal": MetropolisHastings(Jumps()),
+    "tempering, own proposal": Tempering(MetropolisHastings(Jumps())),
     "tempering, given ladder": Tempering("mh", temperatures=[0.0, 0.1, 1.0]),
 }
 
