@@ -13,7 +13,7 @@ import click
 from click.core import ParameterSource
 
 from fmu.cli.output import claimed, make_writable
-from fmu.cli.sampled import sampled, tell
+from fmu.cli.sampled import sampled, stopped_at_once, tell
 from fmu.cli.source import source
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.sampling import MAX_FAILURE_RATE, SAMPLERS, most_draws
@@ -113,8 +113,11 @@ def command(
         if resume is None:
             running.begin(asked)
         report = stack.enter_context(_reporting(progress))
-        outcome = sampled(problem, asked, running, at_work, report)
-    return tell(outcome, directory, reports)
+        try:
+            outcome = sampled(problem, asked, running, at_work, report)
+        except KeyboardInterrupt:  # in the search for maxima, or a second time
+            outcome = None
+    return stopped_at_once(directory) if outcome is None else tell(outcome, directory, reports)
 
 
 def _check_groups(orders: dict[str, Any]) -> None:

@@ -117,6 +117,12 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
     return 1 if short else 0
 
 
+def stopped_at_once(directory: Path) -> int:
+    """Say how to go on with a run that was stopped anywhere; return the exit code."""
+    click.echo(f"Stopped. To go on: fmu run --resume {directory}", err=True)
+    return _STOPPED
+
+
 def _one(
     name: str,
     outcome: Sampled,

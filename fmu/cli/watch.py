@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     from fmu.checkpoints.sampler_reading import Progress
 
 _WIDTH = 100
-_HEADER = ("sampler", "group", "state", "phase", "steps", "kept", "accept", "R-hat", "ESS", "solves", "per s",
+_HEADER = ("sampler", "group", "state", "phase", "steps", "kept ago", "accept", "R-hat", "ESS", "solves", "per s",
            "failed", "left")  # fmt: skip
 _WORDS = 4  # columns of words, at the left of their place
 _PHASES = {"warmup": "warm-up", "draws": "draws"}
 _EXACT = 99_999  # steps told in full
+_LONG_S = 36_000.0  # told in hours
 _CLEAR = "\033[H\033[2J"
 
 
@@ -123,7 +124,7 @@ def _row(name: str, group: str, state: str, at: Progress) -> tuple[str, ...]:
         number(at.solves),
         "" if math.isnan(at.solves_per_s) else number(at.solves_per_s),
         number(at.failed),
-        "" if at.remaining_s is None else duration(at.remaining_s),
+        "" if at.remaining_s is None else _left(at.remaining_s),
     )
 
 
@@ -152,11 +153,16 @@ def _fixed(value: float, digits: int) -> str:
 
 
 def _ago(seconds: float) -> str:
-    """Return an age in one unit."""
+    """Return an age, in one unit."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
-            return f"{seconds / size:.0f} {unit} ago"
-    return f"{seconds:.0f} s ago"
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _left(seconds: float) -> str:
+    """Return a time to wait."""
+    return duration(seconds) if seconds < _LONG_S else f"{number(seconds / 3600.0)} h"
 
 
 def _plain(value: Any) -> Any:

@@ -219,9 +219,22 @@ def test_a_signal_in_warm_up(folder, whole, at_keep):
 def test_the_second_signal_stops_at_once(folder, whole, at_keep):
     at_keep(3, lambda: [signal.raise_signal(signal.SIGINT) for _ in range(2)])
     stopped = run(*of("mh"))
-    assert stopped.exit_code == 1
-    assert stopped.stderr.splitlines()[-1] == "Stopped."
+    assert stopped.exit_code == 130
+    assert stopped.stderr.splitlines()[-1] == "Stopped. To go on: fmu run --resume out"
     assert not (folder / "out" / "mh.nc").exists()
+    assert resume().exit_code == 0
+    assert_same("mh", folder / "out", whole)
+
+
+def test_a_stop_in_the_search_for_maxima(folder, whole, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fmu.analysis.search.find_map", interrupted)
+        stopped = run(*of("mh"))
+    assert stopped.exit_code == 130
+    assert stopped.stderr.splitlines()[-1] == "Stopped. To go on: fmu run --resume out"
     assert resume().exit_code == 0
     assert_same("mh", folder / "out", whole)
 

@@ -12,8 +12,11 @@ from click.testing import CliRunner
 import fmu
 from fmu.checkpoints import Checkpoint
 from fmu.checkpoints.presence import announce
+from fmu.checkpoints.reading import RunReading, SamplerReading
+from fmu.checkpoints.sampler_reading import Progress
 from fmu.checkpoints.store import Store
 from fmu.cli import main
+from fmu.cli.watch import _lines
 from tests.samplers.targets import CorrelatedGaussian
 
 RUN = ("run", "cantilever-young", "--warmup", "10", "--draws", "25", "--chains", "2", "--starts", "2",
@@ -148,3 +151,12 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, arguments, words):
     assert len(result.stderr.splitlines()) == 1
     assert words in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_widest_table_fits():
+    numbers = (3599.0, 0.991, 1.0123, 98765.4, 123456789, 98765, 98765.4, 35_999.0)
+    at = Progress("12/16", "warmup", 99_999, 99_999, *numbers)
+    sampler = SamplerReading("tempering", "finished", at, (at,), "not converged: " + 30 * "word ")
+    lines = list(_lines(RunReading(Path("out"), "killed", None, (sampler,), True, False, ())))
+    assert max(map(len, lines)) == 100
+    assert lines[3].endswith(" 9:59:59")
