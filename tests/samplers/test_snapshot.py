@@ -207,10 +207,10 @@ def test_short_lived_values_are_not_taken_for_each_other():
 
     class Fresh(dict):
         def items(self):
-            return ((k, (np.full(2, float(k)),)) for k in range(20))
+            return ((k, (Metric([k + 1.0], 1),)) for k in range(20))
 
     found = back(Fresh())
-    assert [float(found[k][0][0]) for k in range(20)] == list(range(20))
+    assert [float(found[k][0].inverse[0, 0]) for k in range(20)] == [k + 1.0 for k in range(20)]
 
 
 def test_what_is_given_is_named_and_not_copied():
