@@ -157,12 +157,11 @@ def _by_dof(rows: Rows) -> str:
     said = ""
     if not last["reduction"]:
         before = rows[-2]
-        hours = before["offline_solves"] * last["full_s"] / 3600
+        hours = before["offline_solving_s"] * last["full_s"] / before["full_s"] / 3600
         said = (
-            f"\n\nOf {whole(n_dof(last))} DOF one solve of the full model is measured, no training: that takes as "
-            f"many solves as that of {whole(n_dof(before))} DOF did, {whole(before['offline_solves'])}, which "
-            f"would be {hours:.1f} h of one core for solves alone (computed). It is done once: the basis is "
-            "cached."
+            f"\n\nOf {whole(n_dof(last))} DOF one solve of the full model is measured, no training: the "
+            f"{whole(before['offline_solves'])} solves of the {whole(n_dof(before))} DOF would take about "
+            f"{hours:.1f} h there (computed by the ratio of full solves). That is done once; the basis is cached."
         )
     return (
         f"## Degrees of freedom\n\n{base['parameters']} parameters, `reduction={_power(base)}`, batches of "
