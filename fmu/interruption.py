@@ -35,4 +35,5 @@ def interruptible() -> Iterator[Callable[[], bool]]:
         yield asked.is_set
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            # one that was not installed from Python cannot be put back
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)

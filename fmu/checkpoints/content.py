@@ -48,6 +48,8 @@ class State(NamedTuple):
     ----------
     configuration : str
         Hash of what determines the draws.
+    arithmetic : str
+        What their last bits depend on.
     standing : Standing
     elapsed_s : mapping of str to float
         What the phases of the run have taken.
@@ -58,6 +60,7 @@ class State(NamedTuple):
     """
 
     configuration: str
+    arithmetic: str
     standing: Standing
     elapsed_s: Mapping[str, float]
     segments: list[Segment]
@@ -104,10 +107,20 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: State) -> bytes:
-    """Return a state as bytes: NumPy arrays in a zip file, one of them the outline as JSON."""
+    """Return a state as bytes: NumPy arrays in a zip file, one of them the outline as JSON.
+
+    Raises
+    ------
+    ValueError
+        If it holds objects that are not of this package.
+    """
     standing = state.standing
+    if standing.group.others:
+        kind = type(standing.group.others[0])
+        raise ValueError(f"sampler: must be one of this package to be kept on disk (got {kind!r})")
     outline = {
         "configuration": state.configuration,
+        "arithmetic": state.arithmetic,
         "group": standing.group.outline,
         "done": dict(standing.done),
         "learnt": standing.learnt,
@@ -131,6 +144,13 @@ def unpacked_state(payload: bytes) -> State:
         group = Snapshot(outline["group"], [arrays[f"group{k}"] for k in range(len(arrays))])
         standing = Standing(group, outline["done"], outline["learnt"])
         segments = [Segment(*segment) for segment in outline["segments"]]
-        return State(outline["configuration"], standing, outline["elapsed_s"], segments, outline["total"])
+        return State(
+            outline["configuration"],
+            outline["arithmetic"],
+            standing,
+            outline["elapsed_s"],
+            segments,
+            outline["total"],
+        )
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise DamagedError(f"it holds no state ({error})") from error

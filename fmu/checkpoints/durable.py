@@ -29,11 +29,26 @@ def write_durably(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(unfinished, path)
-        _sync_directory(path.parent)
+        sync_directory(path.parent)
     except BaseException:
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)
         raise
+
+
+def append_durably(path: Path, content: bytes) -> None:
+    """Append to a file, which is made if there is none; what is torn by a kill is the end of it."""
+    with open(path, "ab") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def make_directory(path: Path) -> None:
+    """Make a directory, if there is none, that is there even if the machine stops."""
+    if not path.is_dir():
+        path.mkdir()
+        sync_directory(path.parent)
 
 
 def digest(content: bytes) -> str:
@@ -63,7 +78,7 @@ def payload_of(title: str, content: bytes) -> bytes:
     return payload
 
 
-def _sync_directory(directory: Path) -> None:
+def sync_directory(directory: Path) -> None:
     """Have the names in a directory on disk too, where the system can do that."""
     if hasattr(os, "O_DIRECTORY"):
         handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)

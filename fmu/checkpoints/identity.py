@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +73,16 @@ class Identity:
         if differing:
             more = f", and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else ""
             raise ValueError(f"checkpoint: {directory} holds another run: {'; '.join(differing[:_SHOWN])}{more}")
+
+
+@cache
+def arithmetic() -> str:
+    """Return what the last bits of results depend on beside versions: the BLAS, and the CPU it is at work for."""
+    from threadpoolctl import threadpool_info
+
+    blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")
+    kinds = {f"{lib['internal_api']} {lib['version']} for {lib.get('architecture')}" for lib in blas}
+    return ", ".join((platform.machine(), *sorted(kinds)))
 
 
 def _differences(there: Any, here: Any, where: str = "") -> Iterator[str]:

@@ -23,8 +23,16 @@ from fmu.checkpoints.content import (
     unpacked_steps,
     writable,
 )
-from fmu.checkpoints.durable import DamagedError, digest, payload_of, signed, write_durably
-from fmu.checkpoints.identity import Identity
+from fmu.checkpoints.durable import (
+    DamagedError,
+    append_durably,
+    digest,
+    make_directory,
+    payload_of,
+    signed,
+    write_durably,
+)
+from fmu.checkpoints.identity import Identity, arithmetic
 from fmu.checkpoints.presence import announce, leave
 from fmu.checkpoints.settings import Checkpoint
 from fmu.posterior.failures import Failure
@@ -38,6 +46,10 @@ _STATES = 2  # kept at a time: should the last be damaged, the one before it is 
 
 class CheckpointWarning(UserWarning):
     """A file of a kept run is damaged: some of what was drawn has to be drawn again."""
+
+
+class OtherArithmeticWarning(UserWarning):
+    """A run goes on with another kind of CPU or BLAS: its draws are as good, but differ in their last bits."""
 
 
 class Store:
@@ -69,10 +81,9 @@ class Store:
     ) -> None:
         self.settings, self.identity = settings, identity
         self._names, self._units = names, units
-        self._failed: list[FailedSolves] = []
         self.directory = Path(settings.directory)
         self.most_steps, self.most_seconds = settings.draws, settings.seconds
-        self._is_named = False
+        self._is_named = self._has_ledger = False
         self._groups: dict[int, _GroupFiles] = {}
         self._kept_at: dict[int, float] = {}
         self.directory.mkdir(parents=True, exist_ok=True)
@@ -96,12 +107,21 @@ class Store:
         -----
         CheckpointWarning
             If something is damaged.
+        OtherArithmeticWarning
+            If it was kept by another kind of machine.
         """
         self._kept_at[group] = time.monotonic()
         files = self._files(group)
         state = files.last_intact(self.identity.hash)
         if state is None:
             return None
+        if state.arithmetic != arithmetic():
+            warnings.warn(
+                f"{self.directory} was written with another kind of CPU or BLAS ({state.arithmetic}; here "
+                f"{arithmetic()}): the run goes on, but not bit for bit as it would have there",
+                OtherArithmeticWarning,
+                stacklevel=4,
+            )
         self._note(files.failures(group))
         return Kept(state.standing, state.elapsed_s, files.steps(state))
 
@@ -148,17 +168,17 @@ class Store:
         self.close()
 
     def _tidy(self) -> None:
-        """Take away what killed processes have left half written."""
-        for leftover in self.directory.rglob(".*.part"):
+        """Take away what killed processes have left half written, and the ledger, which the segments hold too."""
+        for leftover in (*self.directory.rglob(".*.part"), self.directory / LEDGER):
             with suppress(OSError):  # it does no harm
-                leftover.unlink()
+                leftover.unlink(missing_ok=True)
 
     def _note(self, failed: list[FailedSolves]) -> None:
-        """Put failed solves into the ledger."""
+        """Append failed solves to the ledger."""
         if failed:
-            self._failed += failed
-            content = failures_csv(self._names, self._units, self._failed)
-            write_durably(self.directory / LEDGER, content.encode())
+            rows = failures_csv(self._names, self._units, failed, header=not self._has_ledger)
+            append_durably(self.directory / LEDGER, rows.encode())
+            self._has_ledger = True
 
     def _files(self, group: int) -> _GroupFiles:
         if group not in self._groups:
@@ -207,7 +227,7 @@ class _GroupFiles:
 
     def append(self, configuration: str, unkept: Unkept) -> Segment:
         """Write a segment, then the state that lists it, and forget older states; the segment is returned."""
-        self.directory.mkdir(exist_ok=True)
+        make_directory(self.directory)
         content = packed_steps(unkept.steps, unkept.failures)
         stats = unkept.steps.stats
         segment = Segment(
@@ -221,7 +241,7 @@ class _GroupFiles:
         )
         write_durably(self.directory / segment.name, content)
         segments = [*self.segments, segment]
-        state = State(configuration, unkept.standing, unkept.elapsed_s, segments, unkept.total)
+        state = State(configuration, arithmetic(), unkept.standing, unkept.elapsed_s, segments, unkept.total)
         path = self.directory / f"state-{self._number + 1:06d}"
         write_durably(path, signed(TITLE, packed_state(state)))
         self.segments.append(segment)

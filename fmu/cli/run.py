@@ -108,9 +108,15 @@ def command(
         from fmu.engines.engine import engine
 
         at_work = stack.enter_context(engine(workers, cluster))
-        problem = load(at_work)
         running = stack.enter_context(RunDirectory(directory))
-        if resume is None:
+        if resume is None and not overwrite:
+            running.begin(asked)
+        try:
+            problem = load(at_work)
+        except (ValueError, OSError):
+            running.abandon()
+            raise
+        if resume is None and overwrite:  # not before: a file that is wrong replaces nothing
             running.begin(asked)
         report = stack.enter_context(_reporting(progress))
         try:

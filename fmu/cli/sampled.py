@@ -204,8 +204,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
     """Show warnings on checkpoints as lines to read, without the place in the code that they come from."""
-    from fmu.checkpoints.store import CheckpointWarning
-    from fmu.samplers.run import OtherArithmeticWarning
+    from fmu.checkpoints.store import CheckpointWarning, OtherArithmeticWarning
 
     show = warnings.showwarning
 

@@ -139,8 +139,10 @@ def advance(setting: Setting, part: Part, report: Report | None = None) -> Done:
         record.write(done, 0, group.as_steps(info))
         done += 1
         if report is not None:
-            label = {"group": part.label} if part.label else {}
-            report(part.phase, group.done[part.phase], part.total, label | pace.words(info))
+            words = pace.words(info) | {"solves": group.solves}
+            if part.label:
+                words["group"] = part.label
+            report(part.phase, group.done[part.phase], part.total, words)
     take = getattr(setting.density, "take_failures", list)
     return Done(record.steps(0, done), group.standing(), list(take()))
 
@@ -160,8 +162,7 @@ class _Group:
     rng : Generator
     held : dict
         What a snapshot holds beside the generator: ``position`` and ``first_chain`` of a group that has not begun;
-        else ``done``, ``settings``, ``state``, ``start`` (the cost of the start until a step has booked it) and
-        ``tuner``.
+        else ``done``, ``solves``, ``settings``, ``state`` and ``tuner``.
     """
 
     def __init__(self, setting: Setting, rng: np.random.Generator, held: dict[str, Any]) -> None:
@@ -169,9 +170,10 @@ class _Group:
         self.first_chain: int = held["first_chain"]
         self.position: FloatArray | None = held.get("position")
         self.done: dict[str, int] = held.get("done", {WARMUP: 0, DRAWS: 0})
+        self.solves: int = held.get("solves", 0)
         self.settings: Sampler | None = held.get("settings")
         self._state: State | None = held.get("state")
-        self.start: Info | None = held.get("start")
+        self.start: Info | None = None  # what it cost, until a step has booked it
         self.tuner: Tuner | None = held.get("tuner")
         self.kernel: Kernel = (self.settings or setting.sampler).bind(setting.scaled)
 
@@ -198,6 +200,7 @@ class _Group:
             gradients = info.n_gradients + self.start.n_gradients
             info, self.start = replace(info, n_solves=solves, n_gradients=gradients), None
         self.done[phase] += 1
+        self.solves += int(info.n_solves.sum())
         if self.tuner is not None:
             self.tuner.update(self._state, info)
             if self.done[WARMUP] == self.setting.warmup:
@@ -232,8 +235,8 @@ class _Group:
         if self._state is None:
             held["position"] = self.position
         else:
-            held |= {"done": self.done, "settings": self.settings}
-            held |= {"state": self._state, "start": self.start, "tuner": self.tuner}
+            held |= {"done": self.done, "solves": self.solves, "settings": self.settings}
+            held |= {"state": self._state, "tuner": self.tuner}
         return taken(held, self.setting.given())
 
     @classmethod
@@ -268,7 +271,7 @@ def _settings(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
 
 
 class _Pace:
-    """What a line of progress shows of the steps taken so far."""
+    """What a line of progress shows of the steps of a part taken so far."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()
@@ -282,6 +285,5 @@ class _Pace:
         return {
             "lp": float(np.mean(info.log_prob)),
             "accept": self._accepted / self._moves,
-            "solves": self._solves,
             "solves_per_s": self._solves / seconds,
         }

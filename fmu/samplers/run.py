@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, Protocol
 
@@ -54,10 +53,6 @@ class TooManyFailuresError(RuntimeError):
     def __init__(self, message: str, result: RunResult | None) -> None:
         super().__init__(message)
         self.result = result
-
-
-class OtherArithmeticWarning(UserWarning):
-    """The log-density answers in other last bits than when a run began: on another kind of CPU, for example."""
 
 
 class Kept(NamedTuple):
@@ -404,20 +399,13 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
 
 
 def _check_same(setting: Setting, standing: Standing) -> None:
-    """Raise ValueError unless the density is the one that the chains were on; warn if its last bits differ."""
+    """Raise ValueError unless the density is the one that the chains were on."""
     then, now = evaluated_again(setting, standing.group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
         raise ValueError(
             f"checkpoint: must be of the same posterior (where a chain is, its log-probability was "
             f"{then[worst]:.8g}, and is {now[worst]:.8g})"
-        )
-    if not np.array_equal(now, then):
-        warnings.warn(
-            "the log-probability differs in its last bits from that of the run so far (another kind of CPU, or "
-            "other libraries): the run goes on, but not bit for bit as it would have without the interruption",
-            OtherArithmeticWarning,
-            stacklevel=2,
         )
 
 

@@ -23,10 +23,14 @@ class Snapshot(NamedTuple):
     outline : JSON value
         Numbers, texts, lists, and where which array belongs.
     arrays : list of ndarray
+    others : tuple of object
+        Objects that this package does not know, as they are: what a user's own sampler has learnt. With such ones
+        a snapshot can be handed on, but not written down.
     """
 
     outline: Any
     arrays: list[NDArray[Any]]
+    others: tuple[Any, ...] = ()
 
 
 def taken(value: Any, given: Mapping[str, Any]) -> Snapshot:
@@ -38,14 +42,9 @@ def taken(value: Any, given: Mapping[str, Any]) -> Snapshot:
         Numbers, texts, arrays, lists, tuples, dicts, and objects of the samplers made of these.
     given : mapping of str to object
         What is named in the snapshot instead of copied.
-
-    Raises
-    ------
-    ValueError
-        If an object is of a class that this package does not know.
     """
     writer = _Writer(given)
-    return Snapshot(writer.outline(value), writer.arrays)
+    return Snapshot(writer.outline(value), writer.arrays, tuple(writer.others))
 
 
 def restored(snapshot: Snapshot, given: Mapping[str, Any]) -> Any:
@@ -57,7 +56,7 @@ def restored(snapshot: Snapshot, given: Mapping[str, Any]) -> Any:
         If it is no such snapshot.
     """
     try:
-        return _Reader(snapshot.arrays, given).value(snapshot.outline)
+        return _Reader(snapshot, given).value(snapshot.outline)
     except (KeyError, IndexError, TypeError, AttributeError) as error:
         raise ValueError(f"snapshot: must be one of a sampler ({type(error).__name__}: {error})") from error
 
@@ -65,6 +64,7 @@ def restored(snapshot: Snapshot, given: Mapping[str, Any]) -> Any:
 class _Writer:
     def __init__(self, given: Mapping[str, Any]) -> None:
         self.arrays: list[NDArray[Any]] = []
+        self.others: list[Any] = []
         self._given = {id(thing): name for name, thing in given.items()}
         self._seen: dict[int, int] = {}
         self._alive: list[Any] = []  # an id is of one object only as long as that lives
@@ -91,23 +91,25 @@ class _Writer:
             return {"again": self._seen[id(value)]}
         self._seen[id(value)] = len(self._seen)
         self._alive.append(value)
-        if isinstance(value, np.ndarray):
+        if isinstance(value, np.ndarray) and not value.dtype.hasobject:
             return {"array": self._stored(value)}
         name = type(value).__name__
         if _classes().get(name) is not type(value):
-            raise ValueError(f"sampler: must be one of this package to be kept on disk (got {type(value)!r})")
+            return self._other(value)
         return {"object": name, "has": {key: self.outline(item) for key, item in vars(value).items()}}
 
+    def _other(self, value: Any) -> Any:
+        self.others.append(value)
+        return {"other": len(self.others) - 1}
+
     def _stored(self, array: NDArray[Any]) -> int:
-        if array.dtype.hasobject:
-            raise ValueError(f"sampler: must hold arrays of numbers to be kept on disk (got {array.dtype})")
         self.arrays.append(array)
         return len(self.arrays) - 1
 
 
 class _Reader:
-    def __init__(self, arrays: list[NDArray[Any]], given: Mapping[str, Any]) -> None:
-        self._arrays, self._given = arrays, given
+    def __init__(self, snapshot: Snapshot, given: Mapping[str, Any]) -> None:
+        self._arrays, self._others, self._given = snapshot.arrays, snapshot.others, given
         self._seen: list[Any] = []
 
     def value(self, outline: Any) -> Any:
@@ -128,6 +130,9 @@ class _Reader:
             return {self.value(key): self.value(item) for key, item in content}
         if kind == "again":
             return self._seen[content]
+        if kind == "other":
+            self._seen.append(self._others[content])
+            return self._seen[-1]
         if kind == "array":
             self._seen.append(self._arrays[content])
             return self._seen[-1]
@@ -142,7 +147,8 @@ def _are_alike(values: list[Any]) -> bool:
     """Say whether these are arrays that can be stored as rows of one."""
     first = values[0] if values else None
     return isinstance(first, np.ndarray) and all(
-        isinstance(v, np.ndarray) and v.shape == first.shape and v.dtype == first.dtype for v in values
+        isinstance(v, np.ndarray) and not v.dtype.hasobject and v.shape == first.shape and v.dtype == first.dtype
+        for v in values
     )
 
 

@@ -13,7 +13,14 @@ import pytest
 import fmu
 from fmu.checkpoints import Checkpoint
 from fmu.checkpoints.identity import Identity
-from fmu.checkpoints.store import LEDGER, CheckpointWarning, Store, numbered, read_state
+from fmu.checkpoints.store import (
+    LEDGER,
+    CheckpointWarning,
+    OtherArithmeticWarning,
+    Store,
+    numbered,
+    read_state,
+)
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, Run, Slice, Tempering
 from tests.checkpoints.watched import STEPS, Watched
 from tests.samplers.targets import CorrelatedGaussian
@@ -114,7 +121,6 @@ def flip(path, where):
 class TestGoingOn:
     @pytest.mark.parametrize("sampler", SAMPLERS)
     @pytest.mark.parametrize(("phase", "step"), [("warmup", 3), ("warmup", 27), ("draws", 35)])
-    @pytest.mark.filterwarnings("ignore::fmu.samplers.run.OtherArithmeticWarning")
     def test_bitwise_after_a_kill(self, tmp_path, sampler, phase, step):
         with pytest.raises(Killed):
             ran(tmp_path, sampler=sampler, progress=killed_at(phase, step))
@@ -422,3 +428,11 @@ def test_nothing_stays_open(tmp_path):
     for draws in (20, 30):
         ran(tmp_path, draws)
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_another_kind_of_cpu_is_told(tmp_path, whole, monkeypatch):
+    with pytest.raises(Killed):
+        ran(tmp_path, progress=killed_at("draws", 35))
+    monkeypatch.setattr("fmu.checkpoints.store.arithmetic", lambda: "abacus")
+    with pytest.warns(OtherArithmeticWarning, match=r"another kind of CPU or BLAS \(.*; here abacus\)"):
+        assert_same(ran(tmp_path), whole)

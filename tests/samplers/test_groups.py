@@ -227,3 +227,30 @@ class TestFailures:
         stats = [phase.stats for phase in (result.warmup, result.posterior)]
         assert asked[-1] == tuple(sum(int(s[name].sum()) for s in stats) for name in ("n_nonfinite", "n_solves"))
         assert result.draws == 10 * (len(asked) - 4)
+
+
+class Narrowing:
+    """A tuner of a user's own, which counts."""
+
+    def __init__(self, density):
+        self.density, self.steps, self.kernel = density, 0, WALK.bind(density)
+
+    def update(self, state, info):
+        self.steps += 1
+        self.kernel = MetropolisHastings(RandomWalk(0.3 / self.steps**0.25)).bind(self.density)
+
+    def finished(self):
+        return MetropolisHastings(RandomWalk(0.3 / self.steps**0.25))
+
+
+class OwnSampler(MetropolisHastings):
+    def tuner(self, density, chains, steps):
+        return Narrowing(density)
+
+
+@pytest.mark.parametrize("most", [1, 7, 1000])
+def test_a_sampler_that_the_package_does_not_know_learns_on_from_part_to_part(monkeypatch, most):
+    monkeypatch.setattr(loop, "MOST_STEPS", most)
+    result = drawn(OwnSampler())
+    assert result.learnt["proposal"]["scale"] == 0.3 / 40**0.25
+    assert_same(result, drawn(OwnSampler()))
