@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from fmu.cli.notes import warnings_as_notes
 from fmu.cli.output import make_writable
 from fmu.cli.source import source
 
@@ -30,7 +31,8 @@ def command(case: str, pairing: str | None, draws: int, seed: int, out: Path | N
     from fmu.report.check_page import write_check
 
     directory = out or Path("check") / problem_of.stem
-    problem = problem_of.load()
+    with warnings_as_notes():
+        problem = problem_of.load()
     make_writable(directory)
     found = check(problem, draws, seed)
     click.echo(found)

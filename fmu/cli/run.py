@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from fmu.cli.notes import warnings_as_notes
 from fmu.cli.output import claimed, make_writable
 from fmu.cli.sampled import sampled, stopped_at_once, tell
 from fmu.cli.source import source
@@ -107,6 +108,7 @@ def command(
         from fmu.checkpoints.run_directory import RunDirectory
         from fmu.engines.engine import engine
 
+        stack.enter_context(warnings_as_notes())
         at_work = stack.enter_context(engine(workers, cluster))
         running = stack.enter_context(RunDirectory(directory))
         if resume is None and not overwrite:

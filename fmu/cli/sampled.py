@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -71,7 +70,7 @@ def sampled(
             click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
         return find_map(problem, starts)
 
-    with _explained(problem), _warnings_as_lines(), _spread(problem, engine, orders["groups"]) as of_groups:
+    with _explained(problem), _spread(problem, engine, orders["groups"]) as of_groups:
         try:
             outcome = Sampled(problem, orders, running.maxima(search), {}, {})
             for name in dict.fromkeys(orders["samplers"]):
@@ -199,26 +198,6 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
             yield InProcess()
     else:
         yield engine
-
-
-@contextmanager
-def _warnings_as_lines() -> Iterator[None]:
-    """Show warnings on checkpoints as lines to read, without the place in the code that they come from."""
-    from fmu.checkpoints.store import CheckpointWarning, OtherArithmeticWarning
-
-    show = warnings.showwarning
-
-    def as_line(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, CheckpointWarning | OtherArithmeticWarning):
-            click.echo(f"Note: {message}", err=True)
-        else:
-            show(message, category, *where, **more)
-
-    warnings.showwarning = as_line
-    try:
-        yield
-    finally:
-        warnings.showwarning = show
 
 
 def _short_of(
