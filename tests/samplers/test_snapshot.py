@@ -229,7 +229,7 @@ OBJECTS = np.array([None, {}], dtype=object)
 @pytest.mark.parametrize(
     "thing",
     [SimpleNamespace(a=1), len, Slice, {1, 2}, b"bytes", 1j, IMPOSTOR, OBJECTS, [OBJECTS, OBJECTS]],
-    ids=repr,
+    ids=range(9),
 )
 def test_what_is_not_of_this_package_is_handed_on_but_never_written(thing):
     snapshot = taken({"deep": [thing, thing]}, {})
