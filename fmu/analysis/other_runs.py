@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -122,4 +123,4 @@ def _log_mass(theta: FloatArray, log_prob: FloatArray) -> float:
         return -np.inf
     correlation = np.cov((theta - theta.mean(axis=0)) / sd, rowvar=False).reshape(len(sd), len(sd))
     log_det = float(np.linalg.slogdet(correlation)[1] + 2.0 * np.sum(np.log(sd)))
-    return float(np.mean(log_prob)) + 0.5 * (len(sd) * np.log(2.0 * np.pi * np.e) + log_det)
+    return float(np.mean(log_prob)) + 0.5 * (len(sd) * np.log(2.0 * np.pi * math.e) + log_det)
