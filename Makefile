@@ -56,6 +56,7 @@ validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update G
 	.venv/bin/python -m tests.validation.evidence results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
+	.venv/bin/python -m tests.validation.workers results
 	.venv/bin/python -m tests.validation.scale results
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
