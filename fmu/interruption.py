@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+_current: threading.Event | None = None
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
 
 
@@ -16,13 +17,18 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasa
 def interruptible() -> Iterator[Callable[[], bool]]:
     """Give a function that says whether a stop was asked for, by SIGINT or SIGTERM.
 
-    A second one stops at once, as a KeyboardInterrupt. Signals reach the main thread only: elsewhere nothing
-    changes, and the function always says no.
+    A second one stops at once, as a KeyboardInterrupt. Within another such block it is that one's function: who
+    asks for a stop asks both. Signals reach the main thread only: elsewhere nothing changes, and the function
+    always says no.
     """
+    global _current
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
-    asked = threading.Event()
+    if _current is not None:
+        yield _current.is_set
+        return
+    asked = _current = threading.Event()
 
     def hear(number: int, frame: Any) -> None:
         if asked.is_set():
@@ -34,6 +40,7 @@ def interruptible() -> Iterator[Callable[[], bool]]:
     try:
         yield asked.is_set
     finally:
+        _current = None
         for number, handler in before.items():
             # one that was not installed from Python cannot be put back
             signal.signal(number, signal.SIG_DFL if handler is None else handler)

@@ -13,6 +13,7 @@ import click
 
 from fmu.cli.output import write_csv
 from fmu.cli.tables import echo_comparison, text
+from fmu.interruption import interruptible
 from fmu.progress import Report, labelled
 from fmu.progress.lines import JSONLines
 from fmu.sampling import StoppedRun
@@ -73,15 +74,12 @@ def sampled(
     with _explained(problem), _spread(problem, engine, orders["groups"]) as of_groups:
         try:
             outcome = Sampled(problem, orders, running.maxima(search), {}, {})
-            for name in dict.fromkeys(orders["samplers"]):
-                stopped = _one(name, outcome, asked, running, of_groups, report)
-                if stopped:
-                    return outcome._replace(stopped=stopped)
-                asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
-                running.finished(name, asked)
+            stopped = _all(outcome, asked, running, of_groups, report)
         except ValueError:
             running.abandon()
             raise
+    if stopped:
+        return outcome._replace(stopped=stopped)
     write_csv(outcome.maxima.table(), running.path / "map.csv")
     running.ended()
     return outcome
@@ -120,6 +118,20 @@ def stopped_at_once(directory: Path) -> int:
     """Say how to go on with a run that was stopped anywhere; return the exit code."""
     click.echo(f"Stopped. To go on: fmu run --resume {directory}", err=True)
     return _STOPPED
+
+
+def _all(
+    outcome: Sampled, asked: KeptProblem, running: RunDirectory, engine: Engine, report: Report | None
+) -> str:
+    """Put the traces of all samplers into the outcome; return in words where the run was stopped, if it was."""
+    with interruptible() as is_to_stop:
+        for name in dict.fromkeys(outcome.orders["samplers"]):
+            stopped = f"before {name}" if is_to_stop() else _one(name, outcome, asked, running, engine, report)
+            if stopped:
+                return stopped
+            asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
+            running.finished(name, asked)
+    return ""
 
 
 def _one(

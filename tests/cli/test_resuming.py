@@ -377,3 +377,18 @@ def test_too_many_failures(folder):
     (folder / "out").rename(folder / "one")
     assert run("--max-failure-rate", 1, length=length).exit_code == 0
     assert (folder / "out" / "failures-mh.csv").read_text().count("no licence") == ledger.count("no licence")
+
+
+def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monkeypatch):
+    def ended(directory, sampler, problem, finished=RunDirectory.finished):
+        finished(directory, sampler, problem)
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "finished", ended)
+        stopped = invoke("run", "two.toml", *of("mh", "slice"), "--out", "out", *QUIET)
+    assert stopped.exit_code == 130
+    assert "Stopped: before slice. To go on: fmu run --resume out" in stopped.stderr
+    assert resume().exit_code == 0
+    for name in ("mh", "slice"):
+        assert_same(name, folder / "out", whole)
