@@ -1,4 +1,4 @@
-"""Who is at work in a directory, to be read without taking its lock."""
+"""Who is at work in a directory: one process at a time, and a note of it, to be read without taking the lock."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from fmu.checkpoints.durable import write_durably
 
-FILE = "at-work.json"
+FILE, LOCK = "at-work.json", "lock"
 # fields of /proc/PID/stat, counted behind the number and the name
 _SINCE_BOOT = 22 - 3
 _ENDED = "ZX"
@@ -48,6 +50,36 @@ class Presence:
         except PermissionError:  # of another user
             pass
         return not self.birth or self.birth == _birth(self.pid)
+
+
+class Hold:
+    """The lock of a directory, which a process that dies lets go of.
+
+    Parameters
+    ----------
+    directory : Path
+    refusal : str
+        What to say if another process has it.
+
+    Raises
+    ------
+    ValueError
+        If another process has it.
+    """
+
+    def __init__(self, directory: Path, refusal: str) -> None:
+        self._directory = directory
+        self._lock = FileLock(directory / LOCK, timeout=0)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise ValueError(refusal) from None
+
+    def release(self) -> None:
+        """Let others at the directory; no more is done the second time."""
+        if self._lock.is_locked:
+            leave(self._directory)
+        self._lock.release()
 
 
 def announce(directory: Path) -> None:

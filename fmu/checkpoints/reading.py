@@ -14,10 +14,10 @@ from fmu.checkpoints.group_reading import GroupReader, KeptGroup
 from fmu.checkpoints.identity import FILE as IDENTITY
 from fmu.checkpoints.identity import Identity
 from fmu.checkpoints.presence import FILE as PRESENCE
-from fmu.checkpoints.presence import Presence, present
+from fmu.checkpoints.presence import LOCK, Presence, present
 from fmu.checkpoints.run_directory import FOLDER, MAXIMA, unfinished
 from fmu.checkpoints.sampler_reading import Progress, of_group, of_trace, together
-from fmu.checkpoints.store import LOCK, numbered
+from fmu.checkpoints.store import numbered
 from fmu.config.kept import ORIGIN, kept
 
 WAITING, RUNNING, STOPPED, KILLED, SILENT, FINISHED = (

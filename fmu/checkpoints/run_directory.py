@@ -7,11 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from filelock import FileLock, Timeout
-
 from fmu.checkpoints.presence import FILE as PRESENCE
-from fmu.checkpoints.presence import announce, leave
-from fmu.checkpoints.store import LEDGER, LOCK
+from fmu.checkpoints.presence import LOCK, Hold, announce
+from fmu.checkpoints.store import LEDGER
 from fmu.config.kept import ORIGIN, KeptProblem, keep
 
 if TYPE_CHECKING:
@@ -41,20 +39,14 @@ class RunDirectory:
     def __init__(self, path: Path) -> None:
         self.path, self.folder = path, path / FOLDER
         self.folder.mkdir(exist_ok=True)
-        self._lock = FileLock(self.folder / LOCK, timeout=0)
-        try:
-            self._lock.acquire()
-        except Timeout:
-            raise ValueError(f"--out: another fmu run is at work in {path}") from None
+        self._hold = Hold(self.folder, f"--out: another fmu run is at work in {path}")
         announce(self.folder)
 
     def __enter__(self) -> RunDirectory:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._lock.is_locked:
-            leave(self.folder)
-        self._lock.release()
+        self._hold.release()
 
     def begin(self, problem: KeptProblem) -> None:
         """Forget what an earlier run has left to go on from, and keep the problem and what is asked for."""
@@ -110,7 +102,7 @@ class RunDirectory:
     def ended(self) -> None:
         """Take away what is only needed to go on: nothing is left to be done."""
         (self.folder / ORIGIN).unlink(missing_ok=True)  # first: so the rest counts for nothing
-        self._lock.release()
+        self._hold.release()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _keep(self, problem: KeptProblem, directory: Path) -> None:

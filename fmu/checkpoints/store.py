@@ -10,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from fmu.analysis.failure_ledger import FailedSolves, failures_csv
 from fmu.checkpoints.content import (
@@ -33,13 +32,13 @@ from fmu.checkpoints.durable import (
     write_durably,
 )
 from fmu.checkpoints.identity import Identity, arithmetic
-from fmu.checkpoints.presence import announce, leave
+from fmu.checkpoints.presence import Hold, announce
 from fmu.checkpoints.settings import Checkpoint
 from fmu.posterior.failures import Failure
 from fmu.samplers.record import Steps
 from fmu.samplers.run import LIVE_S, Kept, Unkept
 
-LOCK, LEDGER = "lock", "failures.csv"
+LEDGER = "failures.csv"
 TITLE = "fmu state 1"
 _STATES = 2  # kept at a time: should the last be damaged, the one before it is there
 
@@ -87,11 +86,7 @@ class Store:
         self._groups: dict[int, _GroupFiles] = {}
         self._kept_at: dict[int, float] = {}
         self.directory.mkdir(parents=True, exist_ok=True)
-        self._lock = FileLock(self.directory / LOCK, timeout=0)
-        try:
-            self._lock.acquire()
-        except Timeout:
-            raise ValueError(f"checkpoint: another run is at work in {self.directory}") from None
+        self._hold = Hold(self.directory, f"checkpoint: another run is at work in {self.directory}")
         try:
             identity.check(self.directory)
             self._tidy()
@@ -157,9 +152,7 @@ class Store:
 
     def close(self) -> None:
         """Let others at the directory."""
-        if self._lock.is_locked:
-            leave(self.directory)
-        self._lock.release()
+        self._hold.release()
 
     def __enter__(self) -> Store:
         return self
