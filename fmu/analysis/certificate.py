@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.diagnostics import parameter_draws
+from fmu.numbers import apart, given
 from fmu.posterior.focus import PLAUSIBLE, Tolerance
 
 if TYPE_CHECKING:
@@ -84,5 +85,17 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         "certificate_log_prob_tolerance": promised.log_prob,
     }
     if not (frequency_error <= promised.frequency and log_prob_error <= promised.log_prob) or changed.any():
-        warnings.warn(f"the reduced model missed its tolerance: {certificate}", CertificateWarning, stacklevel=2)
+        warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
     return certificate
+
+
+def _missed(certificate: dict[str, Any]) -> str:
+    """Say by how much the reduced model is off."""
+    off = []
+    for words, name in (("its frequencies", "frequency"), ("its log-probability", "log_prob")):
+        found, promised = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))
+        off.append(f"{words} by up to {apart(found, promised, digits=2)[0]} (promised: {given(promised)})")
+    return (
+        f"the reduced model missed its tolerance at {certificate['certificate_draws']} draws solved again: "
+        f"{', '.join(off)}, its pairing at {certificate['certificate_pairing_changes']} of them"
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ from fmu.analysis.initial_modes import InitialModes, initial_modes
 from fmu.analysis.modal_states import START, modal_states
 from fmu.analysis.mode_text import modes_as_text
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
+from fmu.numbers import fixed, given, with_sd
+from fmu.text_table import text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,30 +86,35 @@ class Check:
     def prior_table(self) -> pd.DataFrame:
         """Return prior predictions beside the measurement as text, ready to print."""
         table = self.prior.table()
-        shown = table[["measured"]].map("{:.6g}".format)
-        shown["prior predicts"] = [f"{m:.4g} ± {s:.2g}" for m, s in zip(table["mean"], table["sd"], strict=True)]
-        shown["distance, sd"] = table["distance"].map("{:+.2f}".format)
+        shown = table[["measured"]].map(given)
+        shown["prior predicts"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]
+        shown["distance, sd"] = [fixed(distance, 2) for distance in table["distance"]]
         return shown
+
+    def parameter_table(self) -> pd.DataFrame:
+        """Return the parameters as text, ready to print."""
+        numbers = self.parameters.select_dtypes("number").columns
+        return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
     def __str__(self) -> str:
         parts = [
-            "\n".join(self.model),
-            f"Parameters\n{self.parameters.rename_axis(None).to_string(float_format=lambda x: f'{x:.4g}')}",
-            f"Modes at the start\n{self.mode_table().to_string(index=False)}",
-            *self.modes.notes,
-            f"Gradient\n{self.gradient.sentence()}",
+            _lines(self.model),
+            f"Parameters\n{_as_text(self.parameter_table().reset_index(names=''))}",
+            f"Modes at the start\n{_as_text(self.mode_table())}",
+            *map(wrapped, self.modes.notes),
+            f"Gradient\n{wrapped(self.gradient.sentence())}",
         ]
         if self.identifiability is not None:
-            parts.append("What the data can tell\n" + "\n".join(self.identifiability.sentences()))
-        parts.append(f"What the prior predicts, Hz\n{self.prior_table().rename_axis(None).to_string()}")
-        parts.append("\n".join(self.prior.sentences()))
+            parts.append(f"What the data can tell\n{_lines(self.identifiability.sentences())}")
+        parts.append(f"What the prior predicts, Hz\n{_as_text(self.prior_table().reset_index(names=''))}")
+        parts.append(_lines(self.prior.sentences()))
         return "\n\n".join([*parts, self.verdict()])
 
     def verdict(self) -> str:
         """Return what is doubtful as a list, or that nothing is."""
         if not self.doubts:
             return "Nothing doubtful was found."
-        return "Doubtful\n" + "\n".join(f"  - {doubt}" for doubt in self.doubts)
+        return "Doubtful\n" + "\n".join(wrapped(doubt, "  - ", "    ") for doubt in self.doubts)
 
     def _repr_html_(self) -> str:
         def words(title: str, *sentences: str) -> str:
@@ -115,7 +123,7 @@ class Check:
         parts = [
             words(html.escape(self.name), *self.model),
             self.drawing,
-            self.parameters.to_html(float_format=lambda x: f"{x:.4g}"),
+            self.parameter_table().to_html(),
             words("Modes at the start", *self.modes.notes),
             self.mode_table().to_html(index=False),
             words("Gradient", self.gradient.sentence()),
@@ -126,6 +134,20 @@ class Check:
         doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
         parts.append(words("Doubtful") + f"<ul>{doubts}</ul>" if doubts else words("Nothing doubtful was found."))
         return f'<div class="fmu-check">{"".join(parts)}</div>'
+
+
+_WORDS = ("", "unit", "prior", "changes", "measured mode", "moves")
+"""Columns that hold words."""
+
+
+def _lines(sentences: Iterable[str]) -> str:
+    return "\n".join(map(wrapped, sentences))
+
+
+def _as_text(table: pd.DataFrame) -> str:
+    header = [str(name) for name in table.columns]
+    words = [i for i, name in enumerate(header) if name in _WORDS]
+    return text_table(header, [list(map(str, row)) for row in table.to_numpy()], words)
 
 
 def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:

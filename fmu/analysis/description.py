@@ -12,6 +12,7 @@ from fmu.fem.pairing import IndexPairing
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
+from fmu.numbers import given, listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,9 +75,10 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def prior_in_words(settings: dict[str, Any]) -> str:
-    """Return a prior's name and numbers: ``"normal, mean 0, sd 2e+11"``."""
+    """Return a prior's name and numbers: ``"normal, mean 0, sd 2e11"``."""
     parts = [
-        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in settings.items()
+        f"{key} {given(value)}" if isinstance(value, float) else f"{key} {value}"
+        for key, value in settings.items()
     ]
     return ", ".join(parts).removeprefix("distribution ")
 
@@ -130,7 +132,7 @@ def _changes(structure: SeparableModel, j: int) -> str:
         own = [term for term in terms if term.powers[j]]
         powers = sorted({term.powers[j] for term in own})
         if own:
-            power = "" if powers == [1] else f" (to the power {', '.join(f'{p:g}' for p in powers)})"
+            power = "" if powers == [1] else f" (to the power {listed(powers)})"
             kinds.append(kind + power)
         for term in own:
             touched[term.matrix.tocoo().row] = True

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fmu.analysis import effective
 from fmu.analysis.movement import energy_fraction, longest_stands
 from fmu.analysis.trace import check_trace
+from fmu.numbers import apart, given
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -201,7 +202,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, la
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
-    return [f"{label} {values[worst]:.4g} of {names[worst]} is not below {limit:g}"]
+    return [f"{label} {_beside(values[worst], limit)} of {names[worst]} is not below {given(limit)}"]
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
@@ -209,4 +210,9 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, la
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))
-    return [f"{label} {values[worst]:.4g} of {names[worst]} is below {limit:g}"]
+    return [f"{label} {_beside(values[worst], limit)} of {names[worst]} is below {given(limit)}"]
+
+
+def _beside(value: float, limit: float) -> str:
+    """Return a value that is seen to differ from the limit that it failed."""
+    return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

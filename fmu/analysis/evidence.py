@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import html
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis import effective
+from fmu.numbers import apart, given, significant, with_sd
 from fmu.samplers.ladder import first_ladder, rejections
 from fmu.samplers.tempering import LOG_LIKELIHOOD
 
@@ -71,28 +73,22 @@ class Evidence:
         worst = 1 + int(np.argmax(np.nan_to_num(rhat, nan=np.inf)))
         t = self.table["inverse_temperature"][worst]
         return (
-            f"R-hat {rhat[worst - 1]:.3g} of the log-likelihood at rung {worst}, t = {t:.2g}, is not below "
-            f"{RHAT_LIMIT}: modes have yet to find their share there, and the error is too small",
+            f"R-hat {apart(rhat[worst - 1], RHAT_LIMIT, digits=3)[0]} of the log-likelihood at rung {worst}, t = "
+            f"{significant(t, 2)}, is not below {given(RHAT_LIMIT)}: modes have yet to find their share there, "
+            "and the error is too small",
         )
 
     def __str__(self) -> str:
-        within, between = (f"{error:.2g}" for error in (self.within, self.between))
+        within, between = (significant(error, 2) for error in (self.within, self.between))
         line = (
-            f"log-evidence {self.log_evidence:.{self._decimals}f} ± {self.error:.2g} "
+            f"log-evidence {with_sd(self.log_evidence, self.error)} "
             f"({self.method}, {len(self.table)} rungs; standard error within chains {within}, between {between})"
         )
         return "\n".join([line, *(f"  - {warning}" for warning in self.warnings)])
 
     def _repr_html_(self) -> str:
         lines = "<br>".join(html.escape(line) for line in str(self).splitlines())
-        return f"<p>{lines}</p>{self.table.to_html(float_format=lambda x: f'{x:.4g}')}"
-
-    @property
-    def _decimals(self) -> int:
-        """Decimals of which the error leaves one or two."""
-        if not np.isfinite(self.error) or self.error <= 0:
-            return 2
-        return int(np.clip(1 - np.floor(np.log10(self.error)), 0, 6))
+        return f"<p>{lines}</p>{self.table.to_html(float_format=partial(significant, digits=4))}"
 
 
 class _Estimate(NamedTuple):

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from fmu.numbers import share
 from fmu.posterior.failures import Failure
 
 if TYPE_CHECKING:
@@ -106,8 +107,8 @@ def failure_rate_exceeded(
     if failures:
         reason, _ = Counter(failure.reason for failure in failures).most_common(1)[0]
         why = f"; most often: {reason}"
-    share = f"{100.0 * n_failed / n_solves:.3g} %"
-    return f"{n_failed} of {n_solves} solves failed ({share}), more than the limit of {100.0 * limit:.3g} %{why}"
+    failed = share(n_failed / n_solves, digits=4)
+    return f"{n_failed} of {n_solves} solves failed ({failed}), more than the limit of {share(limit)}{why}"
 
 
 def _columns(names: Sequence[str], units: Sequence[str]) -> list[str]:

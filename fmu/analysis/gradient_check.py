@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import significant
 from fmu.samplers.scaled import ScaledDensity
 
 if TYPE_CHECKING:
@@ -75,12 +76,11 @@ class GradientCheck:
         i, j = np.unravel_index(np.argmax(errors), errors.shape)
         where = f"for {self.names[j]} at {self.points[i]}"
         if self.agrees:
-            return (
-                f"The gradient agrees with central differences: to {self.largest:.1e} of its size, least {where}."
-            )
+            size = significant(self.largest, 2)
+            return f"The gradient agrees with central differences: to {size} of its size, least {where}."
         return (
-            f"The gradient differs from central differences by {self.largest:.1e} of its size {where}: it is "
-            "wrong, or the model is not smooth there."
+            f"The gradient differs from central differences by {significant(self.largest, 2)} of its size "
+            f"{where}: it is wrong, or the model is not smooth there."
         )
 
     def table(self) -> pd.DataFrame:

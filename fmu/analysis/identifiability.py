@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.analysis.maxima import Maxima, percent
+from fmu.analysis.maxima import Maxima
 from fmu.analysis.modal_states import MAXIMUM, START
+from fmu.numbers import fixed, share, significant
+from fmu.text_table import distinct, text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -103,15 +105,15 @@ class Identifiability:
         import pandas as pd
 
         s = self.singular_values
-        columns = {"singular_value": s, "remaining_sd": 1.0 / np.sqrt(1.0 + s**2)}
-        columns |= dict(zip(self.names, self.directions.T, strict=True))
+        names = distinct(["singular_value", "remaining_sd", *self.names])
+        columns = dict(zip(names, (s, 1.0 / np.sqrt(1.0 + s**2), *self.directions.T), strict=True))
         return pd.DataFrame(columns, index=pd.RangeIndex(1, len(s) + 1, name="direction"))
 
     def sentences(self) -> list[str]:
         """Say in words what the data constrain, and what is left to the prior and the bounds."""
         n, k = len(self.names), self.n_informed
         said = [f"The data constrain {k} of {n} directions of the parameter space more than the prior does."]
-        left = [percent(1.0 / np.sqrt(1.0 + s**2)) + " of the prior's standard deviation" for s in self._svd[0]]
+        left = [share(1.0 / np.sqrt(1.0 + s**2)) + " of the prior's standard deviation" for s in self._svd[0]]
         for direction, remains in list(zip(self.directions, left, strict=True))[k : k + _SENTENCES]:
             said.append(
                 f"The combination {self.in_words(direction)} is left to the prior and the bounds: the data leave "
@@ -127,16 +129,18 @@ class Identifiability:
         """Name a direction by its larger components: ``"0.71 E3 − 0.70 E4"``."""
         parts = [(x, name) for x, name in zip(direction, self.names, strict=True) if abs(x) >= _NAMED]
         parts.sort(key=lambda part: -abs(part[0]))
-        text = "".join(f" {'−' if x < 0 else '+'} {abs(x):.2f} {name}" for x, name in parts)
+        text = "".join(f" {'−' if x < 0 else '+'} {fixed(abs(x), 2)} {name}" for x, name in parts)
         return text.removeprefix(" + ").strip()
 
     def __str__(self) -> str:
-        table = self.table().to_string(float_format=lambda x: f"{x:.3g}")
-        return "\n".join([*self.sentences(), "", "Directions, in prior standard deviations", table])
+        table = self.table()
+        rows = [[str(k), *map(significant, row)] for k, row in zip(table.index, table.to_numpy(), strict=True)]
+        text = text_table(["", *map(str, table.columns)], rows)
+        return "\n".join([*map(wrapped, self.sentences()), "", "Directions, in prior standard deviations", text])
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())
-        return said + str(self.table().to_html(float_format=lambda x: f"{x:.3g}"))
+        return said + str(self.table().to_html(float_format=significant))
 
 
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:

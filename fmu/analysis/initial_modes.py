@@ -23,6 +23,7 @@ from fmu.fem.pairing import IndexPairing, assign
 from fmu.fem.separable import selection
 from fmu.fem.structure import PairedStructure
 from fmu.fem.threads import single_thread
+from fmu.numbers import share
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -226,9 +227,9 @@ def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> lis
     if len(names) < 2:
         return [""] * shapes.shape[1]
     energy = shapes * (model.structure.M(point) @ shapes)
-    share = np.array([energy[directions == name].sum(axis=0) for name in names])
+    part = np.array([energy[directions == name].sum(axis=0) for name in names])
     words = []
-    for column in share.T:
+    for column in part.T:
         order = np.argsort(-column)[:2]
-        words.append(", ".join(f"{names[i]} {100 * column[i]:.0f} %" for i in order if column[i] > 0.1))
+        words.append(", ".join(f"{names[i]} {share(round(column[i], 2))}" for i in order if column[i] > 0.1))
     return words

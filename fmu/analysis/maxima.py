@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import html
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.mass import LocalQuadratic
+from fmu.analysis.maxima_text import MOST_SHOWN, in_words, maxima_as_text
+from fmu.text_table import distinct, text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -107,29 +110,38 @@ class Maxima:
         """Logarithm of the mass of all maxima together: an estimate of log P(D), as good as the maxima are all."""
         return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
 
+    @property
+    def log_evidence_error(self) -> float:
+        """Standard error of `log_evidence` from the weights of the draws; NaN where there were none."""
+        weighed = [m for m in self.maxima if m.effective_draws > 0]
+        if not weighed:
+            return np.nan
+        return float(np.sqrt(sum(m.share**2 / m.effective_draws for m in weighed)))
+
     def table(self) -> pd.DataFrame:
         """Return one row a maximum, SI units.
 
         Columns ``log_prob``, ``share``, ``starts``, ``at_bounds`` (words); each parameter; its posterior mean and
         standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.
+        A name that is taken by another column gets an underscore: a parameter ``share`` is in ``share_``.
         """
         import pandas as pd
 
-        rows = []
-        for m in self.maxima:
-            row: dict[str, object] = {
-                "log_prob": m.log_prob,
-                "share": m.share,
-                "starts": m.starts,
-                "at_bounds": self.words_at_bounds(m),
-            }
-            row |= dict(zip(self.names, m.theta, strict=True))
-            for k, name in enumerate(self.names):
-                row |= {f"{name}_mean": m.mean[k], f"{name}_sd": m.sd[k]}
-            row |= {f"{label}_hz": f for label, f in zip(self.labels, m.frequencies, strict=True)}
-            rows.append(row)
-        table = pd.DataFrame(rows, index=pd.RangeIndex(1, len(rows) + 1, name="maximum"))
-        table.attrs["units"] = dict(zip(self.names, self.units, strict=True))
+        best = self.maxima
+        columns: list[tuple[str, list[Any]]] = [
+            ("log_prob", [m.log_prob for m in best]),
+            ("share", [m.share for m in best]),
+            ("starts", [m.starts for m in best]),
+            ("at_bounds", [self.words_at_bounds(m) for m in best]),
+        ]
+        columns += [(name, [m.theta[k] for m in best]) for k, name in enumerate(self.names)]
+        for k, name in enumerate(self.names):
+            columns += [(f"{name}_mean", [m.mean[k] for m in best]), (f"{name}_sd", [m.sd[k] for m in best])]
+        columns += [(f"{label}_hz", [m.frequencies[k] for m in best]) for k, label in enumerate(self.labels)]
+        names = distinct([name for name, _ in columns])
+        index = pd.RangeIndex(1, len(best) + 1, name="maximum")
+        table = pd.DataFrame(dict(zip(names, (values for _, values in columns), strict=True)), index=index)
+        table.attrs["units"] = dict(zip(names[4 : 4 + len(self.names)], self.units, strict=True))
         return table
 
     def words_at_bounds(self, maximum: PosteriorMaximum) -> str:
@@ -139,40 +151,42 @@ class Maxima:
             f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
         )
 
-    def words_of_theta(self, theta: FloatArray) -> str:
+    def words_of_theta(self, theta: FloatArray, sd: FloatArray | None = None) -> str:
         """Name a parameter vector, as `in_words` does."""
-        return in_words(self.names, theta, self.units)
+        return in_words(self.names, theta, self.units, sd)
 
     def drop(self, theta: FloatArray) -> FloatArray:
         """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
         models = (LocalQuadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
         return np.stack([model.drop(theta) for model in models])
 
-    def side_by_side(self, most: int = 6) -> pd.DataFrame:
+    def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
         """Return a column a maximum beside the model before updating and the measurement, as words, to be read.
+
+        Digits follow from the posterior standard deviations; frequencies that differ are seen to.
 
         Parameters
         ----------
         most : int
             The highest so many are shown.
         """
-        import pandas as pd
+        return maxima_as_text(self, most)
 
-        shown = self.maxima[:most]
-        columns = {"unit": ["", "", "", "", *self.units, *(["Hz"] * len(self.labels))]}
-        columns["before"] = [""] * 4 + [f"{x:.4g}" for x in self.start] + [f"{f:.2f}" for f in self.before]
-        for k, m in enumerate(shown, 1):
-            head = [f"{m.log_prob:.1f}", percent(m.share), str(m.starts), self.words_at_bounds(m) or "-"]
-            columns[f"maximum {k}"] = head + [f"{x:.4g}" for x in m.theta] + [f"{f:.2f}" for f in m.frequencies]
-        columns["measured"] = [""] * (4 + len(self.names)) + [f"{f:.2f}" for f in self.measured]
-        rows = ["log-probability", "share of mass", "starts", "at bounds", *self.names]
-        return pd.DataFrame(columns, index=rows + [f"mode {label}" for label in self.labels])
+    def at_bounds(self, most: int = MOST_SHOWN) -> list[str]:
+        """Say which of the highest maxima lie at bounds, a sentence each."""
+        words = [self.words_at_bounds(m) for m in self.maxima[:most]]
+        return [f"Maximum {k} lies at bounds: {said}." for k, said in enumerate(words, 1) if said]
 
     def __str__(self) -> str:
-        return str(self.side_by_side().to_string())
+        table = self.side_by_side()
+        header = ["", *(str(name).removeprefix("maximum ") for name in table.columns)]
+        rows = [[str(name), *row] for name, row in zip(table.index, table.to_numpy().tolist(), strict=True)]
+        lines = [text_table(["maximum", *header[1:]], rows, words=(0, 1))]
+        return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.at_bounds())])
 
     def _repr_html_(self) -> str:
-        return str(self.side_by_side().to_html())
+        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.at_bounds())
+        return str(self.side_by_side().to_html()) + said
 
     def to_dataset(self) -> xr.Dataset:
         """Return what `from_dataset` needs, as a trace keeps it."""
@@ -218,14 +232,3 @@ _DIMENSIONS: dict[str, tuple[str, ...]] = {
     "effective_draws": (),
     "share": (),
 }
-
-
-def in_words(names: Iterable[str], theta: FloatArray, units: Iterable[str]) -> str:
-    """Name a parameter vector: ``"Ix1 = 3.904e-09 m⁴, Ax1 = 0.0009 m²"``."""
-    parts = zip(names, theta, units, strict=True)
-    return ", ".join(f"{name} = {x:.4g} {unit}".rstrip() for name, x, unit in parts)
-
-
-def percent(share: float) -> str:
-    """Return a share in words: ``"100 %"``, ``"0.3 %"``, ``"1e-25 %"``."""
-    return f"{100 * share:.2g} %" if share < 0.995 else "100 %"

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fmu.analysis.diagnostics import parameter_draws, walkers_of
-from fmu.analysis.maxima import Maxima, percent
+from fmu.analysis.maxima import Maxima
+from fmu.analysis.maxima_text import NEGLIGIBLE, mass_in_words
+from fmu.numbers import apart, rounded, share
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -17,8 +19,6 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-NEGLIGIBLE = 0.01
-"""Share of the probability that a run may leave out."""
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
 """A draw is near a maximum within the ellipsoid that holds this much of a Gaussian."""
@@ -95,7 +95,7 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     ):
         return []
     wrong = [
-        f"{_name(maxima, k)} has {percent(v)} of the draws, but about {percent(m.share)} of the probability"
+        f"{_name(maxima, k)} has {share(v)} of the draws, but {mass_in_words(m.share)} of the probability"
         for k, (m, v) in enumerate(zip(maxima, visits.tolist(), strict=True))
         if _is_out_of_proportion(v, m.share)
     ]
@@ -103,21 +103,22 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 
 
 def _name(maxima: Maxima, k: int) -> str:
-    return f"maximum {k + 1} at {maxima.words_of_theta(maxima[k].theta)}"
+    return f"maximum {k + 1} at {maxima.words_of_theta(maxima[k].theta, maxima[k].sd)}"
 
 
 def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
+    there, here = apart(maxima[k].log_prob, reached, sd=1.0)
     return (
-        f"{_name(maxima, k)}, with log-probability {maxima[k].log_prob:.1f} where the best draw has "
-        f"{reached:.1f}, was never visited; it holds about {percent(maxima[k].share)} of the probability"
+        f"{_name(maxima, k)}, with log-probability {there} where the best draw has {here}, was never visited; it "
+        f"holds {mass_in_words(maxima[k].share)} of the probability"
     )
 
 
-def _is_out_of_proportion(visits: float, share: float) -> bool:
+def _is_out_of_proportion(visits: float, mass: float) -> bool:
     """Say whether a share of draws and one of mass, of which one matters, differ by more than estimates do."""
-    if max(visits, share) < 5 * NEGLIGIBLE:
+    if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
-    return visits > OUT_OF_PROPORTION * share or share > OUT_OF_PROPORTION * visits
+    return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
@@ -131,9 +132,9 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
         count = int(np.sum(homes == k))
         where = "near none of the maxima"
         if k >= 0:
-            share = percent(maxima[k].share)
             where = (
-                f"around {_name(maxima, k)} (log-probability {maxima[k].log_prob:.1f}, {share} of the probability)"
+                f"around {_name(maxima, k)} (log-probability {rounded(maxima[k].log_prob, 1.0)}, "
+                f"{mass_in_words(maxima[k].share)} of the probability)"
             )
         parts.append(f"{count} {kind}{'s are' if count > 1 else ' is'} {where}")
     return "; ".join(parts)

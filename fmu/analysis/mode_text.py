@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from fmu.analysis.pairing_doubts import ComputedMode
+from fmu.numbers import MISSING, change, fixed, given, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
     from fmu.analysis.initial_modes import InitialModes
 
 _MANY = 3
-_NONE = "–"
+_DIGITS = 5
+"""Of computed frequencies, which have no uncertainty of their own."""
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
@@ -28,7 +30,7 @@ def modes_as_text(found: InitialModes) -> pd.DataFrame:
     for is_idle, group in groupby(found.modes, key=lambda mode: not mode.seen and mode.measured is None):
         modes = list(group)
         rows += [_many(modes)] if is_idle and len(modes) >= _MANY else [_one(found, mode) for mode in modes]
-    table = pd.DataFrame(rows, dtype=object).fillna(_NONE)
+    table = pd.DataFrame(rows, dtype=object).fillna(MISSING)
     unknown = [] if found.modes[0].number is not None else ["number"]
     unknown += [] if found.mac is not None else ["MAC"]
     unknown += [] if any(mode.moves for mode in found.modes) else ["moves"]
@@ -39,11 +41,11 @@ def _one(found: InitialModes, mode: ComputedMode) -> dict[str, str]:
     row = {"number": str(mode.number), "computed, Hz": _hz(mode.frequency_hz)}
     if mode.measured is None:
         row["measured mode"] = "not measured" if mode.seen else "moves no sensor"
-        return row | {"measured, Hz": _NONE, "error, %": _NONE, "MAC": _NONE, "moves": mode.moves}
+        return row | {"measured, Hz": MISSING, "error": MISSING, "MAC": MISSING, "moves": mode.moves}
     k = mode.measured
-    row |= {"measured mode": found.labels[k], "measured, Hz": f"{found.measured_hz[k]:.6g}"}
-    row["error, %"] = f"{found.error_percent(k):+.2f}"
-    row["MAC"] = _NONE if found.mac is None else f"{found.mac[k, found.modes.index(mode)]:.2f}"
+    row |= {"measured mode": found.labels[k], "measured, Hz": given(found.measured_hz[k])}
+    row["error"] = change(found.error_percent(k) / 100.0)
+    row["MAC"] = MISSING if found.mac is None else fixed(found.mac[k, found.modes.index(mode)], 2)
     return row | {"moves": mode.moves}
 
 
@@ -53,12 +55,12 @@ def _many(modes: Sequence[ComputedMode]) -> dict[str, str]:
         "number": f"{first.number}–{last.number}",
         "computed, Hz": f"{_hz(first.frequency_hz)} to {_hz(last.frequency_hz)}",
         "measured mode": f"{len(modes)} move no sensor",
-        "measured, Hz": _NONE,
-        "error, %": _NONE,
-        "MAC": _NONE,
-        "moves": _NONE,
+        "measured, Hz": MISSING,
+        "error": MISSING,
+        "MAC": MISSING,
+        "moves": MISSING,
     }
 
 
 def _hz(frequency: float) -> str:
-    return f"{frequency:.4g}" if frequency < 1000 else f"{frequency:.1f}"
+    return significant(frequency, _DIGITS)

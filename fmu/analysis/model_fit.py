@@ -11,6 +11,7 @@ from fmu.analysis.diagnostics import parameter_draws, parameter_names
 from fmu.analysis.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.pairing_doubts import ALIKE
 from fmu.analysis.prediction import predict_frequencies
+from fmu.numbers import apart, fixed, given, share
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,14 +40,14 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
             continue
         unit = trace["posterior"][name].attrs.get("units", "")
         for side, bound, sign in (("lower", lower[k], 1.0), ("upper", upper[k], -1.0)):
-            share = float(np.mean(sign * (x - bound) < margin))
+            near = float(np.mean(sign * (x - bound) < margin))
             before = _prior_share(trace, name, bound, sign, margin)
             is_close = sign * (x.mean() - bound) < _WITHIN * x.std()
-            if share >= LEAST_SHARE and share > MORE_THAN_THE_PRIOR * before and is_close:
+            if near >= LEAST_SHARE and near > MORE_THAN_THE_PRIOR * before and is_close:
                 found.append(
-                    f"{name} is piled up against its {side} bound, {bound:.4g} {unit}".rstrip()
-                    + f": {100 * share:.0f} % of the draws are within {100 * NEAR_A_BOUND:g} % of the bounds' "
-                    f"distance of it, {100 * before:.1f} % of the prior"
+                    f"{name} is piled up against its {side} bound, {given(float(bound))} {unit}".rstrip()
+                    + f": {share(near)} of the draws are within {share(NEAR_A_BOUND)} of the bounds' distance of "
+                    f"it, {share(before)} of the prior"
                 )
     return found
 
@@ -68,13 +69,16 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
         return []
     table = predict_frequencies(trace, INTERVAL)
     per_cent = f"{100 * INTERVAL:g}"
-    columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean")
-    return [
-        f"mode {mode} was measured at {measured:.1f} Hz, outside the {per_cent} % interval of its prediction, "
-        f"{low:.1f} to {high:.1f} Hz (mean {mean:.1f} Hz)"
-        for mode, measured, low, high, mean in zip(table.index, *(table[c] for c in columns), strict=True)
-        if not low <= measured <= high
-    ]
+    columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean", "noisy_sd")
+    found = []
+    for mode, measured, low, high, mean, sd in zip(table.index, *(table[c] for c in columns), strict=True):
+        if not low <= measured <= high:
+            _, from_hz, to_hz, mean_hz = apart(measured, low, high, mean, sd=sd)
+            found.append(
+                f"mode {mode} was measured at {given(measured)} Hz, outside the {share(INTERVAL)} interval of its "
+                f"prediction, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
+            )
+    return found
 
 
 def shape_warnings(trace: xr.DataTree) -> list[str]:
@@ -87,11 +91,16 @@ def shape_warnings(trace: xr.DataTree) -> list[str]:
         return []
     before, after = (np.diag(alike.sel(state=state)) for state in (START, MEAN))
     return [
-        f"mode {mode} has not the shape that was measured: MAC {b:.2f} before and {a:.2f} after updating, "
-        f"below {ALIKE}"
+        f"mode {mode} has not the shape that was measured: MAC {fixed(b, 2)} before and {_below(a)} after "
+        f"updating, below {ALIKE}"
         for mode, b, a in zip(alike["mode"].to_numpy(), before, after, strict=True)
         if a < ALIKE
     ]
+
+
+def _below(mac: float) -> str:
+    """Return a MAC that is below `ALIKE` so that this is seen."""
+    return apart(mac, ALIKE, sd=0.1)[0]
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
@@ -107,7 +116,8 @@ def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
     reached = float(trace["sample_stats"]["lp"].max())
     if reached <= highest + 1e-3:
         return []
+    draw, known = apart(reached, highest, sd=1.0)
     return [
-        f"a draw has log-probability {reached:.3f}, above the highest maximum found, {highest:.3f}: the search "
-        "missed a maximum, and needs more starts"
+        f"a draw has log-probability {draw}, above the highest maximum found, {known}: the search missed a "
+        "maximum, and needs more starts"
     ]

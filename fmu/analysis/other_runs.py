@@ -12,8 +12,10 @@ from scipy.spatial import cKDTree
 
 from fmu.analysis.diagnostics import parameter_draws, parameter_names, walkers_of
 from fmu.analysis.effective import by_walker
-from fmu.analysis.maxima import Maxima, in_words, percent
-from fmu.analysis.missed import NEGLIGIBLE, nearest_maxima
+from fmu.analysis.maxima import Maxima
+from fmu.analysis.maxima_text import NEGLIGIBLE, in_words, mass_in_words
+from fmu.analysis.missed import nearest_maxima
+from fmu.numbers import apart
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,12 +62,12 @@ def missed_places(
             raise ValueError(f"others.{name}: must have the parameters {names} (got {parameter_names(other)})")
         place = _missed_place(here, _Paths(other), -np.inf if maxima is None else maxima.log_evidence)
         if place is not None and not (maxima is not None and nearest_maxima(place[0][None], maxima)[0] >= 0):
-            theta, log_prob, share = place
+            theta, log_prob, mass = place
+            there, best = apart(log_prob, float(here.log_prob.max()), sd=1.0)
             where = in_words(names, theta, [trace["posterior"][n].attrs.get("units", "") for n in names])
             found.append(
-                f"the run {name} was at {where}, with log-probability {log_prob:.1f} where the best draw "
-                f"here has {here.log_prob.max():.1f}, and no draw of this run is near; about {percent(share)} of "
-                "the probability is there"
+                f"the run {name} was at {where}, with log-probability {there} where the best draw here has "
+                f"{best}, and no draw of this run is near; {mass_in_words(mass)} of the probability is there"
             )
     return found
 
@@ -107,11 +109,11 @@ def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[Flo
     away = (distance > reach).reshape(there.log_prob.shape)
     log_masses = [_log_mass(x[a], lp[a]) for x, lp, a in zip(there.position, there.log_prob, away, strict=True)]
     known = [_log_mass(x, lp) for x, lp in zip(here.position, here.log_prob, strict=True)]
-    share = float(1.0 / (1.0 + np.exp(np.clip(max(*known, log_evidence) - max(log_masses), -700.0, 700.0))))
-    if not (np.isfinite(max(log_masses)) and share > NEGLIGIBLE):
+    mass = float(1.0 / (1.0 + np.exp(np.clip(max(*known, log_evidence) - max(log_masses), -700.0, 700.0))))
+    if not (np.isfinite(max(log_masses)) and mass > NEGLIGIBLE):
         return None
     best = np.unravel_index(np.argmax(np.where(away, there.log_prob, -np.inf)), away.shape)
-    return there.position[best], float(there.log_prob[best]), share
+    return there.position[best], float(there.log_prob[best]), mass
 
 
 def _log_mass(theta: FloatArray, log_prob: FloatArray) -> float:

@@ -15,6 +15,7 @@ from fmu.analysis.modal_states import START
 from fmu.analysis.trace import check_trace
 from fmu.fem.modal import frequency_hz
 from fmu.fem.pairing import RankPairing
+from fmu.numbers import share, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -102,7 +103,7 @@ class PairingChanges:
             kind = "paired" if self.constant or self.rule is None else "computed"
             said.append(
                 f"The nearest that another {kind} mode came to one that answers: "
-                f"{_share(float(self.gap[nearest]))} in frequency, to mode {self.labels[nearest]}."
+                f"{share(float(self.gap[nearest]))} in frequency, to mode {self.labels[nearest]}."
             )
         return tuple(said)
 
@@ -111,14 +112,14 @@ class PairingChanges:
 
     def _repr_html_(self) -> str:
         items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in self.sentences())
-        shown = self.table().to_html(float_format=lambda x: f"{x:.3g}", border=0)
+        shown = self.table().to_html(float_format=significant, border=0)
         return f"<ul>{items}</ul>{shown}"
 
     def _jumped(self) -> list[str]:
         of = f"of {self.looked_at} draws looked at"
         return [
             f"Mode {self.labels[i]} is answered by another computed mode than at the most probable draw in "
-            f"{_share(float(self.changed[i]))} {of}: {_MEANS[str(self.rule)]}."
+            f"{share(float(self.changed[i]))} {of}: {_MEANS[str(self.rule)]}."
             for i in np.argsort(-self.changed, kind="stable")
             if self.changed[i] > 0
         ]
@@ -127,7 +128,7 @@ class PairingChanges:
         rows, columns = np.nonzero(np.triu(self.swapped) > 0)
         order = np.argsort(-self.swapped[rows, columns], kind="stable")
         return [
-            f"Modes {self.labels[i]} and {self.labels[j]} swapped in {_share(float(self.swapped[i, j]))} of the "
+            f"Modes {self.labels[i]} and {self.labels[j]} swapped in {share(float(self.swapped[i, j]))} of the "
             "draws, compared with their order in the model before updating."
             for i, j in zip(rows[order], columns[order], strict=True)
         ]
@@ -197,11 +198,11 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
     found = pairing_changes(trace)
     if found.jumps == 0:
         return []
-    modes = ", ".join(label for label, share in zip(found.labels, found.changed, strict=True) if share > 0)
-    share = _share(found.jumps / found.looked_at)
+    modes = ", ".join(label for label, changed in zip(found.labels, found.changed, strict=True) if changed > 0)
     return [
-        f"the pairing by MAC changes in {share} of the draws (measured {'modes' if ',' in modes else 'mode'} "
-        f'{modes}): where the modes veer the log-probability jumps, which pairing="soft" does not'
+        f"the pairing by MAC changes in {share(found.jumps / found.looked_at)} of the draws (measured "
+        f"{'modes' if ',' in modes else 'mode'} {modes}): where the modes veer the log-probability jumps, which "
+        'pairing="soft" does not'
     ]
 
 
@@ -266,8 +267,3 @@ def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray
             apart = np.abs(hz / f - 1.0)
         gap[:, i] = np.min(np.where(own | np.isnan(apart), np.inf, apart), axis=1, initial=np.inf)
     return gap
-
-
-def _share(x: float) -> str:
-    """Return a share as a percentage of two digits, a very small one as a power of ten."""
-    return f"{float(f'{100 * x:.2g}'):g} %" if x >= 1e-4 or x == 0 else f"{x:.1e}"

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import apart, fixed, share
+
 FloatArray = NDArray[np.float64]
 
 ALIKE = 0.8
@@ -55,13 +57,14 @@ def unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None)
         others = np.delete(np.arange(len(row)), column)
         if row[column] < ALIKE:
             doubts.append(
-                f"Mode {labels[k]}: MAC {row[column]:.2f} with computed mode {column + 1}, below {ALIKE}."
+                f"Mode {labels[k]}: MAC {apart(row[column], ALIKE, sd=0.1)[0]} with computed mode {column + 1}, "
+                f"below {ALIKE}."
             )
         rival = others[np.argmax(row[others])] if len(others) else column
         if rival != column and row[rival] > row[column] - RIVAL:
             doubts.append(
-                f"Mode {labels[k]}: the sensors hardly tell computed mode {column + 1} (MAC {row[column]:.2f}) "
-                f"from {rival + 1} (MAC {row[rival]:.2f})."
+                f"Mode {labels[k]}: the sensors hardly tell computed mode {column + 1} (MAC "
+                f"{fixed(row[column], 2)}) from {rival + 1} (MAC {fixed(row[rival], 2)})."
             )
     return doubts
 
@@ -76,11 +79,11 @@ def close(
             pair = (min(column, other), max(column, other))
             if not 0 <= other < len(frequencies) or pair in told or not (by_number or seen[other]):
                 continue
-            apart = abs(frequencies[other] / frequencies[column] - 1.0)
-            if apart < CLOSE:
+            distance = abs(frequencies[other] / frequencies[column] - 1.0)
+            if distance < CLOSE:
                 told.add(pair)
                 doubts.append(
-                    f"Mode {labels[k]}: computed modes {pair[0] + 1} and {pair[1] + 1} are {100 * apart:.2g} % "
+                    f"Mode {labels[k]}: computed modes {pair[0] + 1} and {pair[1] + 1} are {share(distance)} "
                     "apart; which of them was measured, their frequencies do not tell."
                 )
     return doubts

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import fixed, given, with_sd
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -80,15 +82,17 @@ class PriorPrediction:
         for k in np.flatnonzero(self.is_far):
             side = "above" if self.distance[k] > 0 else "below"
             said.append(
-                f"Mode {self.labels[k]}: measured at {self.measured[k]:.4g} Hz, {abs(self.distance[k]):.1f} sd "
-                f"{side} what the prior predicts ({self.mean[k]:.4g} ± {self.sd[k]:.2g} Hz): another mode, bounds "
-                "too narrow, or a model that lacks something."
+                f"Mode {self.labels[k]}: measured at {given(self.measured[k])} Hz, "
+                f"{fixed(abs(self.distance[k]), 1)} sd {side} what the prior predicts "
+                f"({with_sd(self.mean[k], self.sd[k])} Hz): another mode, bounds too narrow, or a model that "
+                "lacks something."
             )
         if not np.any(self.is_far):
             far = int(np.argmax(np.abs(self.distance)))
             said.append(
                 "The prior expects the measured frequencies: each lies within "
-                f"{abs(self.distance[far]):.1f} sd of its predictions (mode {self.labels[far]} the farthest)."
+                f"{fixed(abs(self.distance[far]), 1)} sd of its predictions (mode {self.labels[far]} the "
+                "farthest)."
             )
         return said
 

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from fmu.cli.output import write_csv
-from fmu.cli.tables import echo_comparison, text
+from fmu.cli.tables import echo_comparison, summary_text
 from fmu.interruption import interruptible
+from fmu.numbers import given
 from fmu.progress import Report, labelled
 from fmu.progress.lines import JSONLines
 from fmu.sampling import StoppedRun
@@ -99,13 +100,13 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
     write_csv(comparison, directory / "comparison.csv")
     click.echo(f"Maxima of the posterior\n{outcome.maxima}\n")
     for name, table in summaries.items():
-        click.echo(f"{name}\n{text(table.assign(unit=table.attrs['units']))}\n")
+        click.echo(f"{name}\n{summary_text(table)}\n")
         _echo_failed_points(name, traces[name], directory, outcome.problem)
     echo_comparison(comparison, verdicts)
     until_ess = outcome.orders["until_ess"]
     short = _short_of(until_ess, summaries, verdicts)
     if short:
-        click.echo(f"\nStopped at the most draws, short of --until-ess {until_ess:g}: {', '.join(short)}")
+        click.echo(f"\nStopped at the most draws, short of --until-ess {given(until_ess)}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
     if reports:
         from fmu.report.html import publish

@@ -1,50 +1,66 @@
-"""Tables as text on a terminal."""
+"""Tables and verdicts as text on a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from fmu.numbers import MISSING, fixed, rounded, significant
+from fmu.text_table import text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.analysis.diagnosis import Diagnosis
 
-_FORMATS = {"rhat": ".4f", "rhat_max": ".4f", "ess_bulk": ".0f", "ess_tail": ".0f"}
+_FORMATS: dict[str, Callable[[float], str]] = {
+    "rhat": lambda x: fixed(x, 4),
+    "rhat_max": lambda x: fixed(x, 4),
+    "ess_bulk": lambda x: fixed(x, 0),
+    "ess_tail": lambda x: fixed(x, 0),
+    "ess_bulk_min": lambda x: fixed(x, 0),
+    "ess_tail_min": lambda x: fixed(x, 0),
+    "wall_s": lambda x: fixed(x, 1),
+    "sd": lambda x: significant(x, 2),
+    "mcse_mean": lambda x: significant(x, 2),
+}
 
 
-def text(table: pd.DataFrame) -> str:
-    """Return a table as text, with as many digits as mean something."""
-    formats: dict[Any, Any] = {
-        name: f"{{:{_FORMATS.get(name, '.4g')}}}".format for name in table.select_dtypes("float").columns
-    }
-    return table.rename_axis(None).to_string(formatters=formats)
+def summary_text(table: pd.DataFrame) -> str:
+    """Return ``fmu.summary(trace)`` as text: of means and intervals as many digits as their sd leaves."""
+    rows = []
+    for name, row in table.iterrows():
+        cells = [_FORMATS[c](row[c]) if c in _FORMATS else rounded(row[c], row["sd"]) for c in table.columns]
+        rows.append([str(name), *cells, table.attrs["units"][name]])
+    return text_table(["", *map(str, table.columns), "unit"], rows, words=(0, len(table.columns) + 1))
 
 
 def echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> None:
     """Print the numbers with a column a sampler, then the verdicts and what speaks against the model, in words."""
-    numbers = table.drop(columns="verdict").astype(object).T
-    cells = numbers.apply(lambda row: row.map(partial(_number, _FORMATS.get(row.name, ".4g"))), axis=1)
-    click.echo(cells.rename_axis(None, axis=1).to_string())
+    columns = table.drop(columns="verdict")
+    rows = [[str(name), *(_cell(str(name), value) for value in columns[name])] for name in columns]
+    click.echo(text_table(["", *map(str, table.index)], rows))
     click.echo()
-    width = max(map(len, table.index))
+    width = max(map(len, table.index)) + 2
+    indent = " " * width
     for name, found in verdicts.items():
-        click.echo(f"{name:{width}}  {found.verdict}")
+        click.echo(wrapped(found.verdict, f"{name:{width}}", indent))
         for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
-            click.echo(f"{'':{width}}  - {remark}")
+            click.echo(wrapped(remark, f"{indent}- ", f"{indent}  "))
     told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
     if verdicts[told].warnings:
         doubt = "" if verdicts[told].converged else ", which has not converged"
         click.echo(f"\nThe model, by the draws of {told}{doubt}")
         for warning in verdicts[told].warnings:
-            click.echo(f"  - {warning}")
+            click.echo(wrapped(warning, "  - ", "    "))
 
 
-def _number(style: str, value: Any) -> str:
-    """Format a number: whole ones in full, what does not apply as a dash."""
+def _cell(name: str, value: Any) -> str:
+    """Format a number of the comparison: whole ones in full, what does not apply as a dash."""
     if str(value) == "<NA>":
-        return "-"
-    return format(value, style) if isinstance(value, float) else str(value)
+        return MISSING
+    if not isinstance(value, float):
+        return str(value)
+    return _FORMATS.get(name, significant)(value)

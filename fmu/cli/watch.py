@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fmu.numbers import fixed
 from fmu.progress.words import duration, number
 
 if TYPE_CHECKING:
@@ -149,15 +150,15 @@ def _steps(n: int) -> str:
 def _fixed(value: float, digits: int) -> str:
     if math.isnan(value):
         return ""
-    return f"{value:.{digits}f}" if abs(value) < 10.0 else number(value)
+    return fixed(value, digits) if abs(value) < 10.0 else number(value)
 
 
 def _ago(seconds: float) -> str:
     """Return an age, in one unit."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"
+            return f"{fixed(seconds / size, 0)} {unit}"
+    return f"{fixed(seconds, 0)} s"
 
 
 def _left(seconds: float) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import Mistake, got, of_validation
+from fmu.numbers import significant
 
 if TYPE_CHECKING:
     from fmu.config.problem import ProblemFile
@@ -83,7 +84,7 @@ def _out_of_size(value: Any, where: tuple[int | str, ...]) -> Iterator[Mistake]:
         for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _out_of_size(inner, (*where, key))
     elif isinstance(value, float | int) and _is_out_of_size(value):
-        rule = f"must be 0, or from {1 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g} in size"
+        rule = f"must be 0, or from {significant(1 / LARGEST_NUMBER)} to {significant(LARGEST_NUMBER)} in size"
         yield Mistake(".".join(map(str, where)), got(rule, value))
 
 

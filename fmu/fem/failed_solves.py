@@ -17,6 +17,7 @@ from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.structure import PairedStructure
 from fmu.fem.terms import coefficients, weighted_sum
 from fmu.fem.threads import single_thread
+from fmu.numbers import listed, significant
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
         frequencies = model.frequencies(theta[None])[0]
     if np.all(np.isfinite(frequencies)):
         return None
-    return f"{NOT_FINITE} ({', '.join(f'{f:.4g}' for f in frequencies)} Hz)"
+    return f"{NOT_FINITE} ({listed(frequencies, 4)} Hz)"
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
@@ -74,12 +75,12 @@ def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int
         least = int(np.argmin(mass))
         if mass[least] > 0.0:
             return "M is not positive definite", None
-        return f"M is not positive definite: its diagonal is {mass[least]:.3g}", int(block.dofs[least])
+        return f"M is not positive definite: its diagonal is {significant(mass[least])}", int(block.dofs[least])
     if not np.all(np.isfinite(lam)):
         return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
     # beside the largest of those solved for, as in frequency_hz
     if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
-        return f"K is not positive semidefinite: an eigenvalue is {lam[0]:.3g} (rad/s)²", None
+        return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
     return None
 
 

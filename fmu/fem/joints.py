@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.section import require_positive
 from fmu.fem.separable import RigidArm
+from fmu.numbers import significant
 
 FloatArray = NDArray[np.float64]
 
@@ -126,4 +127,4 @@ class JointSpring:
         distance = float(np.linalg.norm(nodes[second] - nodes[first]))
         if distance > _COINCIDENT * max(float(np.ptp(nodes, axis=0).max()), 1e-300):
             rule = "tied nodes must be at the same place"
-            raise ValueError(f"spring {self.name!r}: {rule} (got a distance of {distance:g} m)")
+            raise ValueError(f"spring {self.name!r}: {rule} (got a distance of {significant(distance)} m)")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.joints import DIRECTIONS
 from fmu.fem.separable import RigidArm, SeparableModel
+from fmu.numbers import listed
 
 FloatArray = NDArray[np.float64]
 
@@ -155,4 +156,4 @@ def _axes_in_words(vectors: FloatArray) -> list[str]:
     rest[along] = 0.0
     others = np.linalg.svd(rest, full_matrices=False)[0][:, : basis.shape[1] - len(along)].T
     signed = [np.round(v * np.sign(v[np.argmax(np.abs(v))]), 2) + 0.0 for v in others]
-    return ["xyz"[k] for k in along] + [f"({v[0]:g}, {v[1]:g}, {v[2]:g})" for v in signed]
+    return ["xyz"[k] for k in along] + [f"({listed(v)})" for v in signed]

@@ -31,6 +31,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.matrix_files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError, checked
+from fmu.numbers import significant
 
 Triangle = bool | Literal["lower", "upper"]
 
@@ -185,7 +186,7 @@ def _symmetric(matrix: Any, triangle: Triangle) -> Any:
     excess = np.abs(difference.data) - SYMMETRIC * np.maximum(root[row] * root[column], larger)
     if np.any(excess > 0.0):
         at = int(np.argmax(excess))
-        by = f"row {row[at] + 1}, column {column[at] + 1} differs by {abs(difference.data[at]):.3g}"
+        by = f"row {row[at] + 1}, column {column[at] + 1} differs by {significant(abs(difference.data[at]))}"
         rule = f"must be symmetric ({by})"
         if not above or not below:
             half = "lower" if below else "upper"

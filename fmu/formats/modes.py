@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.numbers import apart, given
+
 FloatArray = NDArray[np.float64]
 
 LARGEST_FILE = 2**26
@@ -99,8 +101,8 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     if not np.all(mpc >= least_mpc):
         at = int(np.argmin(mpc))
         raise ValueError(
-            f"shapes: mode {at + 1} must have a phase collinearity (MPC) of at least {least_mpc:g} to be taken "
-            f"for a real one (got {mpc[at]:.2f}); least_mpc=0 takes it anyway"
+            f"shapes: mode {at + 1} must have a phase collinearity (MPC) of at least {given(least_mpc)} to be "
+            f"taken for a real one (got {apart(mpc[at], least_mpc, sd=0.1)[0]}); least_mpc=0 takes it anyway"
         )
     return np.asarray((phi * np.exp(-0.5j * np.angle(np.sum(phi**2, axis=0)))).real), mpc
 

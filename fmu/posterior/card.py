@@ -13,6 +13,7 @@ from fmu.fem.pairing import IndexPairing
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
+from fmu.numbers import change, given, rounded, significant
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -71,14 +72,14 @@ def _modes(problem: UpdatingProblem) -> str:
     rows = [
         [
             html.escape(str(label)),
-            f"{m:.2f}",
-            "–" if np.isnan(s) else f"{s:.3g}",
-            f"{f:.2f}",
-            f"{100 * (f / m - 1):+.2f}",
+            given(m),
+            significant(s),
+            rounded(f, s),
+            change(f / m - 1),
         ]
         for label, m, s, f in zip(problem.data.labels, measured, sd, initial, strict=True)
     ]
-    return _table(("mode", "measured, Hz", "its sd, Hz", "at the start, Hz", "error, %"), rows)
+    return _table(("mode", "measured, Hz", "its sd, Hz", "at the start, Hz", "error"), rows)
 
 
 def _table(header: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
@@ -89,4 +90,4 @@ def _table(header: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _short(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
+    return given(value) if isinstance(value, float) else html.escape(str(value))

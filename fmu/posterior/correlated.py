@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.numbers import significant
+
 FloatArray = NDArray[np.float64]
 
 _SYMMETRIC = 1e-9
@@ -49,7 +51,8 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
     lowest = float(np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0])
     if lowest < 1e-12:
         raise ValueError(
-            f"{name}: must be positive definite (got a lowest eigenvalue of the correlations of {lowest:.3g})"
+            f"{name}: must be positive definite (got a lowest eigenvalue of the correlations of "
+            f"{significant(lowest)})"
         )
     matrix = 0.5 * (matrix + matrix.T)
     matrix.flags.writeable = False

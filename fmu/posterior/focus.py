@@ -17,6 +17,7 @@ from fmu.fem.modal import RIGID
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.structure import PairedStructure
 from fmu.fem.training import box_points
+from fmu.numbers import apart, given
 from fmu.posterior.maxima import local_maxima
 
 if TYPE_CHECKING:
@@ -144,6 +145,10 @@ def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArr
     return float(np.max(error[wrong], initial=0.0))
 
 
+def _off(found: float, promised: float) -> str:
+    return f"{apart(found, promised, digits=3)[0]} (asked for: {given(promised)})"
+
+
 def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict[str, FloatArray]) -> None:
     if "reached" not in state:
         return
@@ -152,12 +157,12 @@ def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict
     sizes = " + ".join(str(block.size) for block in blocks if isinstance(block, ReducedBlock))
     missed = []
     if not frequency <= promised.frequency:
-        missed.append(f"its frequencies by up to {frequency:.3g} (asked for: {promised.frequency:g})")
+        missed.append(f"its frequencies by up to {_off(frequency, promised.frequency)}")
     if not log_prob <= promised.log_prob:
-        missed.append(f"its log-probability by up to {log_prob:.3g} (asked for: {promised.log_prob:g})")
+        missed.append(f"its log-probability by up to {_off(log_prob, promised.log_prob)}")
     warnings.warn(
         f"reduction: with a basis of {sizes} vectors the reduced model is off, {' and '.join(missed)}; take a "
-        f"looser tolerance, as reduction={_looser(promised, frequency):g}, narrower bounds or priors, or "
+        f"looser tolerance, as reduction={given(_looser(promised, frequency))}, narrower bounds or priors, or "
         "reduction=False, the full model",
         ReductionWarning,
         stacklevel=4,

@@ -50,7 +50,7 @@ class Parameter:
         if not self.name or "/" in self.name:
             raise ValueError(f"name: must not be empty or contain '/' (got {self.name!r})")
         if not self.lower < self.upper:
-            raise ValueError(f"{self.name}.upper: must exceed lower {self.lower:g} (got {self.upper:g})")
+            raise ValueError(f"{self.name}.upper: must exceed lower {self.lower} (got {self.upper})")
         low, high = self.prior.support
         object.__setattr__(self, "lower", max(self.lower, low))
         object.__setattr__(self, "upper", min(self.upper, high))
@@ -58,8 +58,8 @@ class Parameter:
         if not self.lower < self.upper:
             raise ValueError(no_mass)
         if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
-            bounds = f"[{self.lower:g}, {self.upper:g}]"
-            raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {self.start:g})")
+            bounds = f"[{self.lower}, {self.upper}]"
+            raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {self.start})")
         if isinstance(self.prior, Uniform) and not np.isfinite(self.upper - self.lower):
             raise ValueError(
                 f"{self.name}.prior: a uniform prior needs finite bounds (got [{self.lower}, {self.upper}])"
@@ -67,7 +67,7 @@ class Parameter:
         if not np.isfinite(self.prior.log_mass(self.lower, self.upper)):
             raise ValueError(no_mass)
         if not self._has_density(self.start):
-            raise ValueError(f"{self.name}.start: must be where the prior has a density (got {self.start:g})")
+            raise ValueError(f"{self.name}.start: must be where the prior has a density (got {self.start})")
 
     @property
     def lowest(self) -> float:

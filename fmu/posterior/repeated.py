@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.numbers import fixed
+
 FloatArray = NDArray[np.float64]
 
 SCATTERS = ("each", "pooled", "joint")
@@ -145,6 +147,6 @@ def _mean_shape(shapes: FloatArray, mode: int) -> FloatArray:
         at = tests[np.argmin(mac)]
         raise ValueError(
             f"shapes.{at}: mode {mode} must have a MAC of at least {LEAST_MAC} with the mean of all tests "
-            f"(got {mac.min():.2f}): is it the same mode?"
+            f"(got {fixed(float(mac.min()), 2)}): is it the same mode?"
         )
     return mean if unit[0] @ mean > 0 else -mean

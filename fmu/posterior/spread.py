@@ -94,7 +94,7 @@ def spread(
         if parameter.lower < 0:
             raise ValueError(
                 f"{name}: {parameter.name} must have a lower bound of at least 0, as a standard deviation "
-                f"(got {parameter.lower:g})"
+                f"(got {parameter.lower})"
             )
     fixed = np.zeros(size.shape)
     if sd is not None and not isinstance(sd, Parameter):

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from fmu.numbers import fixed
 from fmu.progress.pace import Pace
 from fmu.progress.throttle import Throttle
 from fmu.progress.words import bar_name, duration, in_words
@@ -91,7 +92,7 @@ class NotebookBars:
         shown, words = html.escape(name), html.escape(in_words(info))
         self._lines[name] = (
             f'<div><progress value="{done}" max="{total}" aria-label="{shown}"></progress> '
-            f"{shown}: {done} of {total}, {now - began:.1f} s{left} {words}</div>"
+            f"{shown}: {done} of {total}, {fixed(now - began, 1)} s{left} {words}</div>"
         )
         self._show()
 

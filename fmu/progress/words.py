@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from fmu.numbers import MISSING, fixed, significant
+
 HIDDEN = ("group", "lp", "solves")
 """What a bar has no room for: the first is part of its name."""
 
@@ -39,19 +41,19 @@ def duration(seconds: float | None) -> str:
 def number(value: float) -> str:
     """Return a number in three digits, thousands as ``1.2k``; ``–`` for what is not finite."""
     if not math.isfinite(value):
-        return "–"
+        return MISSING
     for size, prefix in _PREFIXES:
         if abs(value) >= 0.9995 * size:
             scaled = value / size
-            return f"{scaled:.1f}{prefix}" if abs(scaled) < 99.95 else f"{scaled:.0f}{prefix}"
-    return f"{value:.0f}" if isinstance(value, int) or abs(value) >= 99.95 else f"{value:.3g}"
+            return f"{fixed(scaled, 1 if abs(scaled) < 99.95 else 0)}{prefix}"
+    return fixed(value, 0) if isinstance(value, int) or abs(value) >= 99.95 else significant(value)
 
 
 def _said(name: str, value: str | int | float, brief: bool) -> str:
     if isinstance(value, str):
         return f"{name} {value}"
     digits = _DIGITS.get(name)
-    text = number(value) if digits is None or not abs(value) < 10.0 else f"{value:.{digits}f}"
+    text = number(value) if digits is None or not abs(value) < 10.0 else fixed(value, digits)
     if not name.endswith(_RATE):
         return f"{name} {text}"
     return f"{text}/s" if brief else f"{text} {name.removesuffix(_RATE)}/s"

@@ -11,11 +11,10 @@ from markupsafe import Markup
 
 from fmu.analysis.check import Check
 from fmu.fem.drawing import UNCHANGED
+from fmu.numbers import MISSING, change, fixed, given, listed, significant, with_sd
 from fmu.report.document import Details, Items, Page, Part, Picture, Pictures, Section, Table, Text, Verdict
 from fmu.report.files import OutputDirectory
 from fmu.report.html import render
-from fmu.report.markdown import MISSING
-from fmu.report.numbers import fixed, percent, significant
 from fmu.report.pages import INDEX
 from fmu.report.svg import picture
 
@@ -98,7 +97,7 @@ def _model(found: Check) -> Section:
         (
             str(name),
             row.unit or MISSING,
-            *(significant(value, 4) for value in (row.start, row.lower, row.upper)),
+            *(given(value) for value in (row.start, row.lower, row.upper)),
             *(row[column] or MISSING for column in words),
         )
         for name, row in found.parameters.iterrows()
@@ -123,7 +122,7 @@ def _legend(found: Check) -> Markup:
 def _modes(found: Check) -> Section:
     modes = found.modes
     table = found.mode_table()
-    rows = tuple(tuple(map(_signed, map(str, row))) for row in table.itertuples(index=False))
+    rows = tuple(tuple(map(str, row)) for row in table.itertuples(index=False))
     words = tuple(i for i, name in enumerate(table.columns) if name in ("measured mode", "moves"))
     caption = "The lowest modes of the model at the start, and the measured ones that they answer to."
     if "moves" in table.columns:
@@ -146,10 +145,10 @@ def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
         displacement = shapes["displacement"].isel(state=0, mode=k).to_numpy()
         mode = found.modes.of(k)
         node, axis = np.unravel_index(np.argmax(np.abs(displacement)), displacement.shape)
-        place = ", ".join(f"{x:.3g}" for x in coordinates[node])
+        place = listed(coordinates[node])
         caption = (
-            f"Mode {label}: computed mode {mode.number}, {mode.frequency_hz:.4g} Hz, "
-            f"measured {found.modes.measured_hz[k]:.4g} Hz."
+            f"Mode {label}: computed mode {mode.number}, {significant(mode.frequency_hz, 5)} Hz, "
+            f"measured {given(found.modes.measured_hz[k])} Hz."
         )
         alt = f"{caption} The largest displacement is in {'xyz'[axis]} at ({place}) m."
         pictures.append(picture(plot_mode(coordinates, ends, displacement), f"mode{k}", alt, caption))
@@ -159,7 +158,7 @@ def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
 def _largest_error(found: Check) -> str:
     errors = [found.modes.error_percent(k) for k in range(len(found.modes.labels))]
     k = max(range(len(errors)), key=lambda i: abs(errors[i]))
-    return f"Before updating, mode {found.modes.labels[k]} is farthest off: {percent(errors[k])}."
+    return f"Before updating, mode {found.modes.labels[k]} is farthest off: {change(errors[k] / 100)}."
 
 
 def _prior(found: Check) -> Section:
@@ -178,14 +177,14 @@ def _prior(found: Check) -> Section:
             prior.measured, series, [literal(label) for label in labels], new_figure(NARROW, 4.2)
         )
         said = "; ".join(
-            f"mode {label} measured {m:.4g}, at the start {f:.4g}, expected {mean:.4g} ± {sd:.2g} Hz"
+            f"mode {label} measured {given(m)}, at the start {significant(f, 5)}, expected {with_sd(mean, sd)} Hz"
             for label, m, f, mean, sd in zip(labels, prior.measured, start, prior.mean, prior.sd, strict=True)
         )
         alt = f"Frequencies of the model beside the measured ones: {said}."
         caption = "How far the model is from the measurement before updating, and how far the prior lets it go."
         parts.append(Pictures((picture(axes, "prior", alt, caption),)))
         table = found.prior_table()
-        rows = tuple((label, *map(_signed, row)) for label, row in zip(labels, table.to_numpy(), strict=True))
+        rows = tuple((label, *row) for label, row in zip(labels, table.to_numpy(), strict=True))
         noise = "Of a measurement: its error is in the sd." if np.isfinite(prior.noise_sd).all() else ""
         header = ("mode", "measured, Hz", "the prior predicts, Hz", "distance, sd")
         parts.append(Table(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
@@ -226,8 +225,3 @@ def _gradient(found: Check) -> Section:
     )
     table = Details("Parameter by parameter", (Table(caption, ("parameter", *gradient.points), rows),))
     return Section("gradient", "Gradient", (Text(gradient.sentence()), table))
-
-
-def _signed(cell: str) -> str:
-    """Write the minus of mathematics before a number."""
-    return f"−{cell[1:]}" if cell.startswith("-") else cell

@@ -17,6 +17,7 @@ from fmu.analysis.provenance import canonical_json
 from fmu.analysis.trace import load_trace
 from fmu.config.kept import kept
 from fmu.fem.separable import SeparableModel
+from fmu.numbers import significant
 from fmu.report.exported import PROBLEM, VALUES, copy_companions, rename, updated_text, write_matrices
 from fmu.report.files import OutputDirectory
 
@@ -171,7 +172,7 @@ def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
     if not difference <= _MATCHING:
         raise ValueError(
             "model: must be the problem that was sampled (it differs in: model; frequencies of the draws by "
-            f"{difference:.1e})"
+            f"{significant(difference, 2)})"
         )
 
 

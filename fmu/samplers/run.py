@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from fmu.engines.engine import Engine, InProcess
+from fmu.numbers import apart
 from fmu.progress import Report
 
 from .draws import Draws as Draws
@@ -403,9 +404,10 @@ def _check_same(setting: Setting, standing: Standing) -> None:
     then, now = evaluated_again(setting, standing.group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
+        was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)
         raise ValueError(
             f"checkpoint: must be of the same posterior (where a chain is, its log-probability was "
-            f"{then[worst]:.8g}, and is {now[worst]:.8g})"
+            f"{was}, and is {is_now})"
         )
 
 

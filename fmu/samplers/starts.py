@@ -70,8 +70,8 @@ def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
     if not inside.all():
         *where, i = (int(k) for k in np.argwhere(~inside)[0])
         raise ValueError(
-            f"init: {_label(where)} must start within [{scaled.theta_lower[i]:g}, {scaled.theta_upper[i]:g}] "
-            f"in coordinate {i} (got {theta[(*where, i)]:g})"
+            f"init: {_label(where)} must start within [{float(scaled.theta_lower[i])}, "
+            f"{float(scaled.theta_upper[i])}] in coordinate {i} (got {float(theta[(*where, i)])})"
         )
 
 

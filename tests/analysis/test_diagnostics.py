@@ -192,7 +192,7 @@ def test_standard_error_is_held_against_the_sd(make_trace, good):
     trace = make_trace(good)
     table = summary(trace)
     table.loc["x1", "mcse_mean"] = 0.11 * table.loc["x1", "sd"]
-    assert convergence_failures(trace, table) == ["MCSE over sd 0.11 of x1 is not below 0.1"]
+    assert convergence_failures(trace, table) == ["MCSE over sd 0.110 of x1 is not below 0.1"]
     table.loc["x1", "mcse_mean"] = np.nan
     assert convergence_failures(trace, table) == ["MCSE over sd nan of x1 is not below 0.1"]
 

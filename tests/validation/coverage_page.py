@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.report.markdown import number, table
+from fmu.numbers import significant
+from fmu.report.markdown import table
 from fmu.report.plots.style import FONT, GREY, PALE, colour, new_figure, tint
 from tests.validation import coverage, ten_storeys
 from tests.validation.bands import UniformRanks
@@ -60,7 +61,7 @@ def _table(study: coverage.Study) -> str:
             name,
             f"{count}",
             f"{100 * count / study.replicates:.1f} %",
-            number(p, ".2g"),
+            significant(p, 2),
             f"{left:.2f}",
             f"{spread:.2f}",
         ]
@@ -68,7 +69,7 @@ def _table(study: coverage.Study) -> str:
             coverage.NAMES, study.covered, study.p_values[:-1], told, study.spread_of_truths, strict=True
         )
     ]
-    rows.append(["log-likelihood", "-", "-", number(study.p_values[-1], ".2g"), "-", "-"])
+    rows.append(["log-likelihood", "-", "-", significant(study.p_values[-1], 2), "-", "-"])
     head = ["quantity", "truths held", "coverage", "p of the ranks", "posterior sd / prior sd", "spread of truths"]
     return table(head, rows).rstrip()
 

@@ -23,7 +23,8 @@ from fmu import cases
 from fmu.analysis.identifiability import contraction
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.modal_states import MEAN
-from fmu.report.markdown import number, table
+from fmu.numbers import fixed, significant
+from fmu.report.markdown import table
 from fmu.report.plots.frequencies import plot_frequency_updates
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.plots.style import DPI
@@ -154,13 +155,13 @@ def _frequencies(done: Update, before: Sequence[int]) -> str:
         (
             str(k + 1),
             str(label),
-            number(measured[k], ".2f"),
+            fixed(measured[k], 2),
             str(before[k]),
-            number(start[k], ".2f"),
-            number(done.errors[0, k], "+.2f"),
-            number(maximum[k], ".2f"),
-            *(number(error, "+.2f") for error in done.errors[1:, k]),
-            number(done.mac[k, k], ".2f"),
+            fixed(start[k], 2),
+            fixed(done.errors[0, k], 2),
+            fixed(maximum[k], 2),
+            *(fixed(error, 2) for error in done.errors[1:, k]),
+            fixed(done.mac[k, k], 2),
         )
         for k, label in enumerate(data.labels)
     ]
@@ -175,12 +176,12 @@ def _parameters(done: Update) -> str:
         (
             parameter.name,
             parameter.unit,
-            number(parameter.start, ".4g"),
-            number(done.maxima[0].theta[k], ".4g"),
-            number(done.summary["mean"][parameter.name], ".4g"),
-            " to ".join(number(done.summary[f"eti90_{end}"][parameter.name], ".3g") for end in ("lb", "ub")),
-            number(shrunk[parameter.name], ".2f"),
-            number(done.summary["rhat"][parameter.name], ".4f"),
+            significant(parameter.start, 4),
+            significant(done.maxima[0].theta[k], 4),
+            significant(done.summary["mean"][parameter.name], 4),
+            " to ".join(significant(done.summary[f"eti90_{end}"][parameter.name], 3) for end in ("lb", "ub")),
+            fixed(shrunk[parameter.name], 2),
+            fixed(done.summary["rhat"][parameter.name], 4),
         )
         for k, parameter in enumerate(done.problem.parameters)
     ]

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.report.markdown import number, table
+from fmu.numbers import significant
+from fmu.report.markdown import table
 from tests.validation.bands import UniformRanks
 from tests.validation.calibration import DRAWS, QUANTITIES, Calibration
 from tests.validation.effective_size import BIAS, Ratio, limits
@@ -100,7 +101,7 @@ def _calibration_table(study: Study) -> str:
     for title, found in study.calibrations.items():
         least, median = np.quantile(found.ess, [0.0, 0.5])
         cells = [f"{len(found.ranks)}", f"{median:.0f}", f"{least:.0f}", f"{np.mean(found.draws):.0f}"]
-        rows.append([title, *cells, *(number(p, ".2g") for p in study.p_values[title])])
+        rows.append([title, *cells, *(significant(p, 2) for p in study.p_values[title])])
     head = ["sampler", "replicates", "median ESS", "smallest ESS", "draws a run"]
     return table([*head, *(f"p, {quantity}" for quantity in QUANTITIES)], rows)
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fmu.fem.training import affordable
-from fmu.report.markdown import MISSING, number, table, whole
+from fmu.numbers import MISSING, fixed, significant, whole
+from fmu.report.markdown import table
 from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, new_figure
 
 if TYPE_CHECKING:
@@ -48,15 +49,15 @@ def page(found: Found) -> str:
 
 
 def _power(row: Mapping[str, Any]) -> str:
-    return number(row["reduction"], ".0e")
+    return significant(row["reduction"], 1)
 
 
 def _ms(seconds: float | None) -> str:
-    return MISSING if seconds is None else number(1e3 * seconds, ".3g")
+    return MISSING if seconds is None else significant(1e3 * seconds, 3)
 
 
 def _ratio(value: float) -> str:
-    return number(value, ".3g") if value < 100 else whole(round(value))
+    return significant(value, 3) if value < 100 else whole(round(value))
 
 
 def _demand(rows: Rows) -> str:
@@ -65,16 +66,16 @@ def _demand(rows: Rows) -> str:
         (
             f"`{_power(row)}`",
             whole(row["basis"]),
-            number(row["offline_s"], ".0f"),
+            fixed(row["offline_s"], 0),
             whole(row["offline_solves"]),
             f"{row['offline_solving_s'] / row['offline_s']:.0%}",
             _ms(row["value_s"]),
             _ms(row["gradient_s"]),
             _ratio(row["full_s"] / row["value_s"]),
             _ratio(first["gradient_s"] / row["gradient_s"]),
-            number(row["frequency_error"], ".1e"),
-            number(row["offline_gib"], ".2f"),
-            number(row["online_gib"], ".2f"),
+            significant(row["frequency_error"], 2),
+            fixed(row["offline_gib"], 2),
+            fixed(row["online_gib"], 2),
         )
         for row in rows
     ]
@@ -105,18 +106,18 @@ def _whole_run(rows: Rows) -> str:
         kept = found["frequency_error"] <= found["frequency_tolerance"]
         kept = kept and found["log_prob_error"] <= found["log_prob_tolerance"] and not found["pairing_changes"]
         lines = [
-            ("offline, s", number(row["offline_s"], ".0f")),
-            ("sampling and what is kept of it, s", number(row["run_s"], ".0f")),
-            ("both, s", number(row["offline_s"] + row["run_s"], ".0f")),
+            ("offline, s", fixed(row["offline_s"], 0)),
+            ("sampling and what is kept of it, s", fixed(row["run_s"], 0)),
+            ("both, s", fixed(row["offline_s"] + row["run_s"], 0)),
             ("both by the clock, beside whatever else the machine did, s",
-             number(row["offline_wall_s"] + row["run_wall_s"], ".0f")),
+             fixed(row["offline_wall_s"] + row["run_wall_s"], 0)),
             ("gradients", whole(row["gradients"])),
             ("the same with full solves alone, h (computed)",
-             number(row["gradients"] * row["full_s"] / 3600, ".0f")),
-            ("peak memory, GiB", number(row["peak_gib"], ".2f")),
+             fixed(row["gradients"] * row["full_s"] / 3600, 0)),
+            ("peak memory, GiB", fixed(row["peak_gib"], 2)),
             ("largest R-hat, smallest bulk ESS", f"{row['rhat']:.3f}, {row['ess']:.0f}"),
             ("certificate, largest error of a frequency; promised",
-             f"{number(found['frequency_error'], '.1e')}; {number(found['frequency_tolerance'], '.0e')}"),
+             f"{significant(found['frequency_error'], 2)}; {significant(found['frequency_tolerance'], 1)}"),
             ("certificate, largest error of the log-probability; promised",
              f"{found['log_prob_error']:.2g}; {found['log_prob_tolerance']:g}"),
             ("draws at which the pairing changed", whole(found["pairing_changes"])),
@@ -137,7 +138,7 @@ def _by_dof(rows: Rows) -> str:
         online = (
             (
                 whole(row["basis"]),
-                number(row["offline_s"], ".1f"),
+                fixed(row["offline_s"], 1),
                 _ms(row["value_s"]),
                 _ms(row["gradient_s"]),
                 _ratio(row["full_s"] / row["value_s"]),
@@ -147,7 +148,7 @@ def _by_dof(rows: Rows) -> str:
         )
         lines.append(
             (whole(n_dof(row)), _ms(row["full_s"]), _ratio(row["full_s"] / base["full_s"]), *online,
-             number(row["peak_gib"], ".2f"))
+             fixed(row["peak_gib"], 2))
         )  # fmt: skip
     header = (
         "DOF", "full solve, ms", "against the first", "basis", "offline, s", "log_prob, ms", "with gradient, ms",
@@ -182,12 +183,12 @@ def _by_parameters(rows: Rows) -> str:
                 f"`{_power(row)}`",
                 whole(row["parameters"]),
                 whole(row["basis"]),
-                number(row["offline_s"], ".1f"),
+                fixed(row["offline_s"], 1),
                 _ms(row["value_s"]),
                 _ms(row["gradient_s"]),
                 _ratio(row["gradient_s"] / first["gradient_s"]),
                 _ratio(row["full_s"] / row["value_s"]),
-                number(row["peak_gib"], ".2f"),
+                fixed(row["peak_gib"], 2),
                 "warned" if row["said"] else "reached",
             )
         )
@@ -215,7 +216,7 @@ def _by_chains(rows: Rows) -> str:
             _ms(row["value_s"]),
             _ms(row["gradient_s"]),
             _ratio(first["gradient_s"] / row["gradient_s"]),
-            number(row["peak_gib"], ".2f"),
+            fixed(row["peak_gib"], 2),
         )
         for row in rows
     ]
@@ -250,7 +251,7 @@ def _tolerances(rows: Rows) -> Figure:
     right.legend(frameon=False, fontsize=FONT - 1)
     for axes in (left, right):
         axes.set_xscale("log")
-        _ticks(axes, x, [number(value, ".0e") for value in x])
+        _ticks(axes, x, [significant(value, 1) for value in x])
         axes.set_xlabel("tolerance of the frequencies, reduction")
     figure.suptitle(f"{whole(n_dof(rows[0]))} DOF, {rows[0]['parameters']} parameters", fontsize=FONT + 1)
     return figure
@@ -268,7 +269,7 @@ def _growth(found: Found) -> Figure:
     tolerances = list(dict.fromkeys(row["reduction"] for row in found["parameters"]))
     for tolerance, shade in zip(tolerances, (VERMILLION, GREEN), strict=False):
         rows = [row for row in found["parameters"] if row["reduction"] == tolerance]
-        label = f"log_prob and gradient, {number(tolerance, '.0e')}"
+        label = f"log_prob and gradient, {significant(tolerance, 1)}"
         _line(parameters, [row["parameters"] for row in rows], rows, "gradient_s", label, shade, "s-")
     parameters.set_xlabel(f"parameters ({whole(n_dof(found['parameters'][0]))} DOF)")
     x = [row["chains"] for row in found["chains"]]

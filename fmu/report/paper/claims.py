@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fmu.report.markdown import whole
+from fmu.numbers import fixed, significant, whole
 from fmu.report.paper.experiment import PAIRED_BY
 from fmu.report.paper.plan import PAPER_SAMPLERS
 from fmu.report.plots import TITLES
@@ -68,7 +68,7 @@ def _decide(findings: Findings, better: str, worse: str) -> tuple[str, str]:
         spent = whole(findings.value(loser, "n_solves"))
         words = f"{TITLES[winner]} converged, {TITLES[loser]} did not in {spent} solves"
         return ("agrees" if winner == better else "disagrees"), words
-    words = f"{rate[better]:.2g} against {rate[worse]:.2g} effective draws per solve"
+    words = f"{significant(rate[better], 2)} against {significant(rate[worse], 2)} effective draws per solve"
     if max(rate.values()) < CLOSE * min(rate.values()):
         return "too close to call", words
     return ("agrees" if rate[better] > rate[worse] else "disagrees"), words
@@ -82,7 +82,7 @@ def statement(findings: Findings) -> str:
     if not ranked:
         words = heading + "No sampler converged; nothing here says which one is better. "
         return words + (SEPARATED if len(findings.separate_maxima) > 1 else "")
-    rates = ", ".join(f"{TITLES[s]} {findings.value(s, 'ess_per_solve'):.2g}" for s in ranked)
+    rates = ", ".join(f"{TITLES[s]} {significant(findings.value(s, 'ess_per_solve'), 2)}" for s in ranked)
     first = [
         s
         for s in ranked
@@ -97,8 +97,8 @@ def statement(findings: Findings) -> str:
     in_sd, in_mcse, names = findings.agreement
     if len(names) > 1:
         words += (
-            f"The converged samplers give one answer: their means differ by at most {in_sd:.2f} posterior sd, "
-            f"{in_mcse:.1f} standard errors of the difference. "
+            f"The converged samplers give one answer: their means differ by at most {fixed(in_sd, 2)} posterior "
+            f"sd, {fixed(in_mcse, 1)} standard errors of the difference. "
         )
     return words
 
@@ -107,7 +107,8 @@ def _at_the_papers_price(findings: Findings, rivals: list[str]) -> str:
     """Say what HMC would be worth if every gradient cost what a central difference does."""
     rate = findings.central_difference_rate
     words = (
-        f"With the paper's central differences, {2 * findings.ndim} solves a gradient, HMC would have {rate:.2g}"
+        f"With the paper's central differences, {2 * findings.ndim} solves a gradient, HMC would have "
+        f"{significant(rate, 2)}"
     )
     if rivals:
         leads = all(rate > findings.value(s, "ess_per_solve") for s in rivals)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fmu.cases.published import EXPERIMENTS
+from fmu.numbers import fixed, share
 from fmu.report.paper.errata import Erratum, computed_errata, errata_page
 from fmu.report.paper.findings import Findings
 from fmu.report.paper.plan import Plan
@@ -58,7 +59,7 @@ def separated_modes(findings: Findings) -> Iterator[Erratum]:
         return
     top = maxima["log_prob"].iloc[0]
     heights = "; ".join(
-        f"number {row.Index} with modes {row.modes}" + (f", {top - row.log_prob:.1f} lower" if k else "")
+        f"number {row.Index} with modes {row.modes}" + (f", {fixed(top - row.log_prob, 1)} lower" if k else "")
         for k, row in enumerate(maxima.itertuples())
     )
     missed = findings.never_visited
@@ -66,7 +67,7 @@ def separated_modes(findings: Findings) -> Iterator[Erratum]:
         f"Section {findings.published.section}, comparison of the samplers",
         "one posterior, sampled by all",
         f"paired by number the posterior has {len(maxima)} separated maxima: {heights}; number 1 holds "
-        f"{maxima['share'].iloc[0]:.2%} of the probability",
+        f"{share(maxima['share'].iloc[0])} of the probability",
         f"ascents from {int(findings.maxima['starts'].sum())} points; of our {len(findings.comparison)} long "
         f"runs, started from the prior, {len(missed)} never came near number 1",
     )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fmu.cases.published import EXPERIMENTS
+from fmu.numbers import fixed, given, significant
 from fmu.report import markdown
 from fmu.report.paper import spectrum
 
@@ -66,8 +67,8 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
             f"Table {experiment.frequency_table}, mode {i + 1}",
             f"measured {experiment.measured[i]} Hz is mode number {number}: initially {start.frequencies[i]} "
             f"Hz, error {start.errors[i]} %",
-            f"number {number} is {name} ({hz:.2f} Hz), {_words(name)}; the measured mode is {wanted[i]} "
-            f"({frequency[i]:.2f} Hz, error {error:.2f} %)",
+            f"number {number} is {name} ({fixed(hz, 2)} Hz), {_words(name)}; the measured mode is {wanted[i]} "
+            f"({fixed(frequency[i], 2)} Hz, error {fixed(error, 2)} %)",
             f"the spectrum at the start runs {order}; the accelerometers measure motion in the weak plane",
         )
 
@@ -87,7 +88,7 @@ def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[
         yield Erratum(
             f"Section {experiment.section}, mode {i + 1}",
             f"one mode, number {number} of the spectrum",
-            "over the parameter box it is " + ", ".join(f"{name} in {part:.1%}" for name, part in seen.items()),
+            "over the parameter box it is " + ", ".join(f"{name} in {share(part)}" for name, part in seen.items()),
             f"{points} quasi-random points of the box; at the vectors of Table {experiment.parameter_table} "
             f"it is " + ", ".join(at),
         )
@@ -104,7 +105,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
             right = problem.frequencies(column.theta)
             cells = ", ".join(f"{names[j]} = {column.parameters[j]}" for j in column.corrected_parameters)
             meant = ", ".join(
-                f"{names[j]} = {markdown.number(value, '.3g')}" for j, value in column.corrected_parameters.items()
+                f"{names[j]} = {significant(value, 3)}" for j, value in column.corrected_parameters.items()
             )
             yield Erratum(
                 place, cells, meant,
@@ -116,7 +117,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
             if not low <= value <= high:
                 yield Erratum(
                     f"{place}, {names[j]}", str(column.parameters[j]),
-                    f"outside its bounds [{markdown.number(low, '.3g')}, {markdown.number(high, '.3g')}]",
+                    f"outside its bounds [{significant(low, 3)}, {significant(high, 3)}]",
                     f"section {experiment.section} gives the bounds; the column's frequencies do belong to this "
                     "value",
                 )  # fmt: skip
@@ -132,10 +133,10 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
             yield Erratum(
                 f"Table {experiment.frequency_table}, {column.title}, mode {i + 1}",
                 f"{column.frequencies[i]} Hz, error {column.errors[i]} %",
-                f"{meant:g} Hz",
-                f"the error of the printed frequency is {error:.2f} %; the model at the column's parameters "
-                f"gives {model:.2f} Hz, error "
-                f"{experiment.error_percent(problem.frequencies(column.theta))[i]:.2f} %",
+                f"{given(meant)} Hz",
+                f"the error of the printed frequency is {fixed(error, 2)} %; the model at the column's parameters "
+                f"gives {fixed(model, 2)} Hz, error "
+                f"{fixed(experiment.error_percent(problem.frequencies(column.theta))[i], 2)} %",
             )
 
 
@@ -152,9 +153,9 @@ def _errors(case: str) -> Iterator[Erratum]:
             yield Erratum(
                 f"Table {experiment.frequency_table}, {column.title}, error of mode {i + 1}",
                 f"{column.errors[i]} %",
-                f"{experiment.error_percent(column.printed_hz)[i]:.3f} %",
+                f"{fixed(experiment.error_percent(column.printed_hz)[i], 3)} %",
                 f"|{cell} − {experiment.measured[i]}|/{experiment.measured[i]}; rounding of the frequency "
-                f"allows {min(ends):.3f} to {max(ends):.3f} %",
+                f"allows {fixed(min(ends), 3)} to {fixed(max(ends), 3)} %",
             )
 
 
@@ -195,4 +196,4 @@ def _words(name: str) -> str:
 
 
 def _list(frequencies: object) -> str:
-    return ", ".join(f"{f:.2f}" for f in np.asarray(frequencies, dtype=float))
+    return ", ".join(fixed(f, 2) for f in np.asarray(frequencies, dtype=float))

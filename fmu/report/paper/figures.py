@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmu.numbers import share
 from fmu.report.paper.convergence import Curve
 from fmu.report.paper.experiment import PAIRED_BY, Result
 from fmu.report.paper.tables import CI_PROB, posterior_mean
@@ -66,7 +67,7 @@ def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Fre
             Frequencies("the paper's protocol, ours", at_mean, COLOURS[name], filled=False),
         ]
     ends = table.filter(regex=f"^long_{name}_predictive_").to_numpy().T
-    label = f"long run, with its {CI_PROB:.0%} predictive interval"
+    label = f"long run, with its {share(CI_PROB)} predictive interval"
     return [*series, Frequencies(label, table[f"long_{name}_hz"], COLOURS[name], interval_hz=ends)]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from fmu.report.markdown import interval, number, table
+from fmu.numbers import fixed, given, share, significant, with_interval
+from fmu.report.markdown import table
 from fmu.report.paper.claims import statement
 from fmu.report.paper.experiment import PAIRED_BY
 from fmu.report.paper.findings import Findings
@@ -44,9 +45,9 @@ def _how_to_read(findings: Findings) -> str:
         f"*Published*: {tables}. *Recomputed*: the model at the published parameters.{by_shape} *The paper's "
         "protocol, ours*: 1000 samples of one chain from the paper's start vector, all of them kept, settings "
         "fixed by hand. *Long run*: several chains from draws of the prior, after a warm-up; mean of the "
-        f"parameters with the {CI_PROB:.0%} equal-tailed interval. Frequencies are those of the model at the "
+        f"parameters with the {share(CI_PROB)} equal-tailed interval. Frequencies are those of the model at the "
         "parameters' mean, and errors |f − f_m|/f_m, as in the paper; *predicted* is the posterior predictive "
-        f"mean with its {CI_PROB:.0%} interval for a new measurement, eq. (10).\n\n"
+        f"mean with its {share(CI_PROB)} interval for a new measurement, eq. (10).\n\n"
         "Files: `parameters.csv`, `frequencies.csv` and `comparison.csv` hold the same numbers in SI units and "
         "in full; `trace-*.png`, `corner-*.png`, `frequencies-*.png` and `convergence.png` show them. A report on "
         "the long runs, to open in a browser: [report/index.html](report/index.html).\n"
@@ -56,7 +57,7 @@ def _how_to_read(findings: Findings) -> str:
 def _mean_and_interval(findings: Findings, parameter: str, sampler: str) -> str:
     columns = (f"long_{sampler}_mean", *(f"long_{sampler}_{end}" for end in ENDS))
     mean, low, high = findings.in_paper_units(parameter, *columns)
-    return interval(mean, low, high, ".3f")
+    return with_interval(mean, low, high, 3)
 
 
 def _initial(findings: Findings) -> str:
@@ -65,13 +66,13 @@ def _initial(findings: Findings) -> str:
     for j, name in enumerate(findings.parameters.index):
         text = f"{name} = {column.parameters[j]}"
         cells.append(
-            text + (f" (must be {number(column.theta[j], '.3g')})" if j in column.corrected_parameters else "")
+            text + (f" (must be {significant(column.theta[j], 3)})" if j in column.corrected_parameters else "")
         )
     rows = [
         (
-            mode, f"{row.measured_hz:g}", f"{row.published_initial_hz:g}", f"{row.published_initial_error:g}",
-            f"{row.recomputed_initial_hz:.2f}", f"{row.recomputed_initial_error:.2f}",
-            f"{row.maximum_hz:.2f}", f"{row.maximum_error:.2f}",
+            mode, given(row.measured_hz), given(row.published_initial_hz), given(row.published_initial_error),
+            fixed(row.recomputed_initial_hz, 2), fixed(row.recomputed_initial_error, 2),
+            fixed(row.maximum_hz, 2), fixed(row.maximum_error, 2),
         )
         for mode, row in rows_of(findings.frequencies)
     ]  # fmt: skip
@@ -93,8 +94,8 @@ def _parameters(findings: Findings, sampler: str) -> str:
             name, f"published_{sampler}", f"paper_{sampler}", "maximum"
         )
         rows.append((
-            name, unit, f"{published:g}", f"{protocol:.3f}", _mean_and_interval(findings, name, sampler),
-            _mean_and_interval(findings, name, "emcee"), f"{maximum:.3f}",
+            name, unit, given(published), fixed(protocol, 3), _mean_and_interval(findings, name, sampler),
+            _mean_and_interval(findings, name, "emcee"), fixed(maximum, 3),
         ))  # fmt: skip
     header = (
         "parameter", "unit", "published", "the paper's protocol, ours", _long(findings, sampler),
@@ -116,14 +117,14 @@ def _frequencies(findings: Findings, sampler: str) -> str:
         header += [f"{words}, Hz", "error, %"] + (["predicted, Hz"] if source.startswith("long_") else [])
     rows = []
     for mode, row in rows_of(findings.frequencies):
-        cells = [mode, f"{row.measured_hz:g}"]
+        cells = [mode, given(row.measured_hz)]
         for source in sources:
             hz, error = getattr(row, f"{source}_hz"), getattr(row, f"{source}_error")
             printed = source.startswith("published_")
-            cells += [f"{hz:g}", f"{error:g}"] if printed else [f"{hz:.2f}", f"{error:.2f}"]
+            cells += [given(hz), given(error)] if printed else [fixed(hz, 2), fixed(error, 2)]
             if source.startswith("long_"):
                 low, high = (getattr(row, f"{source}_predictive_{end}") for end in ENDS)
-                cells.append(interval(getattr(row, f"{source}_predictive"), low, high, ".1f"))
+                cells.append(with_interval(getattr(row, f"{source}_predictive"), low, high, 1))
         rows.append(cells)
     return table(header, rows)
 

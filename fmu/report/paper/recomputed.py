@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from fmu.cases.published import EXPERIMENTS
+from fmu.numbers import fixed, given, share
 from fmu.report.markdown import table as markdown_table
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
                 remarks = []
                 if i in column.corrected_frequencies:
                     remarks.append(
-                        f"misprint: its error column, {column.errors[i]} %, means {column.meant_hz[i]:g}"
+                        f"misprint: its error column, {column.errors[i]} %, means {given(column.meant_hz[i])}"
                     )
                 if column.corrected_parameters:
                     remarks.append("from the corrected parameters")
@@ -69,8 +70,8 @@ def recomputed_page(table: pd.DataFrame) -> str:
     """Return recomputed.md."""
     rows: list[tuple[Any, ...]] = [
         (
-            f"Table {row.table}", row.column, row.mode, row.printed_hz, f"{row.model_hz:.3f}",
-            f"{row.difference_hz:+.3f}", f"{row.tolerance_hz:.3f}", "yes" if row.within else "**no**", row.remark,
+            f"Table {row.table}", row.column, row.mode, row.printed_hz, fixed(row.model_hz, 3),
+            fixed(row.difference_hz, 3), fixed(row.tolerance_hz, 3), "yes" if row.within else "**no**", row.remark,
         )
         for row in table.itertuples()
     ]  # fmt: skip
@@ -78,7 +79,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
     return (
         "# The published frequencies, recomputed\n\n"
         f"The model at the parameters of Tables 1 and 3, modes paired by number: {passed} of {len(table)} "
-        f"frequencies of Tables 2 and 4 come out within {TOLERANCE:.1%} beyond the rounding of the printed "
+        f"frequencies of Tables 2 and 4 come out within {share(TOLERANCE)} beyond the rounding of the printed "
         "digit. The difference is taken from what was meant where the remark says that a misprint is "
         "printed.\n\n"
         + markdown_table(

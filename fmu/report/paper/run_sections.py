@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from fmu.report.markdown import MISSING, about, number, table, whole
+from fmu.numbers import MISSING, about, fixed, share, significant, whole
+from fmu.report.markdown import table
 from fmu.report.paper.claims import SEPARATED, judge
 from fmu.report.paper.findings import Findings
 from fmu.report.plots import TITLES
@@ -27,17 +28,17 @@ def reached_and_cost(findings: Findings) -> str:
     rows = list(rows_of(findings.comparison))
     reached = [
         (
-            TITLES[name], "yes" if findings.is_converged(name) else "**no**", number(row.rhat_max, ".4f"),
-            number(row.ess_bulk_min, ".0f"), number(row.ess_tail_min, ".0f"), number(row.mcse_over_sd_max, ".3f"),
-            number(row.accept_rate, ".2f"), whole(row.divergences),
+            TITLES[name], "yes" if findings.is_converged(name) else "**no**", fixed(row.rhat_max, 4),
+            fixed(row.ess_bulk_min, 0), fixed(row.ess_tail_min, 0), fixed(row.mcse_over_sd_max, 3),
+            fixed(row.accept_rate, 2), whole(row.divergences),
         )
         for name, row in rows
     ]  # fmt: skip
     cost = [
         (
             TITLES[name], whole(row.n_solves), whole(row.n_gradients), whole(row.needed_solves),
-            *_efficiency(findings, name), number(row.wall_s, ".1f"), whole(row.paper_solves),
-            number(row.paper_error, ".1f"), about(row.paper_needed_solves), number(row.published_error, ".1f"),
+            *_efficiency(findings, name), fixed(row.wall_s, 1), whole(row.paper_solves),
+            fixed(row.paper_error, 1), about(row.paper_needed_solves), fixed(row.published_error, 1),
         )
         for name, row in rows
     ]  # fmt: skip
@@ -61,9 +62,9 @@ def reached_and_cost(findings: Findings) -> str:
 
 def _efficiency(findings: Findings, sampler: str) -> list[str]:
     """Return effective draws per solve, per solve after the warm-up, and per second, of a converged run."""
-    columns = {"ess_per_solve": ".2g", "ess_per_sampling_solve": ".2g", "ess_per_s": ".3g"}
+    columns = {"ess_per_solve": 2, "ess_per_sampling_solve": 2, "ess_per_s": 3}
     is_known = findings.is_converged(sampler)
-    return [number(findings.value(sampler, name) if is_known else None, style) for name, style in columns.items()]
+    return [significant(findings.value(sampler, name) if is_known else None, n) for name, n in columns.items()]
 
 
 def claims(findings: Findings) -> str:
@@ -82,9 +83,9 @@ def maxima(findings: Findings) -> str:
         cells = [str(k)]
         for name, (factor, _) in zip(names, units, strict=True):
             at, mean, sd = (getattr(row, name + end) / factor for end in ("", "_mean", "_sd"))
-            cells.append(f"{at:.3f} ({mean:.3f} ± {sd:.3f})")
+            cells.append(f"{fixed(at, 3)} ({fixed(mean, 3)} ± {fixed(sd, 3)})")
         below = findings.maxima["log_prob"].iloc[0] - row.log_prob
-        rows.append((*cells, f"{below:.1f}", number(row.share, ".2g"), row.modes, whole(row.starts)))
+        rows.append((*cells, fixed(below, 1), share(row.share), row.modes, whole(row.starts)))
     text = (
         "At each maximum, and in brackets mean and sd of the part of the posterior around it (importance "
         "sampling, no chain). *Lower*: in log-probability than number 1.\n\n"
@@ -109,11 +110,11 @@ def fit(findings: Findings) -> str:
 
 def places(findings: Findings) -> str:
     """Say which physical modes were paired along each long run, where that changes."""
-    if len({combination for share in findings.places.values() for combination in share}) < 2:
+    if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [
-        (TITLES[name], "; ".join(f"{modes}: {part:.1%}" for modes, part in share.items() if part >= 5e-4))
-        for name, share in findings.places.items()
+        (TITLES[name], "; ".join(f"{modes}: {share(part)}" for modes, part in parts.items() if part >= 5e-4))
+        for name, parts in findings.places.items()
     ]
     return (
         "\nWhich modes are compared with the measured ones, along the long runs (W: weak plane, S: strong "
@@ -135,7 +136,7 @@ def settings(findings: Findings) -> str:
             (
                 key,
                 steps,
-                *(number(e, ".1e") for e in errors),
+                *(significant(e, 2) for e in errors),
                 "; ".join(_brief("", learnt)) or MISSING,
                 f"`{settings}`",
             )
@@ -156,7 +157,7 @@ def _brief(name: str, value: Any) -> list[str]:
     if isinstance(value, list):
         shape = f"{len(value)} × {len(value[0])}" if value and isinstance(value[0], list) else str(len(value))
         return [f"{name}: {shape} numbers"]
-    return [f"{name} {number(value, '.3g')}"] if isinstance(value, int | float) else []
+    return [f"{name} {significant(value, 3)}"] if isinstance(value, int | float) else []
 
 
 def rows_of(frame: Any) -> list[tuple[Any, Any]]:

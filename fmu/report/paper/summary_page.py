@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from fmu.report.markdown import about, interval, number, table, whole
+from fmu.numbers import about, fixed, share, significant, whole, with_interval
+from fmu.report.markdown import table
 from fmu.report.paper.claims import judge, statement
 from fmu.report.paper.experiment import PAIRED_BY
 from fmu.report.paper.findings import Findings
@@ -82,7 +83,7 @@ def _means(findings: Findings) -> str:
     units = [findings.unit_of_paper(name) for name in names]
 
     def row(words: str, column: str) -> list[str]:
-        return [words, *(f"{findings.in_paper_units(n, column)[0]:.3f}" for n in names)]
+        return [words, *(fixed(findings.in_paper_units(n, column)[0], 3) for n in names)]
 
     rows = [row("start", "published_initial")]
     if findings.published.columns["initial"].corrected_parameters:
@@ -96,7 +97,7 @@ def _means(findings: Findings) -> str:
         cells = []
         for n in names:
             mean, low, high = findings.in_paper_units(n, *(f"long_{name}_{end}" for end in ("mean", *ENDS)))
-            cells.append(interval(mean, low, high, ".3f"))
+            cells.append(with_interval(mean, low, high, 3))
         rows.append([f"**{TITLES[name]}, long run ({verdict})**", *cells])
     if not any(map(findings.is_converged, findings.comparison.index)):
         rows.append(row(f"*{findings.origin}*", "reference_mean"))
@@ -114,8 +115,8 @@ def _costs(everything: Sequence[Findings]) -> str:
             rows.append((
                 findings.name, TITLES[name], "yes" if findings.is_converged(name) else "**no**",
                 whole(needed) if needed == needed else f"more than {whole(findings.value(name, 'n_solves'))}",
-                number(findings.value(name, "ess_per_solve") if findings.is_converged(name) else None, ".2g"),
-                whole(findings.value(name, "paper_solves")), number(findings.value(name, "paper_error"), ".1f"),
+                significant(findings.value(name, "ess_per_solve") if findings.is_converged(name) else None, 2),
+                whole(findings.value(name, "paper_solves")), fixed(findings.value(name, "paper_error"), 1),
                 about(findings.value(name, "paper_needed_solves")),
             ))  # fmt: skip
     header = (
@@ -147,7 +148,7 @@ def _claims(everything: Sequence[Findings]) -> str:
 def _remark(studies: Sequence[VectorBeta]) -> str:
     return (
         "The paper blames the one β for the error of mode 1, and expects a vector to lower it (section 5.1). With "
-        f"σ = {RELATIVE:.0%} of each measured frequency, sampled by HMC ([vector-beta.md](vector-beta.md)):\n\n"
+        f"σ = {share(RELATIVE)} of each measured frequency, sampled by HMC ([vector-beta.md](vector-beta.md)):\n\n"
         + "".join(f"- {outcome(study)}\n" for study in studies)
     )
 

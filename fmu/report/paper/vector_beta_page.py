@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.report.markdown import number, table
+from fmu.numbers import fixed, given, share, with_sd
+from fmu.report.markdown import table
 from fmu.report.paper.run_sections import rows_of
 from fmu.report.paper.vector_beta import RELATIVE, SCALAR, VECTOR, VectorBeta
 from fmu.report.plots import BLACK, COLOURS, FONT, GREY, finish, new_figure
@@ -22,7 +23,7 @@ REMARK = (
     "first natural frequency results."
 )
 """Section 5.1, the paragraphs behind Table 2."""
-NAMES = {SCALAR: "scalar β = 1", VECTOR: f"vector β, σ = {RELATIVE:.0%}"}
+NAMES = {SCALAR: "scalar β = 1", VECTOR: f"vector β, σ = {share(RELATIVE)}"}
 
 
 def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
@@ -31,7 +32,7 @@ def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
         "# A β for every mode\n",
         f"The paper, section 5.1, behind Table 2: *{REMARK}* It does not try.\n",
         "Here HMC repeats its long run, settings and seed the same, with β_i = 1/(2σ_i²) and σ_i = "
-        f"{RELATIVE:.0%} of each measured frequency, in place of β = 1, which is σ = 0.71 Hz on every mode. "
+        f"{share(RELATIVE)} of each measured frequency, in place of β = 1, which is σ = 0.71 Hz on every mode. "
         "Frequencies are those of the model at the posterior mean, errors |f − f_m|/f_m, as in the paper.\n",
         "".join(f"- {outcome(study)}\n" for study in studies),
         "Where the model cannot fit all modes at once, β decides which of them give way.\n",
@@ -51,15 +52,16 @@ def outcome(study: VectorBeta) -> str:
     """Say in a line what became of mode 1, and at what price."""
     first, others = study.modes.iloc[0], study.modes.iloc[1:].max()
     return (
-        f"{study.title}: {study.outcome}. Mode 1 is off by {first['initial_error']:.2f} % before updating, "
-        f"{first['scalar_error']:.2f} % with the scalar β and {first['vector_error']:.2f} % with the vector; the "
-        f"worst of the other modes by {others['scalar_error']:.2f} % and {others['vector_error']:.2f} %."
+        f"{study.title}: {study.outcome}. Mode 1 is off by {fixed(first['initial_error'], 2)} % before "
+        f"updating, {fixed(first['scalar_error'], 2)} % with the scalar β and "
+        f"{fixed(first['vector_error'], 2)} % with the vector; the worst of the other modes by "
+        f"{fixed(others['scalar_error'], 2)} % and {fixed(others['vector_error'], 2)} %."
     )
 
 
 def _runs(study: VectorBeta) -> str:
     rows = [
-        (NAMES[name], "yes" if row.converged else "**no**", number(row.rhat, ".4f"), number(row.ess, ".0f"))
+        (NAMES[name], "yes" if row.converged else "**no**", fixed(row.rhat, 4), fixed(row.ess, 0))
         for name, row in rows_of(study.runs)
     ]
     failed = [f"- {NAMES[name]}: {reason}\n" for name, reasons in study.reasons.items() for reason in reasons]
@@ -73,8 +75,8 @@ def _modes(study: VectorBeta) -> str:
         header += [f"{words}, Hz", "error, %"]
     rows = []
     for mode, row in rows_of(study.modes):
-        cells = [mode, f"{row.measured_hz:g}", f"{row.initial_hz:.2f}", f"{row.initial_error:.2f}"]
-        cells += [f"{row.published_hz:g}", f"{row.published_error:g}"]
+        cells = [mode, given(row.measured_hz), fixed(row.initial_hz, 2), fixed(row.initial_error, 2)]
+        cells += [given(row.published_hz), given(row.published_error)]
         for name in NAMES:
             cells += [f"{getattr(row, f'{name}_hz'):.2f}", f"{getattr(row, f'{name}_error'):.2f}"]
         rows.append(cells)
@@ -85,10 +87,8 @@ def _parameters(study: VectorBeta) -> str:
     rows = []
     for name, row in rows_of(study.parameters):
         unit = shown(row.unit)
-        cells = [
-            f"{getattr(row, f'{b}_mean') / unit.factor:.4g} ± {getattr(row, f'{b}_sd') / unit.factor:.3g}"
-            for b in NAMES
-        ]
+        moments = [[getattr(row, f"{b}_{of}") / unit.factor for of in ("mean", "sd")] for b in NAMES]
+        cells = [with_sd(mean, sd) for mean, sd in moments]
         rows.append((unit.label(name), *cells))
     return "Posterior mean and standard deviation:\n\n" + table(("parameter", *NAMES.values()), rows)
 
@@ -110,7 +110,7 @@ def plot_vector_beta(studies: Sequence[VectorBeta], figure: Figure | None = None
             axes.vlines(at, 0.0, error, color=edge, linewidth=1.2, alpha=0.5)
             axes.plot(at, error, linestyle="none", marker=marker, markersize=6, color=edge, markerfacecolor=face,
                       label=label, clip_on=False)  # fmt: skip
-        labels = [f"{mode}\n{hz:g}" for mode, hz in study.modes["measured_hz"].items()]
+        labels = [f"{mode}\n{given(hz)}" for mode, hz in study.modes["measured_hz"].items()]
         axes.set_xticks(x, labels)
         axes.set_xlabel("mode, measured frequency in Hz", fontsize=FONT)
         axes.set_title(study.title, fontsize=FONT)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
     FONT,
@@ -93,7 +94,7 @@ def plot_frequency_errors(
         )  # fmt: skip
     turned = _turned(labels, figure.get_figwidth())
     between = ", " if turned else "\n"
-    names = [f"{label}{between}{hz:g} Hz" for label, hz in zip(labels, measured, strict=True)]
+    names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
     axes.set_xticks(centre, names, **turned)
     axes.set_xlim(-0.5, len(measured) - 0.5)
     axes.set_xlabel("mode, measured frequency", fontsize=FONT)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.maxima_text import FREQUENCY_DIGITS
+from fmu.numbers import apart, fixed
 from fmu.report.plots.style import (
     BLACK,
     FONT,
@@ -78,14 +80,14 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     if max(n, m) <= _READABLE:
         # zeros say nothing, and of many modes they are most
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > _ONE_COLUMN else 0.0)).tolist():
-            axes.text(j + 0.5, i + 0.5, f"{values[i, j]:.2f}", ha="center", va="center", fontsize=FONT - 1,
+            axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
                       color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
     turned: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
     axes.set_xticks(np.arange(m) + 0.5, labels, **turned)
     axes.set_yticks(np.arange(n) + 0.5, [literal(str(label)) for label in modes["reference_mode"].to_numpy()])
     axes.invert_yaxis()
     axes.set_aspect("equal")
-    axes.set_xlabel(f"mode of the model, {state}", fontsize=FONT)
+    axes.set_xlabel(f"mode of the model, {literal(state)}", fontsize=FONT)
     axes.set_ylabel("mode of the reference", fontsize=FONT)
     figure.colorbar(mesh, ax=axes, shrink=0.8, label="MAC")
     finish(axes)
@@ -133,7 +135,8 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
         for line, words in zip(axis.lines[-2:], ("before updating", "posterior mean"), strict=True):
             line.set_label(words)
         before, after = (float(one["frequency"].sel(state=state)) for state, *_ in states)
-        axis.set_title(f"mode {literal(label)}: {before:.1f} Hz before, {after:.1f} Hz after",
+        hz = apart(before, after, most=FREQUENCY_DIGITS)
+        axis.set_title(f"mode {literal(label)}: {hz[0]} Hz before, {hz[1]} Hz after",
                        fontsize=FONT, loc="left")  # fmt: skip
         finish(axis)
         if not axis.get_subplotspec().is_first_col():

@@ -83,13 +83,14 @@ def plot_parameter_updates(
             if label in values:
                 y = [values[label][name] / unit_of(trace, name).factor for name in members]
                 axis.plot(x, y, linestyle="none", marker="D", markersize=6, markerfacecolor="white",
-                          color=colour(str(trace.attrs["sampler"])), label=f"{label}, published")  # fmt: skip
+                          color=colour(str(trace.attrs["sampler"])),
+                          label=f"{literal(label)}, published")  # fmt: skip
         for label, point in points.items():
             y = [point[name] / unit_of(first, name).factor for name in members]
             axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=VERMILLION,
                       markeredgecolor=BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
         what = "deviation" if is_deviation else "value"
-        axis.set_ylabel(f"{what} / {unit}" if unit else what, fontsize=FONT)
+        axis.set_ylabel(f"{what} / {literal(unit)}" if unit else what, fontsize=FONT)
     axes[0].set_title("mean and 90 % interval", fontsize=FONT - 1, color=GREY, loc="right")
     axes[-1].set_xlabel("parameter", fontsize=FONT)
     legend_below(axes[0])

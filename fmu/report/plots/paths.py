@@ -60,7 +60,7 @@ def plot_traces(
             _plot_path(axes[i, j], trace, name)
         if trace["warmup_posterior"].sizes["draw"]:
             _say_above(axes[0, j], 0.5 * trace["warmup_posterior"].sizes["draw"] / walkers, "warm-up")
-        axes[0, j].set_title(title, fontsize=FONT + 1)
+        axes[0, j].set_title(literal(title), fontsize=FONT + 1)
         axes[-1, j].set_xlabel("step" if walkers == 1 else "step (one walker of each ensemble)", fontsize=FONT)
     if published is not None:
         for axis, name, value in zip(axes[:, 0], names, np.asarray(published, dtype=float), strict=True):

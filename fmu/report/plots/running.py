@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
     FONT,
@@ -103,14 +104,14 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
         above = np.maximum(rhat[:, i] - 1.0, _FLOOR)
         axes.plot(at, above, label=literal(name), color=shade, linestyle=dashes, linewidth=1.6)
     axes.plot(at[[0, -1]], [RHAT_LIMIT - 1.0] * 2, color=BLACK, linewidth=1.0)
-    axes.annotate(f"limit {RHAT_LIMIT:g}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
+    axes.annotate(f"limit {given(RHAT_LIMIT)}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
                   ha="right", fontsize=FONT - 2)  # fmt: skip
     finite = rhat[np.isfinite(rhat)] - 1.0
     axes.set_ylim(_FLOOR, max(3.0 * (RHAT_LIMIT - 1.0), 1.3 * finite.max(initial=0.0)))
     axes.set(xscale="log", yscale="log")
     axes.minorticks_off()
     axes.set_xlabel("steps kept", fontsize=FONT)
-    axes.set_ylabel(f"R-hat − 1 (at least {_FLOOR:g})", fontsize=FONT)
+    axes.set_ylabel(f"R-hat − 1 (at least {given(_FLOOR)})", fontsize=FONT)
     finish(axes)
     legend_below(axes)
     return axes

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.numbers import significant
 from fmu.report.plots.style import FONT, GREY, NARROW, TITLES, colour, finish, literal, new_figure
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def plot_efficiency(
         shade = colour(str(trace.attrs["sampler"]))
         is_converged = table.loc[label, "verdict"] == CONVERGED
         axes.barh(y[k], widths[k], 0.62, color=shade if is_converged else "none", edgecolor=shade, linewidth=1.6)
-        axes.annotate(f"{widths[k]:.3g}", (widths[k], y[k]), (4, 0), textcoords="offset points", va="center",
+        axes.annotate(significant(widths[k]), (widths[k], y[k]), (4, 0), textcoords="offset points", va="center",
                       fontsize=FONT - 1, color=GREY)  # fmt: skip
         names.append(TITLES.get(label, literal(label)) + ("" if is_converged else "\n(not converged)"))
     axes.set_yticks(y, names)

@@ -8,8 +8,8 @@ import numpy as np
 
 from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_draws
 from fmu.analysis.movement import energy_fraction
+from fmu.numbers import decimals, fixed, given, significant, span
 from fmu.report.document import Omitted, Part, Picture, Pictures, Section, Table, Text
-from fmu.report.numbers import decimals, fixed, significant, span
 from fmu.report.plots.corner import plot_corner
 from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
 from fmu.report.plots.paths import plot_traces
@@ -49,13 +49,13 @@ def paths(run: Run) -> Section:
         draws = run.trace["posterior"][name].to_numpy() / unit.factor
         ranges.append(f"{name} {span(draws.min(), draws.max(), n)} {unit.name}".rstrip())
     worst = run.summary["rhat"].max()
-    alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {worst:.4f}."
+    alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {fixed(worst, 4)}."
     caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."
     figure = new_figure(NARROW, 1.35 * len(run.names) + 0.6)
     drawings = [picture(plot_traces({"": run.trace}, figure=figure), "paths", alt, caption)]
     if _has_several_chains(run):
         axes = plot_ranks(run.trace)
-        far = [f"{name} {_furthest(axis):.2f}" for name, axis in zip(run.names, axes, strict=True)]
+        far = [f"{name} {fixed(_furthest(axis), 2)}" for name, axis in zip(run.names, axes, strict=True)]
         alt = f"Rank plots. Largest distance from uniform ranks: {', '.join(far)}."
         caption = (
             "Ranks of each chain's draws among all: distance of their distribution from the uniform one, with the "
@@ -91,7 +91,7 @@ def _autocorrelation(run: Run) -> Picture:
     k = int(np.argmin(run.summary["ess_bulk"].to_numpy()))
     *chains, _ = axes[k].lines  # the last line is zero
     mean = np.mean([line.get_ydata() for line in chains], axis=0)
-    values = ", ".join(f"{mean[lag]:.2f} at lag {lag}" for lag in (1, 10, 50) if lag < len(mean))
+    values = ", ".join(f"{fixed(mean[lag], 2)} at lag {lag}" for lag in (1, 10, 50) if lag < len(mean))
     alt = f"Autocorrelation of each parameter; of {run.names[k]}, the slowest, {values}."
     return picture(axes, "acf", alt, "Autocorrelation of each chain.")
 
@@ -100,7 +100,7 @@ def _running_means(run: Run) -> Picture:
     draws = parameter_draws(run.trace)
     sd = draws.std(axis=(0, 1))
     apart = np.ptp(draws.mean(axis=1), axis=0) / np.where(sd > 0, sd, np.inf)
-    far = ", ".join(f"{name} {x:.2f}" for name, x in zip(run.names, apart, strict=True))
+    far = ", ".join(f"{name} {fixed(x, 2)}" for name, x in zip(run.names, apart, strict=True))
     alt = f"Running means of the chains. At the end they differ by, in posterior standard deviations: {far}."
     caption = "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors."
     return picture(plot_running_means(run.trace, run.summary), "means", alt, caption)
@@ -111,9 +111,11 @@ def _running_rhat(run: Run) -> Picture:
     seen = []
     for name, line in zip(run.names, axes.lines, strict=False):  # a line more is the limit
         above = np.asarray(line.get_ydata(), dtype=float)
-        seen.append(f"{name} {1 + above[len(above) // 2]:.3f}, then {1 + above[-1]:.3f}")
+        seen.append(f"{name} {fixed(1 + above[len(above) // 2], 3)}, then {fixed(1 + above[-1], 3)}")
     at = np.asarray(axes.lines[0].get_xdata())
-    alt = f"R-hat after {at[len(at) // 2]} steps and after {at[-1]}: {'; '.join(seen)}. Limit: {RHAT_LIMIT:g}."
+    alt = (
+        f"R-hat after {at[len(at) // 2]} steps and after {at[-1]}: {'; '.join(seen)}. Limit: {given(RHAT_LIMIT)}."
+    )
     return picture(axes, "rhat", alt, "R-hat of each parameter while the run grew.")
 
 
@@ -155,7 +157,7 @@ def energies(run: Run) -> Section | Omitted:
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
     fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
-    values = ", ".join(f"{x:.2f}" for x in fraction)
+    values = ", ".join(fixed(x, 2) for x in fraction)
     diverged = int(stats["diverging"].sum()) if "diverging" in stats else 0
     said = (
         f"E-BFMI of the chains: {values}; below 0.3 the momenta would not carry them through the posterior. "

@@ -8,9 +8,8 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
+from fmu.numbers import decimals, fixed, significant, span, whole
 from fmu.report.document import Items, Link, Pictures, Section, Table, Text
-from fmu.report.markdown import whole
-from fmu.report.numbers import decimals, fixed, significant, span
 from fmu.report.plots.parameters import plot_parameter_updates
 from fmu.report.plots.samplers import plot_efficiency
 from fmu.report.run import Run
@@ -44,7 +43,7 @@ def overview(runs: Mapping[str, Run], pages: Mapping[str, str]) -> Section:
 def efficiency(runs: Mapping[str, Run]) -> Section:
     """Return effective draws per solve."""
     seen = ", ".join(
-        f"{run.title} {1000 * float(run.costs['ess_per_solve']):.3g}"
+        f"{run.title} {significant(1000 * float(run.costs['ess_per_solve']))}"
         + ("" if run.diagnosis.converged else " (not converged)")
         for run in runs.values()
     )
@@ -95,8 +94,8 @@ def _judgement(runs: Mapping[str, Run]) -> Text | Items:
         furthest = max(furthest, float(ratio[k]))
         sds = difference[k] / one.summary["sd"].to_numpy()[k]
         said.append(
-            f"{one.title} and {other.title}: at most {ratio[k]:.1f} standard errors of the difference apart, "
-            f"{sds:.2g} posterior sd, in {one.names[k]}."
+            f"{one.title} and {other.title}: at most {fixed(ratio[k], 1)} standard errors of the difference "
+            f"apart, {significant(sds, 2)} posterior sd, in {one.names[k]}."
         )
     if furthest < CLOSE:
         return Items(("The converged runs agree.", *said))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.focus import Tolerance
 from fmu.report.document import Code, Details, Omitted, Part, Section, Table, Text
-from fmu.report.markdown import MISSING, whole
-from fmu.report.numbers import fixed, significant
 from fmu.report.run import Run
 
 _LONG = 60
@@ -28,7 +27,7 @@ def cost(run: Run) -> Section:
         ("smallest bulk ESS", fixed(float(costs["ess_bulk_min"]), 0)),
         ("effective draws per 1000 solves", significant(1000 * float(costs["ess_per_solve"]))),
         ("effective draws per second", significant(float(costs["ess_per_s"]))),
-        ("share of draws that moved", significant(float(costs["accept_rate"]))),
+        ("share of draws that moved", share(float(costs["accept_rate"]))),
         ("divergences", whole(costs["divergences"])),
     )
     gained = Table("What it gave: ESS of the worst parameter, warm-up counted", ("quantity", "value"), rows)
@@ -53,8 +52,8 @@ def certificate(run: Run) -> Section | Omitted:
         + ("keeps its promise." if is_kept else "does not keep its promise.")
     )
     rows = (
-        ("largest relative error of a frequency", significant(frequency, 2), significant(allowed.frequency, 2)),
-        ("largest error of the log-probability", significant(log_prob, 2), significant(allowed.log_prob, 2)),
+        ("largest relative error of a frequency", *_beside(frequency, allowed.frequency)),
+        ("largest error of the log-probability", *_beside(log_prob, allowed.log_prob)),
         ("draws at which the pairing changed", str(changes), "0"),
         (
             "full solves during the run, outside the reduced model's box",
@@ -64,6 +63,11 @@ def certificate(run: Run) -> Section | Omitted:
     )
     table = Table("Reduced against full model", ("quantity", "found", "allowed"), rows)
     return Section("certificate", title, (Text(said), table))
+
+
+def _beside(found: float, allowed: float) -> tuple[str, str]:
+    """Return an error and the largest that is allowed."""
+    return apart(found, allowed, digits=2)[0] if found > allowed else significant(found, 2), given(allowed)
 
 
 def settings(run: Run) -> Section:
@@ -95,7 +99,7 @@ def _short(value: Any) -> str:
     text = _text(value)
     if len(text) > _LONG:
         return f"{len(value)} × {len(value)} matrix" if _is_square(value) else f"{text[: _LONG - 1]}…"
-    return f"{value:.6g}" if isinstance(value, float) else text
+    return given(value) if isinstance(value, float) else text
 
 
 def _is_square(value: Any) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from fmu.analysis.prediction import leave_one_out
+from fmu.numbers import fixed, given
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
-from fmu.report.numbers import fixed
 from fmu.report.plots.frequencies import plot_predictive_check
 from fmu.report.run import Run
 from fmu.report.sections.updating import NO_FREQUENCIES
@@ -27,7 +27,7 @@ def predictive(run: Run) -> Section | Omitted:
     distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
     inside = (table["measured"] >= table["noisy_eti90_lb"]) & (table["measured"] <= table["noisy_eti90_ub"])
     rows = tuple(
-        (str(mode), f"{table.loc[mode, 'measured']:g}", fixed(float(distance[mode]), 2), fixed(float(p), 3),
+        (str(mode), given(table.loc[mode, 'measured']), fixed(float(distance[mode]), 2), fixed(float(p), 3),
          "yes" if inside[mode] else "no")
         for mode, p in zip(table.index, below, strict=True)
     )  # fmt: skip

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
+from fmu.analysis.maxima_text import FREQUENCY_DIGITS
 from fmu.analysis.modal_states import GROUP, MEAN, START
 from fmu.analysis.model_fit import measured_mac
 from fmu.analysis.pairing_changes import pairing_changes
+from fmu.numbers import MISSING, apart, change, decimals, fixed, share, significant
 from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
-from fmu.report.numbers import decimals, fixed, percent, significant
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import Run
 from fmu.report.svg import picture
@@ -77,9 +78,9 @@ def mac(run: Run) -> Section | Omitted:
         return Omitted(title, NO_SHAPES)
     criterion = run.trace[GROUP]["mac"]
     values = criterion.sel(state=MEAN).transpose("reference_mode", "mode").to_numpy()
-    diagonal = ", ".join(f"{x:.2f}" for x in np.diag(values))
+    diagonal = ", ".join(fixed(x, 2) for x in np.diag(values))
     others = values[~np.eye(len(values), dtype=bool)]
-    most = f" and at most {others.max():.2f} off it" if len(others) else ""
+    most = f" and at most {fixed(others.max(), 2)} off it" if len(others) else ""
     drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.",
                       f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
     said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
@@ -95,7 +96,7 @@ def _mac_before_and_after(run: Run) -> tuple[Table, ...]:
     rows = []
     for k, label in enumerate(map(str, alike["mode"].to_numpy())):
         others = np.delete(after[k], k)
-        nearest = fixed(float(others.max()), 2) if len(others) else "–"
+        nearest = fixed(float(others.max()), 2) if len(others) else MISSING
         rows.append((label, fixed(float(before[k, k]), 2), fixed(float(after[k, k]), 2), nearest))
     caption = "With the measured shape: at the start, at the posterior mean, and there of the mode next to it."
     return (Table(caption, ("mode", "MAC before", "MAC after", "of another mode"), tuple(rows)),)
@@ -112,9 +113,9 @@ def pairing(run: Run) -> Section | Omitted:
         rows = tuple(
             (
                 str(mode),
-                _share(row["swapped_percent"]),
+                share(row["swapped_percent"] / 100),
                 str(row["swapped_with"]),
-                _share(row["other_mode_percent"]),
+                share(row["other_mode_percent"] / 100),
             )
             for mode, row in found.table().iterrows()
         )
@@ -127,10 +128,6 @@ def pairing(run: Run) -> Section | Omitted:
     return Section("pairing", title, tuple(parts))
 
 
-def _share(per_cent: float) -> str:
-    return f"{float(f'{per_cent:.2g}'):g} %"
-
-
 def shapes(run: Run) -> Section | Omitted:
     """Return the structure deformed in its modes."""
     title = "Mode shapes before and after"
@@ -138,13 +135,13 @@ def shapes(run: Run) -> Section | Omitted:
         return Omitted(title, "the trace keeps no geometry to draw them on")
     modes = run.trace[GROUP].to_dataset()
     moved = modes["displacement"]
-    change = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).max(axis=(1, 2))
+    turned = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).max(axis=(1, 2))
     rows, seen = [], []
     for k, label in enumerate(map(str, modes["mode"].to_numpy())):
         before, after = (float(modes["frequency"].sel(state=state)[k]) for state in (START, MEAN))
-        rows.append((label, fixed(before, 1), fixed(after, 1), percent(100 * (after / before - 1)),
-                     f"{100 * change[k]:.2g} %"))  # fmt: skip
-        seen.append(f"mode {label} from {before:.1f} to {after:.1f} Hz, its shape by up to {rows[-1][-1]}")
+        hz = apart(before, after, most=FREQUENCY_DIGITS)
+        rows.append((label, *hz, change(after / before - 1), share(float(turned[k]))))
+        seen.append(f"mode {label} from {hz[0]} to {hz[1]} Hz, its shape by up to {rows[-1][-1]}")
     caption = "At the start and at the posterior mean. Change of shape: the largest, of the largest displacement."
     header = ("mode", "before, Hz", "after, Hz", "change", "change of shape")
     alt = f"Deformed structure in each mode, before and after: {'; '.join(seen)} of the largest displacement."

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.analysis.maxima import Maxima
-from fmu.analysis.maxima import percent as share_of
+from fmu.analysis.maxima_text import FREQUENCY_DIGITS, MOST_SHOWN, share_of_mass
+from fmu.numbers import MISSING, apart, change, decimals, fixed, given, rounded, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
-from fmu.report.markdown import MISSING
-from fmu.report.numbers import decimals, fixed, percent, significant, span
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
 from fmu.report.plots.style import constant
@@ -16,7 +15,6 @@ from fmu.report.run import Run
 from fmu.report.svg import picture
 from fmu.report.units import shown
 
-_MOST_MAXIMA = 6
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
@@ -32,7 +30,7 @@ def parameters(run: Run) -> Section:
         rows.append(
             (
                 name, unit.name or MISSING, fixed(start, n), fixed(mean, n), span(low, high, n), fixed(sd, n),
-                percent(100 * (mean / start - 1)) if start else MISSING, bounds,
+                change(mean / start - 1) if start else MISSING, bounds,
             )
         )  # fmt: skip
         words = f"{name} {fixed(mean, n)} {unit.name} ({span(low, high, n)})".replace("  ", " ")
@@ -57,15 +55,15 @@ def frequencies(run: Run) -> Section | Omitted:
     rows, seen = [], []
     for (mode, row), f in zip(table.iterrows(), before, strict=True):
         n = max(1, decimals(row["sd"]))
-        errors = [100 * (value / row["measured"] - 1) for value in (f, row["mean"])]
+        errors = [change(value / row["measured"] - 1) for value in (f, row["mean"])]
         noisy = span(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
         rows.append(
             (
-                str(mode), f"{row['measured']:g}", fixed(f, 1), percent(errors[0]), fixed(row["mean"], n),
-                percent(errors[1], 2), span(row["eti90_lb"], row["eti90_ub"], n), noisy,
+                str(mode), given(row["measured"]), fixed(f, n), errors[0], fixed(row["mean"], n),
+                errors[1], span(row["eti90_lb"], row["eti90_ub"], n), noisy,
             )
         )  # fmt: skip
-        seen.append(f"mode {mode} {percent(errors[0])} before, {percent(errors[1], 2)} after")
+        seen.append(f"mode {mode} {errors[0]} before, {errors[1]} after")
     header = (
         "mode", "measured, Hz", "before, Hz", "error before", "after, Hz", "error after",
         "90 %, without noise, Hz", "90 %, with noise, Hz",
@@ -90,10 +88,9 @@ def maxima(run: Run) -> Section | Omitted:
     found = run.maxima
     count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
     lead = f"{count} Share: of the posterior's probability. Starts: how many climbs ended there."
-    at_bounds = {k: found.words_at_bounds(m) for k, m in enumerate(found.maxima[:_MOST_MAXIMA], 1)}
-    said = [f"Maximum {k} lies at bounds: {words}." for k, words in at_bounds.items() if words]
-    if len(found) > _MOST_MAXIMA:
-        said.append(f"The other {len(found) - _MOST_MAXIMA} are lower, and in map.csv.")
+    said = found.at_bounds()
+    if len(found) > MOST_SHOWN:
+        said.append(f"The other {len(found) - MOST_SHOWN} are lower, and in map.csv.")
     parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found))
     if said:
         parts = (*parts, Items(tuple(said)))
@@ -102,12 +99,12 @@ def maxima(run: Run) -> Section | Omitted:
 
 def _maxima_table(run: Run, found: Maxima) -> Table:
     """Return a column a maximum, beside start, posterior mean and measurement."""
-    best = found.maxima[:_MOST_MAXIMA]
+    best = found.maxima[:MOST_SHOWN]
     names = tuple(f"maximum {k}" for k in range(1, len(best) + 1))
     nothing = (MISSING,) * 2
     rows = [
-        ("log-probability", "nats", MISSING, *(fixed(m.log_prob, 1) for m in best), *nothing),
-        ("share", "", MISSING, *(share_of(m.share) for m in best), *nothing),
+        ("log-probability", "nats", MISSING, *(rounded(m.log_prob, 1.0) for m in best), *nothing),
+        ("share", "", MISSING, *map(share_of_mass, best), *nothing),
         ("starts", "", MISSING, *(str(m.starts) for m in best), *nothing),
     ]
     for k, (name, si) in enumerate(zip(found.names, found.units, strict=True)):
@@ -118,8 +115,6 @@ def _maxima_table(run: Run, found: Maxima) -> Table:
     mean = [np.nan] * len(found.labels) if run.prediction is None else list(run.prediction["mean"])
     for k, label in enumerate(found.labels):
         values = [found.before[k], *(m.frequencies[k] for m in best), mean[k]]
-        rows.append(
-            (f"mode {label}", "Hz", *(fixed(value, 2) for value in values), significant(found.measured[k], 6))
-        )
+        rows.append((f"mode {label}", "Hz", *apart(*values, most=FREQUENCY_DIGITS), given(found.measured[k])))
     header = ("quantity", "unit", "start", *names, "posterior mean", "measured")
     return Table("The model at the start, at the maxima and on average", header, tuple(rows), words=(1,))

@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu.analysis.modal_states import MEAN
 from fmu.analysis.model_fit import INTERVAL, fit_warnings, measured_mac, shape_warnings
+from fmu.numbers import fixed, share
 from fmu.report.document import Verdict
 from fmu.report.run import Run
 
@@ -41,7 +42,7 @@ def model_fit(run: Run) -> Verdict:
         answer = f"No: {missed} of {n} measured modes {'is' if missed == 1 else 'are'} not fitted"
         return Verdict(question, answer, False, "What speaks against the model", found)
     within = (
-        f"Every measured frequency lies in the {100 * INTERVAL:g} % interval of its prediction, measurement noise "
+        f"Every measured frequency lies in the {share(INTERVAL)} interval of its prediction, measurement noise "
         "included."
     )
     answer = "Yes, with reservations" if run.diagnosis.warnings else "Yes"
@@ -56,4 +57,4 @@ def _shapes(run: Run) -> tuple[str, ...]:
     if alike is None or shape_warnings(run.trace):
         return ()
     least = float(np.diag(alike.sel(state=MEAN)).min())
-    return (f"Every measured shape is that of its mode: MAC at least {least:.2f}.",)
+    return (f"Every measured shape is that of its mode: MAC at least {fixed(least, 2)}.",)

@@ -1,0 +1,221 @@
+"""Numbers as people read them: their digits follow from their uncertainty, and what differs is seen to differ.
+
+Every number in a message, a table, a page or a label comes from here. Files for programs have all digits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+MISSING = "–"
+_MOST_DECIMALS, _MOST_DIGITS = 12, 15
+_SMALLEST, _LARGEST = 1e-4, 1e7
+"""Numbers are written out from the first up to the second, and with a power of ten elsewhere."""
+_AS_WRITTEN = 10
+"""A measured value of more digits than that was computed, not written down."""
+_FEW = 1e-4
+
+
+def decimals(spread: float) -> int:
+    """Return how many decimals show two significant digits of a standard deviation."""
+    if not (math.isfinite(spread) and spread > 0):
+        return 3
+    return min(_MOST_DECIMALS, max(0, -_last_place(spread, 2)))
+
+
+def fixed(value: float | None, places: int) -> str:
+    """Format with a number of decimals; a dash where there is no number."""
+    return MISSING if value is None or not math.isfinite(value) else _signed(f"{value:.{places}f}")
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Format a number of unknown uncertainty with so many significant digits at most; a dash for NaN."""
+    if value is None or not math.isfinite(value):
+        return MISSING if value is None else _infinite(value)
+    text = f"{value:.{digits}g}"
+    if (
+        "e" in text and _SMALLEST <= abs(value) < _LARGEST
+    ):  # "1e+03", with few digits: no figure before the point is dropped
+        text = f"{value:.0f}"
+    return _power(text)
+
+
+def rounded(value: float, sd: float, digits: int = 4) -> str:
+    """Format with as many digits as show two significant ones of the standard deviation.
+
+    Parameters
+    ----------
+    value, sd : float
+    digits : int
+        Significant ones, where the standard deviation is not known.
+    """
+    return apart(value, sd=sd, digits=digits)[0]
+
+
+def with_sd(value: float, sd: float) -> str:
+    """Format a value with its standard deviation: ``"41.26 ± 0.15"``, ``"1.729e11 ± 0.022e11"``."""
+    if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
+        return f"{rounded(value, math.nan)} ± {significant(sd, 2)}"
+    largest, place = max(abs(value), sd), max(_last_place(sd, 2), _last_place(value, _MOST_DIGITS))
+    if _is_plain(largest):
+        return f"{_at(value, place, True)} ± {_at(sd, place, True)}"
+    exponent = _exponent(largest)
+    places, scale = max(0, exponent - place), 10.0**exponent
+    power = _power(f"e{exponent:+d}")
+    return f"{fixed(value / scale, places)}{power} ± {fixed(sd / scale, places)}{power}"
+
+
+def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MOST_DIGITS) -> tuple[str, ...]:
+    """Format values that are compared, to the same decimal place: those that differ are seen to.
+
+    Parameters
+    ----------
+    *values : float
+    sd : float
+        Uncertainty of each: two significant digits of it are shown.
+    digits : int
+        Significant ones of the largest value, where `sd` is not known.
+    most : int
+        Digits of the largest value beyond which values may look the same.
+
+    Returns
+    -------
+    tuple of str
+        Dashes for NaN.
+    """
+    finite = sorted({value for value in values if math.isfinite(value)})
+    largest = max(map(abs, finite), default=0.0)
+    is_known = math.isfinite(sd) and sd > 0
+    scale = max(largest, sd) if is_known else largest
+    if scale == 0.0:
+        return tuple(_infinite(value) if value != 0.0 else "0" for value in values)
+    place = _last_place(sd, 2) if is_known else _last_place(largest, digits)
+    lowest = _last_place(largest or scale, most)
+    is_plain = _is_plain(largest) or _is_plain(scale)
+    different = len({_at(value, lowest, is_plain) for value in finite})
+    while place > lowest and len({_at(value, place, is_plain) for value in finite}) < different:
+        place -= 1
+    place = max(place, _last_place(largest or scale, _MOST_DIGITS))
+    return tuple(_at(value, place, is_plain) if math.isfinite(value) else _infinite(value) for value in values)
+
+
+def interval(low: float, high: float, sd: float = math.nan) -> str:
+    """Format an interval: ``"170.1 to 177.3"``, ``"−∞ to 3.0"``; `sd` is the uncertainty of its ends."""
+    return " to ".join(apart(low, high, sd=sd))
+
+
+def with_interval(value: float, low: float, high: float, places: int) -> str:
+    """Format a value with an interval, as in a published table: ``"1.0 [0.5, 1.6]"``."""
+    return f"{fixed(value, places)} [{fixed(low, places)}, {fixed(high, places)}]"
+
+
+def span(lower: float, upper: float, places: int) -> str:
+    """Format an interval with a number of decimals: ``"170.1 to 177.3"``, ``"−∞ to 3.0"``."""
+    return " to ".join(_infinite(end) if math.isinf(end) else fixed(end, places) for end in (lower, upper))
+
+
+def given(value: float) -> str:
+    """Format a value with the digits that it was given with: ``"0.912"``; a mean of several to six digits."""
+    if not math.isfinite(value):
+        return _infinite(value)
+    return significant(value, written_digits(value))
+
+
+def written_digits(value: float) -> int:
+    """Return with how many significant digits a value was given; 6 if it was computed, as a mean of several."""
+    shortest = repr(float(value))
+    mantissa = shortest.partition("e")[0].strip("-").replace(".", "").strip("0")
+    return 6 if len(mantissa) > _AS_WRITTEN else max(len(mantissa), 1)
+
+
+def share(part: float, digits: int = 2) -> str:
+    """Format a share of a whole in per cent: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
+
+    So many significant digits of the share or of what is missing to the whole, and never a power of ten.
+    """
+    if not math.isfinite(part):
+        return MISSING
+    if 0.0 < part < _FEW:
+        return "< 0.01 %"
+    if 1.0 - _FEW < part < 1.0:
+        return "> 99.99 %"
+    rest = min(abs(part), abs(1.0 - part)) or 1.0
+    text = f"{100.0 * part:.{max(0, -_last_place(100.0 * rest, digits))}f}"
+    return f"{_signed(text.rstrip('0').rstrip('.') if '.' in text else text)} %"
+
+
+def change(ratio: float) -> str:
+    """Format a relative change in per cent, its sign always shown: ``"+2.54 %"``, ``"−0.07 %"``, ``"> −0.01 %"``.
+
+    Three significant digits, but none beyond the second decimal.
+    """
+    if not math.isfinite(ratio):
+        return MISSING
+    if 0.0 < abs(ratio) < _FEW:
+        return "< 0.01 %" if ratio > 0 else "> −0.01 %"
+    if ratio == 0.0:
+        return "0 %"
+    places = min(2, max(0, -_last_place(100.0 * ratio, 3)))
+    return _signed(f"{100.0 * ratio:+.{places}f} %")
+
+
+def whole(value: Any) -> str:
+    """Format a whole number, its thousands apart; a dash where there is none (None, NaN or pandas' NA)."""
+    if value is None or str(value) in ("nan", "<NA>"):
+        return MISSING
+    return f"{int(value):,}".replace(",", " ")
+
+
+def about(value: Any) -> str:
+    """Format an estimate to two significant digits, ``"≈ 12 000 000"``; a dash where there is none."""
+    text = whole(value)
+    return text if text == MISSING else f"≈ {whole(float(f'{float(value):.2g}'))}"
+
+
+def listed(values: Iterable[float], digits: int = 3) -> str:
+    """Format several numbers of unknown uncertainty: ``"0.5, 1.25, 3e10"``."""
+    return ", ".join(significant(value, digits) for value in values)
+
+
+def _exponent(value: float) -> int:
+    """Return the power of ten of the first digit, 0 for zero."""
+    return int(f"{value:e}".partition("e")[2]) if value else 0
+
+
+def _last_place(value: float, digits: int) -> int:
+    """Return the power of ten of the last of so many significant digits, as they are after rounding."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2]) - digits + 1 if value else 0
+
+
+def _is_plain(scale: float) -> bool:
+    return _SMALLEST <= scale < _LARGEST
+
+
+def _at(value: float, place: int, is_plain: bool) -> str:
+    """Format a number whose last digit stands for 10^place, written out or with a power of ten."""
+    if is_plain:
+        return _signed(f"{value:.{max(0, -place)}f}")
+    digits = _exponent(value) - place
+    if value == 0.0 or digits < 0:
+        near = round(value / 10.0**place) if value else 0
+        return "0" if near == 0 else _power(f"{near}e{place}")
+    return _power(f"{value:.{digits}e}")
+
+
+def _infinite(value: float) -> str:
+    return MISSING if math.isnan(value) else "−∞" if value < 0 else "∞"
+
+
+def _power(text: str) -> str:
+    """Write a power of ten without its plus and its zeros in front."""
+    mantissa, e, exponent = text.partition("e")
+    return _signed(f"{mantissa}e{int(exponent)}" if e else mantissa)
+
+
+def _signed(text: str) -> str:
+    """Write the minus of mathematics, and none before a zero."""
+    if text.startswith("-") and not any(digit in "123456789" for digit in text.partition("e")[0]):
+        text = text[1:]
+    return text.replace("-", "−")

@@ -1,0 +1,86 @@
+"""Tables as text, never wider than a terminal."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Sequence
+
+WIDTH = 100
+_GAP = "  "
+_NARROWEST = 12
+"""Characters to which a column of words is folded at most."""
+
+
+def text_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[int] = (0,), width: int = WIDTH
+) -> str:
+    """Return a table as text, its columns as wide as their cells.
+
+    Where it would be wider than `width`, columns of words are folded; where that is not enough, columns that have
+    no room beside the others follow below, the first column again before them.
+
+    Parameters
+    ----------
+    header : sequence of str
+    rows : sequence of sequence of str
+        Each as long as the header. The first cell names the row.
+    words : collection of int
+        Columns that hold words, aligned to the left; the others hold numbers, aligned to the right.
+    width : int
+    """
+    columns = [[str(cell) for cell in column] for column in zip(header, *rows, strict=True)]
+    widths = _folded([max(map(len, column)) for column in columns], words, width)
+    blocks = _blocks(widths, width)
+    return "\n\n".join("\n".join(_lines(columns, widths, words, block)) for block in blocks)
+
+
+def wrapped(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
+    """Return a text in lines no longer than a terminal is wide, indented; words stay whole."""
+    return textwrap.fill(
+        text, width, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Return names of columns, with underscores behind those that are taken before."""
+    found: list[str] = []
+    for name in names:
+        while name in found:
+            name += "_"
+        found.append(name)
+    return found
+
+
+def _folded(widths: list[int], words: Collection[int], width: int) -> list[int]:
+    """Return the widths of the columns, those of words narrowed until the table fits, if it does so."""
+    widths = list(widths)
+    while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
+        widest = max((i for i in words if widths[i] > _NARROWEST), key=lambda i: widths[i], default=None)
+        if widest is None:
+            break
+        widths[widest] -= 1
+    return widths
+
+
+def _blocks(widths: list[int], width: int) -> list[list[int]]:
+    """Return the columns in groups that fit, the first in every one of them."""
+    blocks = [[0]]
+    for column in range(1, len(widths)):
+        taken = sum(widths[i] + len(_GAP) for i in blocks[-1])
+        if taken + widths[column] > width and len(blocks[-1]) > 1:
+            blocks.append([0])
+        blocks[-1].append(column)
+    return blocks
+
+
+def _lines(columns: list[list[str]], widths: list[int], words: Collection[int], block: list[int]) -> Iterator[str]:
+    """Yield the lines of the table of some of the columns."""
+    for row in zip(*(columns[i] for i in block), strict=True):
+        cells = [textwrap.wrap(cell, widths[i]) or [""] for i, cell in zip(block, row, strict=True)]
+        for line in range(max(map(len, cells))):
+            parts = (cell[line] if line < len(cell) else "" for cell in cells)
+            aligned = (
+                part.ljust(widths[i]) if i in words else part.rjust(widths[i])
+                for i, part in zip(block, parts, strict=True)
+            )
+            yield _GAP.join(aligned).rstrip()
