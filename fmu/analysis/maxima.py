@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.mass import LocalQuadratic
+from fmu.analysis.provenance import configuration_hash
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,6 +107,12 @@ class Maxima:
     def log_evidence(self) -> float:
         """Logarithm of the mass of all maxima together: an estimate of log P(D), as good as the maxima are all."""
         return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of where the maxima are, how the posterior falls around them, and their shares."""
+        what = ("theta", "log_prob", "gradient", "hessian", "share")
+        return configuration_hash({name: [getattr(m, name) for m in self.maxima] for name in what})
 
     def table(self) -> pd.DataFrame:
         """Return one row a maximum, SI units.

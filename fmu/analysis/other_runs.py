@@ -14,6 +14,7 @@ from fmu.analysis.diagnostics import parameter_draws, parameter_names, walkers_o
 from fmu.analysis.effective import by_walker
 from fmu.analysis.maxima import Maxima, in_words, percent
 from fmu.analysis.missed import NEGLIGIBLE, nearest_maxima
+from fmu.analysis.remedies import for_missed_maximum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -65,7 +66,7 @@ def missed_places(
             found.append(
                 f"the run {name} was at {where}, with log-probability {log_prob:.1f} where the best draw "
                 f"here has {here.log_prob.max():.1f}, and no draw of this run is near; about {percent(share)} of "
-                "the probability is there"
+                f"the probability is there{for_missed_maximum(trace)}"
             )
     return found
 

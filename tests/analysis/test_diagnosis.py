@@ -54,7 +54,10 @@ def test_chains_that_agree_in_one_of_several_modes_are_found_out(section, in_b, 
         "maximum 1 at Ix1 = 3.904e-09 m⁴, Ix2 = 7.5e-09 m⁴, Ax1 = 0.0009 m², Ax2 = 0.0005145 m², with "
         "log-probability -40.4 where the best draw has -10"
     )
-    assert found.reasons[0].endswith("was never visited; it holds about 100 % of the probability")
+    assert found.reasons[0].endswith(
+        "was never visited; it holds about 100 % of the probability; start the chains at the maxima of the "
+        'posterior: init="maxima" (--init maxima)'
+    )
     assert found.reasons[1].startswith("instead 4 chains are around maximum 2 at Ix1 = 6.873e-09 m⁴")
     assert "e-25 % of the probability)" in found.reasons[1]
     assert len(found.reasons) == 2
@@ -92,7 +95,7 @@ def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, sectio
 )
 def test_dispersed_starts_do_not_converge(section, section_maxima, sampler, warmup, draws):
     """Whether some chains find A or none does, A or what stands in its place is named."""
-    trace = fmu.sample(section, sampler, draws=draws, warmup=warmup, seed=1)
+    trace = fmu.sample(section, sampler, draws=draws, warmup=warmup, seed=1, init="prior")
     found = judge(trace, [section_maxima])
     assert not found.converged
     assert found.reasons[0].startswith("maximum ")
@@ -117,7 +120,8 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
     small_steps = fmu.MetropolisHastings(fmu.RandomWalk(0.005))  # none leaves its mode
     found = judge(fmu.sample(section, small_steps, draws=400, warmup=0, init=init, seed=1), [section_maxima])
     assert found.reasons[0].startswith("maximum 2 at Ix1 = 6.873e-09")
-    assert "has 25 % of the draws, but about 2" in found.reasons[0]
+    assert "has 25 % of the draws (effective size 4), but about 2" in found.reasons[0]
+    assert found.reasons[0].endswith('init="maxima" (--init maxima)')
     assert found.reasons[1].startswith("maximum 3 at")
     assert found.reasons[2].startswith("1 chain is around maximum 1 at Ix1 = 3.904e-09")
     assert "1 chain is around maximum 2 at" in found.reasons[2]
@@ -137,7 +141,7 @@ def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, sec
     found = judge(trace, [section_maxima])
     assert not found.converged
     if 0 in modes:
-        assert "of the draws, but about 2" in found.reasons[0]
+        assert re.search(r"of the draws \(effective size \d+\), but about 2", found.reasons[0])
     else:
         assert "maximum 1" in found.reasons[0]
         assert "was never visited" in found.reasons[0]
@@ -199,7 +203,7 @@ def test_others_on_another_posterior_are_left_out(in_b, section_maxima):
 
 def test_the_search_with_the_greater_mass_counts(in_b, section_maxima):
     blind = dataclasses.replace(section_maxima, maxima=section_maxima.maxima[1:])
-    assert not judge(in_b, [blind]).reasons[0].startswith("maximum 1 at Ix1 = 3.904e-09 m⁴")
+    assert judge(in_b, [blind]).converged
     for known in ([blind, section_maxima], [section_maxima, blind]):
         assert judge(in_b, known).reasons[0].startswith("maximum 1 at Ix1 = 3.904e-09 m⁴")
 
@@ -224,7 +228,7 @@ def test_one_chain_is_never_called_converged(good, problem):
     one = good.isel(chain=[0])
     found = diagnose(one, problem)
     assert not found.converged
-    assert found.reasons[0] == "1 chain, at least 2 are needed"
+    assert found.reasons[0] == "1 chain, at least 2 are needed: --chains 4"
 
 
 def test_summary_that_is_nan_is_a_failure(good):
