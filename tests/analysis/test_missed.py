@@ -138,7 +138,8 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     wrong, where = missed_maxima(trace_of((0, 0), (20, 0), (20, 1), (0, 1)), maxima)
     assert wrong == (
         "maximum 2 at x0 = 20 m, x1 = 0 has 50 % of the draws (effective size 4), but about 3 % of the "
-        "probability by importance sampling (effective size 300); give the chains more steps to settle: --warmup 1000"
+        "probability by importance sampling (effective size 300); give the chains more steps to settle: "
+        "--warmup 1000"
     )
     assert where == (
         "2 chains are around maximum 1 at x0 = 0 m, x1 = 0 (log-probability -1.0, 97 % of the probability); "
