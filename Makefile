@@ -54,6 +54,7 @@ validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update G
 	.venv/bin/python -m tests.validation results
 	.venv/bin/python -m tests.validation.coverage results
 	.venv/bin/python -m tests.validation.evidence results
+	.venv/bin/python -m tests.validation.starts results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m tests.validation.workers results

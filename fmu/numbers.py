@@ -102,7 +102,7 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
 
 
 def interval(low: float, high: float, sd: float = math.nan) -> str:
-    """Format an interval: ``"170.1 to 177.3"``, ``"−∞ to 3.0"``; `sd` is the uncertainty of its ends."""
+    """Format an interval: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``; `sd` is the uncertainty of its ends."""
     return " to ".join(apart(low, high, sd=sd))
 
 
@@ -112,7 +112,7 @@ def with_interval(value: float, low: float, high: float, places: int) -> str:
 
 
 def span(lower: float, upper: float, places: int) -> str:
-    """Format an interval with a number of decimals: ``"170.1 to 177.3"``, ``"−∞ to 3.0"``."""
+    """Format an interval with a number of decimals: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``."""
     return " to ".join(_infinite(end) if math.isinf(end) else fixed(end, places) for end in (lower, upper))
 
 
@@ -147,14 +147,14 @@ def share(part: float, digits: int = 2) -> str:
 
 
 def change(ratio: float) -> str:
-    """Format a relative change in per cent, its sign always shown: ``"+2.54 %"``, ``"−0.07 %"``, ``"> −0.01 %"``.
+    """Format a relative change in per cent, its sign always shown: ``"+2.54 %"``, ``"-0.07 %"``, ``"> -0.01 %"``.
 
     Three significant digits, but none beyond the second decimal.
     """
     if not math.isfinite(ratio):
         return MISSING
     if 0.0 < abs(ratio) < _FEW:
-        return "< 0.01 %" if ratio > 0 else "> −0.01 %"
+        return "< 0.01 %" if ratio > 0 else "> -0.01 %"
     if ratio == 0.0:
         return "0 %"
     places = min(2, max(0, -_last_place(100.0 * ratio, 3)))
@@ -205,7 +205,7 @@ def _at(value: float, place: int, is_plain: bool) -> str:
 
 
 def _infinite(value: float) -> str:
-    return MISSING if math.isnan(value) else "−∞" if value < 0 else "∞"
+    return MISSING if math.isnan(value) else "-∞" if value < 0 else "∞"
 
 
 def _power(text: str) -> str:
@@ -215,7 +215,7 @@ def _power(text: str) -> str:
 
 
 def _signed(text: str) -> str:
-    """Write the minus of mathematics, and none before a zero."""
+    """Write no minus before a zero."""
     if text.startswith("-") and not any(digit in "123456789" for digit in text.partition("e")[0]):
         text = text[1:]
-    return text.replace("-", "−")
+    return text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
 """The names of the samplers, without importing them."""
+INITS = ("maxima", "prior", "start")
+"""Words for where the chains start."""
 GROWTH_LIMIT = 32
 """How many times the draws asked for a run may come to that is to reach an effective sample size."""
 MAX_FAILURE_RATE = 0.5
@@ -51,7 +54,7 @@ def sample(
     warmup: int = 1000,
     chains: int = 4,
     seed: int = 1,
-    init: str | ArrayLike = "prior",
+    init: str | ArrayLike = "maxima",
     groups: int | None = None,
     until_ess: float | None = None,
     max_draws: int | None = None,
@@ -79,21 +82,24 @@ def sample(
     chains : int
         Independent chains; of an ensemble sampler, independent ensembles.
     seed : int
-    init : {"prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
-        Where the chains start: drawn from the prior, at ``problem.start``, or where the array says (SI units).
+    init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
+        Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their shares
+        (`fmu.analysis.starts`); those of an updating problem are searched for if they are not given, and a plain
+        log-density without maxima is started from the prior. ``"prior"``: draws from the prior. ``"start"``: at
+        ``problem.start``. Or where the array says (SI units).
     groups : int, optional
         Groups that the chains are divided into, for several workers: the chains of a group advance together and
         learn together, so that another number gives other draws. If not given, all chains are one group, but each
         ensemble is its own.
     until_ess : float, optional
         Go on after `draws`, with what was learnt in warm-up, until the verdict of `fmu.diagnose` is good and the
-        bulk and tail ESS of every parameter are at least this. The run is looked at after `draws` steps, twice as
-        many, four times as many, and so on; it is bit for bit the run of as many draws.
+        bulk and tail ESS of every parameter are at least this. How many draws are missing is predicted from those
+        so far (`fmu.analysis.needed.draws_to_come`). The run is bit for bit that of as many draws.
     max_draws : int, optional
         The most steps kept, whatever the verdict: 32 times `draws` if not given.
     maxima : Maxima, optional
         What `fmu.find_map` found. It is kept in the trace, and every verdict on it takes it into account. With
-        `until_ess` the maxima of an updating problem are searched for if they are not given.
+        `until_ess` or ``init="maxima"`` those of an updating problem are searched for if they are not given.
     checkpoint : path-like or Checkpoint, optional
         A directory to keep draws and state in while the run goes on. The same call with the same directory goes on
         where the last one ended or was killed; a run that has ended is read, not repeated.
@@ -127,11 +133,12 @@ def sample(
     TooManyFailuresError
         If too large a share of the solves failed.
     """
-    import numpy as np
-
+    from fmu.analysis.diagnosis import draws_missing
     from fmu.analysis.failure_ledger import failure_rate_exceeded
     from fmu.analysis.live import live_diagnostics
+    from fmu.analysis.starts import starts
     from fmu.analysis.trace import to_trace
+    from fmu.checkpoints.maxima import keep_maxima, searched
     from fmu.interruption import interruptible
     from fmu.progress import reporting
     from fmu.samplers import Run, named
@@ -147,28 +154,35 @@ def sample(
     draws = whole_number("draws", draws, 1)
     limit = most_draws(draws, until_ess, max_draws)
     failure_rate_exceeded(0, 0, max_failure_rate)  # whether it is a rate
-    if until_ess is not None and maxima is None and hasattr(problem, "parameters"):
-        from fmu.analysis.search import find_map
-
-        maxima = find_map(problem)  # type: ignore[arg-type]
-    start = None if isinstance(init, str) else np.asarray(init, dtype=float)
+    arguments = {"warmup": warmup, "chains": chains, "groups": groups, "seed": seed}
+    _check(init, arguments, settings)
+    found = None
+    if maxima is None and (until_ess is not None or (isinstance(init, str) and init == "maxima")):
+        kept_in: Any = getattr(checkpoint, "directory", checkpoint)
+        maxima = found = searched(problem, kept_in)
+    start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
     full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
     getattr(problem, "take_failures", list)()  # those of the run are to come
-    arguments = {"warmup": warmup, "chains": chains, "groups": groups, "seed": seed}
+
+    def as_trace(result: RunResult, *, predictions: bool = True) -> xr.DataTree:
+        named = replace(result, init="maxima") if isinstance(says, dict) else result
+        return to_trace(named, problem, says, predictions=predictions)
 
     def trace_of(result: RunResult, *, complete: bool) -> xr.DataTree:
-        return _with_structure(to_trace(result, problem, start), problem, maxima, full_solves, complete)
+        return _with_structure(as_trace(result), problem, maxima, full_solves, complete)
 
     with ExitStack() as stack:
         store = None
         if checkpoint is not None:
-            store = stack.enter_context(_store(checkpoint, problem, settings, arguments, init, start))
+            store = stack.enter_context(_store(checkpoint, problem, settings, arguments, says))
+            if found is not None:
+                keep_maxima(store.directory, found, problem)
         try:
             begun = Run(
                 problem,
                 settings,
                 **arguments,  # type: ignore[arg-type]
-                init=init if start is None else start,
+                init=start,
                 progress=stack.enter_context(reporting(progress, settings.name)),
                 engine=_engine(workers, stack),
                 keeper=store,
@@ -179,10 +193,11 @@ def sample(
                 live=live_diagnostics,
             )
             result = begun.extend(draws)
-            while result.draws < limit and not _is_enough(
-                to_trace(result, problem, start, predictions=False), until_ess, maxima
-            ):
-                result = begun.extend(min(result.draws, limit - result.draws))
+            while result.draws < limit:
+                missing = draws_missing(as_trace(result, predictions=False), until_ess, maxima)
+                if not missing:
+                    break
+                result = begun.extend(min(missing, limit - result.draws))
         except Interrupted as stopped:
             so_far = stopped.result
             if so_far is None:
@@ -192,9 +207,19 @@ def sample(
     return trace_of(result, complete=True)
 
 
-def _store(
-    checkpoint: Any, problem: LogDensity, settings: Any, arguments: dict[str, Any], init: Any, start: Any
-) -> Store:
+def _check(init: Any, arguments: dict[str, Any], settings: Any) -> None:
+    """Raise ValueError, before maxima are searched for, if an argument of the run is wrong by itself."""
+    from fmu.samplers.run import n_groups
+    from fmu.samplers.settings import whole_number
+
+    for name, least in (("warmup", 0), ("chains", 1), ("seed", 0)):
+        whole_number(name, arguments[name], least)
+    n_groups(arguments["groups"], arguments["chains"], settings)
+    if isinstance(init, str) and init not in INITS:
+        raise ValueError(f"init: must be one of {', '.join(INITS)} or an array (got {init!r})")
+
+
+def _store(checkpoint: Any, problem: LogDensity, settings: Any, arguments: dict[str, Any], says: Any) -> Store:
     """Return where the run is kept."""
     from fmu.analysis.provenance import described
     from fmu.analysis.trace import names_of
@@ -209,7 +234,7 @@ def _store(
         **arguments,
         "groups": n_groups(arguments["groups"], chains, settings),
         "walkers": settings.walkers,
-        "init": init if start is None else start,
+        "init": says,
     }
     configuration = described(problem, settings.name, describe(settings), run)
     where = checkpoint if isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
@@ -261,14 +286,3 @@ def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> in
         return draws
     positive_number("until_ess", until_ess)
     return GROWTH_LIMIT * draws if max_draws is None else whole_number("max_draws", max_draws, draws)
-
-
-def _is_enough(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> bool:
-    """Say whether a run needs no more draws."""
-    from fmu.analysis.diagnosis import is_enough, judge
-    from fmu.analysis.diagnostics import summary
-
-    if until_ess is None:
-        return True
-    table = summary(trace)
-    return is_enough(judge(trace, [] if maxima is None else [maxima], table=table), table, until_ess)

@@ -8,10 +8,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fmu.analysis.diagnostics import convergence_failures, parameter_names
+from fmu.analysis.diagnostics import (
+    autocorrelation_times_run,
+    convergence_failures,
+    parameter_names,
+    rhat_over_walkers,
+    summary,
+    walkers_of,
+)
 from fmu.analysis.maxima import Maxima
-from fmu.analysis.missed import missed_maxima
+from fmu.analysis.missed import compared
 from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.needed import draws_to_come, required_ess
 from fmu.analysis.other_runs import missed_places
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.trace import check_trace
@@ -148,8 +156,9 @@ def judge(
     best = max(known, key=lambda maxima: maxima.log_evidence, default=None)
     reasons, warnings = [], []
     if best is not None:
-        reasons += missed_maxima(trace, best)
-        warnings += search_warnings(trace, best[0].log_prob)
+        against = compared(trace, best)
+        reasons += against.reasons
+        warnings += against.outweighed + search_warnings(trace, best[0].log_prob)
     reasons += missed_places(trace, others or {}, best)
     reasons += convergence_failures(trace, table)
     warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
@@ -190,6 +199,28 @@ def diagnose_all(
 def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
     """Say whether a run has converged and every ESS of its summary is at least `until_ess`; NaN is not."""
     return found.converged and bool(table[["ess_bulk", "ess_tail"]].to_numpy().min() >= until_ess)
+
+
+def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> int:
+    """Return how many steps to draw before a run is looked at again; 0 if it needs no more.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    until_ess : float, optional
+        Bulk and tail ESS that every parameter is to have, beside a good verdict; if not given, nothing is missing.
+    maxima : Maxima, optional
+    """
+    if until_ess is None:
+        return 0
+    table = summary(trace)
+    if is_enough(judge(trace, [] if maxima is None else [maxima], table=table), table, until_ess):
+        return 0
+    required = max(until_ess, required_ess(trace["posterior"].sizes["chain"]))
+    ensembles = walkers_of(trace) > 1
+    lengths = autocorrelation_times_run(trace) if ensembles else None
+    walker_rhat = rhat_over_walkers(trace) if ensembles else None
+    return draws_to_come(int(trace.attrs["draws"]), table, required, lengths, walker_rhat)
 
 
 def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:

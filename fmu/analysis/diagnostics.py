@@ -10,6 +10,15 @@ from numpy.typing import NDArray
 
 from fmu.analysis import effective
 from fmu.analysis.movement import energy_fraction, longest_stands
+from fmu.analysis.needed import ESS_LIMIT as ESS_LIMIT
+from fmu.analysis.needed import (
+    MCSE_LIMIT,
+    MIN_AUTOCORRELATION_TIMES,
+    WALKER_RHAT_LIMIT,
+    required_ess,
+)
+from fmu.analysis.needed import RHAT_LIMIT as RHAT_LIMIT
+from fmu.analysis.remedies import for_chains_apart, for_too_few_draws
 from fmu.analysis.trace import check_trace
 from fmu.numbers import apart, given
 
@@ -19,14 +28,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-RHAT_LIMIT = 1.01
-ESS_PER_CHAIN = 100
-ESS_LIMIT = 400
 MIN_CHAINS = 2
 MIN_ENSEMBLES = 4
-MIN_AUTOCORRELATION_TIMES = 50
-WALKER_RHAT_LIMIT = 1.05
-MCSE_LIMIT = 0.1
 DIVERGING_LIMIT = 1e-3
 ENERGY_LIMIT = 0.3
 STANDING_LIMIT, STANDING_DRAWS = 0.2, 20
@@ -146,7 +149,7 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     Returns
     -------
     list of str
-        One sentence a failed test, the gravest first.
+        One sentence a failed test, the gravest first, and what to do about it (`fmu.analysis.remedies`).
     """
     check_trace(trace)
     if table is None:
@@ -156,19 +159,22 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     failures = []
     kind, needed = ("ensemble", MIN_ENSEMBLES) if is_ensemble else ("chain", MIN_CHAINS)
     if chains < needed:
-        failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}, at least {needed} are needed")
+        failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}, at least {needed} are needed: --chains 4")
     failures += _standing(trace)
-    failures += _above(table["rhat"].to_numpy(), RHAT_LIMIT, table.index, "R-hat")
-    required = max(ESS_LIMIT, ESS_PER_CHAIN * chains)
+    required, names = required_ess(chains), table.index
+    short = _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat")
     for column, label in (("ess_bulk", "bulk ESS"), ("ess_tail", "tail ESS")):
-        failures += _below(table[column].to_numpy(), required, table.index, label)
-    failures += _above((table["mcse_mean"] / table["sd"]).to_numpy(), MCSE_LIMIT, table.index, "MCSE over sd")
-    failures += _trajectories(trace)
+        short += _below(table[column].to_numpy(), required, names, label)
+    short += _above((table["mcse_mean"] / table["sd"]).to_numpy(), MCSE_LIMIT, names, "MCSE over sd")
+    lengths = walker_rhat = None
     if is_ensemble:
-        lengths = autocorrelation_times_run(trace)
-        failures += _below(lengths, MIN_AUTOCORRELATION_TIMES, table.index, "number of autocorrelation times")
-        failures += _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT, table.index, "R-hat over walkers")
-    return failures
+        lengths, walker_rhat = autocorrelation_times_run(trace), rhat_over_walkers(trace)
+        short += _below(lengths, MIN_AUTOCORRELATION_TIMES, names, "number of autocorrelation times")
+        short += _above(walker_rhat, WALKER_RHAT_LIMIT, names, "R-hat over walkers")
+    if short:
+        remedy = for_too_few_draws(trace, table, required, lengths, walker_rhat)
+        failures += [f"{reason}{remedy}" for reason in short]
+    return failures + _trajectories(trace)
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
@@ -180,7 +186,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
     if stands[chain, walker] < max(STANDING_LIMIT * steps, STANDING_DRAWS):
         return []
     who = f"chain {chain}" if walkers == 1 else f"walker {walker} of ensemble {chain}"
-    return [f"{who} stands still for {stands[chain, walker]} of its {steps} draws"]
+    return [f"{who} stands still for {stands[chain, walker]} of its {steps} draws{for_chains_apart(trace)}"]
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
@@ -189,7 +195,10 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
     if "diverging" in stats:
         diverging = stats["diverging"].to_numpy()
         if not np.mean(diverging) <= DIVERGING_LIMIT:
-            failures.append(f"{int(diverging.sum())} of {diverging.size} trajectories diverged")
+            failures.append(
+                f"{int(diverging.sum())} of {diverging.size} trajectories diverged; a shorter step helps: "
+                "fmu.HamiltonianMonteCarlo(target_accept=0.95)"
+            )
     if "energy" in stats:
         chains = [f"chain {k}" for k in range(stats.sizes["chain"])]
         fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.mass import LocalQuadratic
 from fmu.analysis.maxima_text import MOST_SHOWN, in_words, maxima_as_text
+from fmu.analysis.provenance import configuration_hash
 from fmu.text_table import distinct, text_table, wrapped
 
 if TYPE_CHECKING:
@@ -117,6 +118,12 @@ class Maxima:
         if not weighed:
             return np.nan
         return float(np.sqrt(sum(m.share**2 / m.effective_draws for m in weighed)))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of where the maxima are, how the posterior falls around them, and their shares."""
+        what = ("theta", "log_prob", "gradient", "hessian", "share")
+        return configuration_hash({name: [getattr(m, name) for m in self.maxima] for name in what})
 
     def table(self) -> pd.DataFrame:
         """Return one row a maximum, SI units.

@@ -62,7 +62,7 @@ def mass_in_words(part: float) -> str:
 
 
 def in_words(names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None) -> str:
-    """Name a parameter vector: ``"Ix1 = 3.904e−9 m⁴, Ax1 = 0.0009 m²"``, with the digits that `sd` leaves."""
+    """Name a parameter vector: ``"Ix1 = 3.904e-9 m⁴, Ax1 = 0.0009 m²"``, with the digits that `sd` leaves."""
     spread = np.full(len(theta), np.nan) if sd is None else sd
     parts = zip(names, theta, spread, units, strict=True)
     return ", ".join(f"{name} = {rounded(float(x), float(s))} {unit}".rstrip() for name, x, s, unit in parts)

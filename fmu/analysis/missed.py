@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fmu.analysis.diagnostics import parameter_draws, walkers_of
+from fmu.analysis.effective import ess_mean
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima_text import NEGLIGIBLE, mass_in_words
-from fmu.numbers import apart, rounded, share
+from fmu.analysis.remedies import for_chains_apart, for_missed_maximum
+from fmu.numbers import apart, rounded, share, whole
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,7 +24,22 @@ IntArray = NDArray[np.int64]
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
 """A draw is near a maximum within the ellipsoid that holds this much of a Gaussian."""
-_RELIABLE, _ABOVE = 20.0, 0.1
+_ABOVE = 0.1
+
+
+class Comparison(NamedTuple):
+    """How the draws of a run are divided among the maxima, beside what the maxima hold.
+
+    Attributes
+    ----------
+    reasons : list of str
+        Why the run has not converged: maxima left out, or visited out of proportion.
+    outweighed : list of str
+        Shares that importance sampling gives otherwise, but with fewer effective draws than the run has.
+    """
+
+    reasons: list[str]
+    outweighed: list[str]
 
 
 def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
@@ -75,7 +92,22 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     Returns
     -------
     list of str
-        One sentence a maximum, and one that says where the chains are.
+        One sentence a maximum with what to do about it, and one that says where the chains are.
+    """
+    return compared(trace, maxima).reasons
+
+
+def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
+    """Compare the shares of a run's draws with the shares of the maxima.
+
+    Where they differ by more than `OUT_OF_PROPORTION` times, one of them is wrong. The one that rests on the
+    larger effective number of draws decides. Of the run it is that of being at the maximum or not: one a chain if
+    none ever changes maxima. Of importance sampling it is that of the weights.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    maxima : Maxima
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
@@ -86,20 +118,49 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     unseen = [k for k, m in enumerate(maxima) if m.share > NEGLIGIBLE and k not in nearest]
     if unseen:
         where = _whereabouts(nearest.reshape(len(draws), -1, walkers), maxima)
-        return [*(_never_visited(maxima, k, reached) for k in unseen), f"instead {where}"]
-    owner = draws_of_maxima(theta, lp.ravel(), maxima)
-    visits = np.bincount(owner[owner >= 0], minlength=len(maxima)) / len(owner)
-    # where a draw is above all that was found, or importance sampling failed, the masses are not to be relied on
-    if reached >= maxima[0].log_prob + _ABOVE or any(
-        m.effective_draws < _RELIABLE for m in maxima if m.share > NEGLIGIBLE
-    ):
-        return []
-    wrong = [
-        f"{_name(maxima, k)} has {share(v)} of the draws, but {mass_in_words(m.share)} of the probability"
-        for k, (m, v) in enumerate(zip(maxima, visits.tolist(), strict=True))
-        if _is_out_of_proportion(v, m.share)
-    ]
-    return wrong and [*wrong, _whereabouts(owner.reshape(len(draws), -1, walkers), maxima)]
+        remedy = for_missed_maximum(trace)
+        return Comparison([*(_never_visited(maxima, k, reached) + remedy for k in unseen), f"instead {where}"], [])
+    if reached >= maxima[0].log_prob + _ABOVE:  # above all that was found: the masses are not to be relied on
+        return Comparison([], [])
+    owner = draws_of_maxima(theta, lp.ravel(), maxima).reshape(lp.shape)
+    wrong, outweighed = [], []
+    for k, m in enumerate(maxima):
+        visits = float(np.mean(owner == k))
+        if not _is_out_of_proportion(visits, m.share):
+            continue
+        of_draws, of_weights = _effective_visits(owner == k, walkers), _effective_weights(maxima, k)
+        what = (
+            f"{_name(maxima, k)} has {share(visits)} of the draws (effective size {whole(of_draws)}), but "
+            f"{mass_in_words(m.share)} of the probability by importance sampling "
+            f"(effective size {whole(of_weights)})"
+        )
+        if of_draws > of_weights:
+            outweighed.append(f"{what}: the draws are the better estimate")
+        else:
+            wrong.append(what + (for_chains_apart(trace) if visits > m.share else for_missed_maximum(trace)))
+    if wrong:
+        wrong.append(_whereabouts(owner.reshape(len(draws), -1, walkers), maxima))
+    return Comparison(wrong, outweighed)
+
+
+def _effective_visits(at_maximum: NDArray[np.bool_], walkers: int) -> float:
+    """Return how many independent draws tell the share of a maximum, from which draws (chains, draws) are at it.
+
+    At most one a chain where none ever changes maxima: then only the starts tell.
+    """
+    if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
+        return float(len(at_maximum))
+    effective = ess_mean(at_maximum.astype(float), walkers)
+    return effective if np.isfinite(effective) else float(len(at_maximum))
+
+
+def _effective_weights(maxima: Maxima, k: int) -> float:
+    """Return how many independent draws tell the mass of a maximum.
+
+    One that has been weighed by the Laplace approximation alone is lower by e⁴⁰ at least: that it holds next to
+    nothing is known as well as the mass of the others.
+    """
+    return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
 
 def _name(maxima: Maxima, k: int) -> str:

@@ -15,6 +15,7 @@ from fmu.analysis.effective import by_walker
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima_text import NEGLIGIBLE, in_words, mass_in_words
 from fmu.analysis.missed import nearest_maxima
+from fmu.analysis.remedies import for_missed_maximum
 from fmu.numbers import apart
 
 if TYPE_CHECKING:
@@ -67,7 +68,8 @@ def missed_places(
             where = in_words(names, theta, [trace["posterior"][n].attrs.get("units", "") for n in names])
             found.append(
                 f"the run {name} was at {where}, with log-probability {there} where the best draw here has "
-                f"{best}, and no draw of this run is near; {mass_in_words(mass)} of the probability is there"
+                f"{best}, and no draw of this run is near; {mass_in_words(mass)} of the probability is "
+                f"there{for_missed_maximum(trace)}"
             )
     return found
 

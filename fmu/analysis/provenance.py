@@ -54,7 +54,7 @@ def described(
 def configuration(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
     """Return everything that determines the draws of a run.
 
-    `start` holds the positions that the chains started from, where the user gave them.
+    `start` says where the chains started, where the word ``result.init`` does not.
     """
     run = {
         "draws": result.draws,

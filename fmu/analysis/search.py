@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,11 @@ def default_starts(problem: UpdatingProblem) -> int:
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
     return STARTS
+
+
+def is_searchable(problem: Any) -> bool:
+    """Say whether `find_map` takes it: an updating problem, or what looks like one."""
+    return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
 
 
 def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1) -> Maxima:
@@ -58,7 +63,7 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     ValueError
         If `starts` is not positive, or `problem` is no updating problem.
     """
-    if not (hasattr(problem, "parameters") and hasattr(problem, "likelihood")):
+    if not is_searchable(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
     from fmu.posterior.maxima import local_maxima
 

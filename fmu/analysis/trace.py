@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 GIVEN_OTHERS = "frequency_given_others"
 PRIOR_DRAWS = 2000
-PRIOR_STREAM, NOISE_STREAM = 0, 1
-_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see _generator
+PRIOR_STREAM, NOISE_STREAM, START_STREAM = 0, 1, 2
+_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
 
 
 def to_trace(
-    result: RunResult, density: LogDensity, start: NDArray[np.float64] | None = None, *, predictions: bool = True
+    result: RunResult, density: LogDensity, start: Any = None, *, predictions: bool = True
 ) -> xr.DataTree:
     """Convert a run to an ArviZ trace.
 
@@ -44,8 +44,9 @@ def to_trace(
     density : LogDensity
         The density that was sampled. An `UpdatingProblem` gives all the groups below; of a plain log-density only
         those that need no frequencies, with coordinates named ``x0``, ``x1``, ...
-    start : ndarray, optional
-        Where the chains started, if the user gave the positions: they belong to the configuration and its hash.
+    start : ndarray or mapping, optional
+        Where the chains started, if a word does not say it: the positions that the user gave, or which maxima. It
+        belongs to the configuration and its hash.
     predictions : bool
         Whether to solve the draws again for the groups that need frequencies.
 
@@ -73,7 +74,7 @@ def to_trace(
         "constant_data": _constants(density, names),
     }
     if hasattr(density, "sample_prior"):
-        prior = density.sample_prior(_generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
+        prior = density.sample_prior(generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
         groups["prior"] = _variables(prior[np.newaxis], names, units)
     if LOG_LIKELIHOOD in result.posterior.stats:
         groups["tempering"] = tempering_group(result)
@@ -152,7 +153,7 @@ def names_of(density: LogDensity) -> tuple[str, ...]:
     return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
 
 
-def _generator(seed: int, stream: int) -> np.random.Generator:
+def generator(seed: int, stream: int) -> np.random.Generator:
     """Return a generator of the run's seed tree that shares no stream with the chains, tasks 0, 1, ..."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
@@ -221,7 +222,7 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         terms = {name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
     # a pseudo-likelihood, and shapes alone, have no measurement noise of frequencies to predict with
     if getattr(problem.likelihood, "simulates", False):
-        noise = _generator(result.seed, NOISE_STREAM)
+        noise = generator(result.seed, NOISE_STREAM)
         theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
         replicate = problem.simulate_data(noise, hz, theta)
         predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}

@@ -13,9 +13,10 @@ from fmu.checkpoints.durable import DamagedError
 from fmu.checkpoints.group_reading import GroupReader, KeptGroup
 from fmu.checkpoints.identity import FILE as IDENTITY
 from fmu.checkpoints.identity import Identity
+from fmu.checkpoints.maxima import FILE as MAXIMA
 from fmu.checkpoints.presence import FILE as PRESENCE
 from fmu.checkpoints.presence import LOCK, Presence, present
-from fmu.checkpoints.run_directory import FOLDER, MAXIMA, unfinished
+from fmu.checkpoints.run_directory import FOLDER, unfinished
 from fmu.checkpoints.sampler_reading import Progress, of_group, of_trace, together
 from fmu.checkpoints.store import numbered
 from fmu.config.kept import ORIGIN, kept

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fmu.checkpoints.maxima import keep_maxima, kept_maxima
 from fmu.checkpoints.presence import FILE as PRESENCE
 from fmu.checkpoints.presence import LOCK, Hold, announce
 from fmu.checkpoints.store import LEDGER
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from fmu.analysis.maxima import Maxima
 
 FOLDER = "checkpoints"
-MAXIMA = "maxima.nc"
 
 
 class RunDirectory:
@@ -68,21 +68,10 @@ class RunDirectory:
 
     def maxima(self, search: Callable[[], Maxima]) -> Maxima:
         """Return what the search for maxima found, now or before the run was broken off."""
-        import xarray as xr
-
-        from fmu.analysis.diagnosis import maxima_of, with_maxima
-        from fmu.analysis.trace import save_trace
-
-        path = self.folder / MAXIMA
-        if path.is_file():
-            try:
-                found = maxima_of(xr.load_datatree(path, engine="h5netcdf"))
-            except (OSError, ValueError, KeyError):  # damaged: it is searched for again
-                found = None
-            if found is not None:
-                return found
-        found = search()
-        save_trace(with_maxima(xr.DataTree(), found), path)
+        found = kept_maxima(self.folder)
+        if found is None:
+            found = search()
+            keep_maxima(self.folder, found)
         return found
 
     def take_ledger(self, sampler: str, to: Path) -> None:

@@ -17,7 +17,7 @@ from fmu.cli.output import claimed, make_writable
 from fmu.cli.sampled import sampled, stopped_at_once, tell
 from fmu.cli.source import source
 from fmu.progress import Report, json_lines, progress_bars
-from fmu.sampling import MAX_FAILURE_RATE, SAMPLERS, most_draws
+from fmu.sampling import INITS, MAX_FAILURE_RATE, SAMPLERS, most_draws
 
 if TYPE_CHECKING:
     from fmu.config.kept import KeptProblem
@@ -43,8 +43,9 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
 @click.option("--starts", type=click.IntRange(min=1),
               help="Climbs of the search for maxima before sampling; fewer are faster and may miss one.  "
               "[default: 256; 16 for a Python function without gradients]")  # fmt: skip
-@click.option("--init", type=click.Choice(("prior", "start")), default="prior", show_default=True,
-              help="Where the chains start.")  # fmt: skip
+@click.option("--init", type=click.Choice(INITS), default="maxima", show_default=True,
+              help="Where the chains start: around the maxima, in proportion to their shares; drawn from the "
+              "prior; or at the start values.")  # fmt: skip
 @click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
               help="Go on until the verdict is good and every effective sample size is at least N; exit code 1 if "
               "--max-draws are reached before.")  # fmt: skip

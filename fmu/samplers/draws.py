@@ -44,7 +44,7 @@ class RunResult:
     groups : int
         How many groups the chains were divided into.
     init : str
-        "prior", "start" or "array".
+        Where the chains started: "prior", "start", "maxima" or "array".
     wall_s, warmup_wall_s : float
         Seconds spent sampling, warm-up included, and in warm-up alone.
     learnt : dict

@@ -97,7 +97,7 @@ def test_good_chains_have_converged(make_trace, good):
 def test_one_chain_cannot_show_convergence(make_trace):
     position = np.random.default_rng(24).standard_normal((1, 4000, 2))
     failures = convergence_failures(make_trace(position))
-    assert failures[0] == "1 chain, at least 2 are needed"
+    assert failures[0] == "1 chain, at least 2 are needed: --chains 4"
     assert failures[1] == "R-hat nan of x0 is not below 1.01"
 
 
@@ -125,7 +125,9 @@ def test_tail_counts_by_itself(make_trace):
     position = rng.standard_normal((4, 500, 2))
     table = summary(make_trace(position))
     table.loc["x1", "ess_tail"] = 399.0
-    assert convergence_failures(make_trace(position), table) == ["tail ESS 399 of x1 is below 400"]
+    assert convergence_failures(make_trace(position), table) == [
+        "tail ESS 399 of x1 is below 400; about 510 draws are needed: --draws 510, or --until-ess 400"
+    ]
 
 
 @pytest.mark.parametrize("column", ["rhat", "ess_bulk", "ess_tail"])
@@ -139,7 +141,9 @@ def test_nan_is_a_failure(make_trace, good, column):
 
 def test_chains_that_stand_still_have_not_converged(make_trace):
     failures = convergence_failures(make_trace(np.zeros((4, 500, 2))))
-    assert failures[0] == "chain 0 stands still for 500 of its 500 draws"
+    assert failures[0] == (
+        "chain 0 stands still for 500 of its 500 draws; give the chains more steps to settle: --warmup 1000"
+    )
     assert [f.split(" nan")[0] for f in failures[1:]] == ["R-hat", "bulk ESS", "tail ESS", "MCSE over sd"]
 
 
@@ -149,7 +153,7 @@ def test_good_ensembles_have_converged(make_trace, good_ensembles):
 
 def test_three_ensembles_are_too_few(make_trace, good_ensembles):
     failures = convergence_failures(make_trace(flat(good_ensembles[:3]), walkers=10))
-    assert failures == ["3 ensembles, at least 4 are needed"]
+    assert failures == ["3 ensembles, at least 4 are needed: --chains 4"]
 
 
 def test_short_ensembles_have_not_converged(make_trace, good_ensembles):
@@ -173,13 +177,13 @@ def test_chain_that_stands_still_for_long_is_named(make_trace, good):
     assert not any("stands still" in f for f in convergence_failures(make_trace(good)))
     good[2, 100:200] = good[2, 100]
     failures = convergence_failures(make_trace(good))
-    assert failures[0] == "chain 2 stands still for 100 of its 500 draws"
+    assert failures[0].startswith("chain 2 stands still for 100 of its 500 draws; ")
 
 
 def test_walker_that_stands_still_is_named(make_trace, good_ensembles):
     good_ensembles[1, 300:500, 7] = good_ensembles[1, 300, 7]
     failures = convergence_failures(make_trace(flat(good_ensembles), walkers=10))
-    assert failures[0] == "walker 7 of ensemble 1 stands still for 200 of its 900 draws"
+    assert failures[0].startswith("walker 7 of ensemble 1 stands still for 200 of its 900 draws; ")
 
 
 def test_short_runs_are_not_called_standing(make_trace):
@@ -192,15 +196,20 @@ def test_standard_error_is_held_against_the_sd(make_trace, good):
     trace = make_trace(good)
     table = summary(trace)
     table.loc["x1", "mcse_mean"] = 0.11 * table.loc["x1", "sd"]
-    assert convergence_failures(trace, table) == ["MCSE over sd 0.110 of x1 is not below 0.1"]
+    assert convergence_failures(trace, table) == [
+        "MCSE over sd 0.110 of x1 is not below 0.1; about 610 draws are needed: --draws 610, or --until-ess 400"
+    ]
     table.loc["x1", "mcse_mean"] = np.nan
-    assert convergence_failures(trace, table) == ["MCSE over sd nan of x1 is not below 0.1"]
+    (failure,) = convergence_failures(trace, table)
+    assert failure.startswith("MCSE over sd nan of x1 is not below 0.1; ")
 
 
 def test_divergences(make_trace, good):
     two, three = (np.arange(500) < n for n in (0, 3))
     assert convergence_failures(make_trace(good, diverging=two)) == []
-    assert convergence_failures(make_trace(good, diverging=three)) == ["12 of 2000 trajectories diverged"]
+    assert convergence_failures(make_trace(good, diverging=three)) == [
+        "12 of 2000 trajectories diverged; a shorter step helps: fmu.HamiltonianMonteCarlo(target_accept=0.95)"
+    ]
     one = np.zeros((4, 500), dtype=bool)
     one[0, :2] = True
     assert convergence_failures(make_trace(good, diverging=one)) == []

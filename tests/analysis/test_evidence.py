@@ -79,12 +79,12 @@ def test_it_says_what_it_is():
     table = evidence(ladder_of_draws(np.random.default_rng(4))).table
     found = Evidence(-117.14159, 0.123, "stepping-stone", 0.1, 0.123, table)
     assert str(found) == (
-        "log-evidence −117.14 ± 0.12 (stepping-stone, 12 rungs; standard error within chains 0.1, between 0.12)"
+        "log-evidence -117.14 ± 0.12 (stepping-stone, 12 rungs; standard error within chains 0.1, between 0.12)"
     )
-    assert found._repr_html_().startswith("<p>log-evidence −117.14 ± 0.12 ")
+    assert found._repr_html_().startswith("<p>log-evidence -117.14 ± 0.12 ")
     assert "<table" in found._repr_html_()
     assert str(Evidence(-5.5, np.nan, "stepping-stone", np.nan, np.nan, table)).startswith(
-        "log-evidence −5.500 ± –"
+        "log-evidence -5.500 ± –"
     )
 
 

@@ -1,10 +1,12 @@
 """Which maxima draws are near to, and which of them a run left out; with maxima and draws made by hand."""
 
+import re
+
 import numpy as np
 import pytest
 
 from fmu.analysis.maxima import Maxima, PosteriorMaximum
-from fmu.analysis.missed import draws_of_maxima, missed_maxima, nearest_maxima
+from fmu.analysis.missed import compared, draws_of_maxima, missed_maxima, nearest_maxima
 
 
 def maximum(theta, log_prob, share, sd=(1.0, 1.0), gradient=(0.0, 0.0), effective=300.0):
@@ -51,7 +53,7 @@ def trace_of(make_trace):
 
 
 def test_a_draw_belongs_to_the_maximum_whose_ellipsoid_it_is_in(two):
-    # χ² of two degrees of freedom exceeds −2 log 1e-4 = 4.292² with probability 1e-4
+    # χ² of two degrees of freedom exceeds -2 log 1e-4 = 4.292² with probability 1e-4
     theta = np.array([[0, 0], [0.42, 0], [0.44, 0], [20, 8.5], [20, 8.7], [-50, 0]])
     np.testing.assert_array_equal(nearest_maxima(theta, two), [0, 0, -1, 1, -1, -1])
 
@@ -84,11 +86,13 @@ def test_at_a_wall_the_density_falls_off_exponentially():
 def test_a_maximum_never_visited(two, trace_of):
     first, second = missed_maxima(trace_of((0, 0), (0, 0), best=-2.5), two)
     assert first == (
-        "maximum 2 at x0 = 20.0 m, x1 = 0.0, with log-probability −4.0 where the best draw has −2.5, was never "
-        "visited; it holds about 80 % of the probability"
+        "maximum 2 at x0 = 20.0 m, x1 = 0.0, with log-probability -4.0 where the best draw has -2.5, was never "
+        "visited; it holds about 80 % of the probability; parallel tempering moves between maxima: "
+        "--sampler tempering"
     )
     assert second == (
-        "instead 2 chains are around maximum 1 at x0 = 0.00 m, x1 = 0.00 (log-probability −1.0, about 20 % of the probability)"
+        "instead 2 chains are around maximum 1 at x0 = 0.00 m, x1 = 0.00 "
+        "(log-probability -1.0, about 20 % of the probability)"
     )
 
 
@@ -100,7 +104,7 @@ def test_a_mode_that_was_not_found_is_no_visit_to_one_that_was(trace_of):
     """As high as maximum 1, which no draw was near to: whoever goes by height alone is fooled."""
     alone = known(maximum((0, 0), -1.0, 1.0))
     first, second = missed_maxima(trace_of((9, 0), (9, 0), best=-1.0), alone)
-    assert "with log-probability −1.0 where the best draw has −1.0, was never visited" in first
+    assert "with log-probability -1.0 where the best draw has -1.0, was never visited" in first
     assert second == "instead 2 chains are near none of the maxima"
 
 
@@ -113,8 +117,9 @@ def test_draws_along_a_bent_valley_are_in_proportion(make_trace):
     assert np.mean(nearest_maxima(position.reshape(-1, 2), valley) == 0) < 0.1
     trace = make_trace(position, lp=lp)
     assert missed_maxima(trace, valley) == []
-    low = make_trace(position, lp=lp - 20.0)
-    assert missed_maxima(low, valley)[0].startswith("maximum 1 at x0 = 0 m, x1 = 0.00 has ")
+    low = compared(make_trace(position, lp=lp - 20.0), valley)
+    assert low.outweighed[0].startswith("maximum 1 at x0 = 0 m, x1 = 0.00 has ")
+    assert low.reasons == []  # draws that come and go tell more than 300 weights
 
 
 def test_a_maximum_without_mass_need_not_be_visited(trace_of):
@@ -132,10 +137,16 @@ def test_mass_counts_and_not_height(trace_of):
 def test_draws_out_of_proportion_to_mass(trace_of):
     maxima = known(maximum((0, 0), -1.0, 0.97), maximum((20, 0), -4.0, 0.03))
     wrong, where = missed_maxima(trace_of((0, 0), (20, 0), (20, 1), (0, 1)), maxima)
-    assert wrong == "maximum 2 at x0 = 20.0 m, x1 = 0.0 has 50 % of the draws, but about 3 % of the probability"
+    assert wrong == (
+        "maximum 2 at x0 = 20.0 m, x1 = 0.0 has 50 % of the draws (effective size 4), but about 3 % of the "
+        "probability by importance sampling (effective size 300); give the chains more steps to settle: "
+        "--warmup 1000"
+    )
     assert where == (
-        "2 chains are around maximum 1 at x0 = 0.0 m, x1 = 0.0 (log-probability −1.0, about 97 % of the probability); "
-        "2 chains are around maximum 2 at x0 = 20.0 m, x1 = 0.0 (log-probability −4.0, about 3 % of the probability)"
+        "2 chains are around maximum 1 at x0 = 0.0 m, x1 = 0.0 "
+        "(log-probability -1.0, about 97 % of the probability); "
+        "2 chains are around maximum 2 at x0 = 20.0 m, x1 = 0.0 "
+        "(log-probability -4.0, about 3 % of the probability)"
     )
     maxima = known(maximum((0, 0), -1.0, 0.9), maximum((20, 0), -4.0, 0.1))
     assert (
@@ -144,18 +155,51 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     rare = known(maximum((0, 0), -1.0, 0.95), maximum((20, 0), -4.0, 0.05))
     places = [(20, 0)] * 39 + [(0, 0)]
     reasons = missed_maxima(trace_of(*places), rare)
-    assert reasons[0].startswith("maximum 1 at x0 = 0 m, x1 = 0.00 has 2.5 % of the draws, but about 95 %")
+    assert reasons[0].startswith("maximum 1 at x0 = 0.0 m, x1 = 0.0 has 2.5 % of the draws (effective size 40), ")
+    assert reasons[0].endswith("; parallel tempering moves between maxima: --sampler tempering")
 
 
-def test_masses_that_are_not_known_well_say_nothing_of_proportions(trace_of):
+def test_the_larger_effective_size_decides(make_trace):
+    """Draws that come and go between two maxima with 2 % at the second, against weights that give it 30 %."""
+    rng = np.random.default_rng(54)
+    second = rng.random((4, 1000)) < 0.02
+    position = np.stack([20.0 * second, np.zeros((4, 1000))], axis=-1) + 0.1 * rng.standard_normal((4, 1000, 2))
+    trace = make_trace(position, lp=np.full((4, 1000), -2.0))
+
+    def held_against(effective):
+        return compared(trace, known(maximum((0, 0), -1.0, 0.7), maximum((20, 0), -1.0, 0.3, effective=effective)))
+
+    by_draws = held_against(40.0)
+    assert by_draws.reasons == []
+    (said,) = by_draws.outweighed
+    assert said.startswith("maximum 2 at x0 = 20.0 m, x1 = 0.0 has 2")
+    assert said.endswith(
+        "but about 30 % of the probability by importance sampling (effective size 40): "
+        "the draws are the better estimate"
+    )
+    assert 3000 < float(re.search(r"draws \(effective size ([\d ]+)\)", said)[1].replace(" ", "")) < 6000
+    by_weights = held_against(9000.0)
+    assert by_weights.outweighed == []
+    assert (
+        "but about 30 % of the probability by importance sampling (effective size 9 000)" in by_weights.reasons[0]
+    )
+
+
+def test_chains_that_never_change_maxima_are_worth_one_draw_each(trace_of):
     trace = trace_of((0, 0), (20, 0))
-    poor = known(maximum((0, 0), -1.0, 0.97, effective=19.0), maximum((20, 0), -4.0, 0.03))
-    assert missed_maxima(trace, poor) == []
+    for effective, decides in ((19.0, "weights"), (1.5, "draws")):
+        poor = known(
+            maximum((0, 0), -1.0, 0.97, effective=effective), maximum((20, 0), -4.0, 0.03, effective=effective)
+        )
+        found = compared(trace, poor)
+        assert bool(found.reasons) == (decides == "weights")
+        assert bool(found.outweighed) == (decides == "draws")
+        assert "has 50 % of the draws (effective size 2)" in (found.reasons + found.outweighed)[0]
     # what comes from the Laplace approximation alone is negligible by far
     laplace = known(maximum((0, 0), -1.0, 1.0), maximum((20, 0), -90.0, 1e-30, effective=0.0))
-    assert "has 50 % of the draws, but less than 0.01 %" in missed_maxima(trace, laplace)[0]
+    assert "has 50 % of the draws (effective size 2), but less than 0.01 %" in missed_maxima(trace, laplace)[0]
     # a draw above all maxima shows that the search did not see everything
-    assert missed_maxima(trace_of((0, 0), (20, 0), best=-0.5), laplace) == []
+    assert compared(trace_of((0, 0), (20, 0), best=-0.5), laplace) == ([], [])
 
 
 def test_walkers_are_told_apart(two, make_trace):
@@ -165,5 +209,5 @@ def test_walkers_are_told_apart(two, make_trace):
     trace = make_trace(position.reshape(2, 400, 2), walkers=4)
     assert missed_maxima(trace, two)[1] == (
         "instead 2 walkers are near none of the maxima; 6 walkers are around maximum 1 at x0 = 0.00 m, x1 = 0.00 "
-        "(log-probability −1.0, about 20 % of the probability)"
+        "(log-probability -1.0, about 20 % of the probability)"
     )

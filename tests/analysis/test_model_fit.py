@@ -34,7 +34,7 @@ def test_draws_at_the_upper_bound(trace_of, rng):
 
 def test_draws_at_the_lower_bound(trace_of, rng):
     (found,) = bound_warnings(trace_of(-4.0 + rng.exponential(0.2, (4, 500))))
-    assert found.startswith("E1 is piled up against its lower bound, −4 Pa")
+    assert found.startswith("E1 is piled up against its lower bound, -4 Pa")
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_a_draw_above_all_maxima(make_trace, rng):
     assert search_warnings(trace, -2.9) == []
     assert search_warnings(trace, -3.0) == []
     (found,) = search_warnings(trace, -3.5)
-    assert "log-probability −3.0, above the highest maximum found, −3.5" in found
+    assert "log-probability -3.0, above the highest maximum found, -3.5" in found
 
 
 def with_mac(trace, reference):

@@ -176,7 +176,7 @@ def test_certificate_is_held_against_what_was_promised(hmc):
     section = origin.certificate(run)
     assert section.parts[0].words.endswith("The reduced model does not keep its promise.")
     assert table(section)[1]["found"] == "0.5"
-    assert [row["allowed"] for row in table(section)[:2]] == ["1e−6", "0.001"]
+    assert [row["allowed"] for row in table(section)[:2]] == ["1e-6", "0.001"]
 
 
 def test_certificate_is_held_against_a_looser_promise(hmc):
