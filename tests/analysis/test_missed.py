@@ -88,7 +88,8 @@ def test_a_maximum_never_visited(two, trace_of):
         "visited; it holds about 80 % of the probability"
     )
     assert second == (
-        "instead 2 chains are around maximum 1 at x0 = 0.00 m, x1 = 0.00 (log-probability −1.0, about 20 % of the probability)"
+        "instead 2 chains are around maximum 1 at x0 = 0.00 m, x1 = 0.00 (log-probability −1.0, about 20 % of the "
+        "probability)"
     )
 
 
@@ -134,8 +135,9 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     wrong, where = missed_maxima(trace_of((0, 0), (20, 0), (20, 1), (0, 1)), maxima)
     assert wrong == "maximum 2 at x0 = 20.0 m, x1 = 0.0 has 50 % of the draws, but about 3 % of the probability"
     assert where == (
-        "2 chains are around maximum 1 at x0 = 0.0 m, x1 = 0.0 (log-probability −1.0, about 97 % of the probability); "
-        "2 chains are around maximum 2 at x0 = 20.0 m, x1 = 0.0 (log-probability −4.0, about 3 % of the probability)"
+        "2 chains are around maximum 1 at x0 = 0.0 m, x1 = 0.0 (log-probability −1.0, about 97 % of the "
+        "probability); 2 chains are around maximum 2 at x0 = 20.0 m, x1 = 0.0 (log-probability −4.0, about 3 % of "
+        "the probability)"
     )
     maxima = known(maximum((0, 0), -1.0, 0.9), maximum((20, 0), -4.0, 0.1))
     assert (
@@ -144,7 +146,7 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     rare = known(maximum((0, 0), -1.0, 0.95), maximum((20, 0), -4.0, 0.05))
     places = [(20, 0)] * 39 + [(0, 0)]
     reasons = missed_maxima(trace_of(*places), rare)
-    assert reasons[0].startswith("maximum 1 at x0 = 0 m, x1 = 0.00 has 2.5 % of the draws, but about 95 %")
+    assert reasons[0].startswith("maximum 1 at x0 = 0.0 m, x1 = 0.0 has 2.5 % of the draws, but about 95 %")
 
 
 def test_masses_that_are_not_known_well_say_nothing_of_proportions(trace_of):
