@@ -188,4 +188,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """List the public names, imported or not."""
-    return sorted(set(globals()) | set(__all__))
+    return sorted(__all__)

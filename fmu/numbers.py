@@ -51,7 +51,8 @@ def rounded(value: float, sd: float, digits: int = 4) -> str:
     digits : int
         Significant ones, where the standard deviation is not known.
     """
-    return apart(value, sd=sd, digits=digits)[0]
+    is_known = math.isfinite(sd) and sd > 0
+    return apart(value, sd=sd)[0] if is_known else significant(value, digits)
 
 
 def with_sd(value: float, sd: float) -> str:

@@ -123,9 +123,9 @@ def sample(
     Raises
     ------
     ValueError
-        If the sampler's name is unknown, a number is out of range, `max_draws` comes without `until_ess`, a chain
-        would start outside the bounds or where the log-probability is not finite, or `checkpoint` holds another
-        run, or one that another process is at.
+        If the sampler's name is unknown, a parameter's name is none that a trace can keep, a number is
+        out of range, `max_draws` comes without `until_ess`, a chain would start outside the bounds or where the
+        log-probability is not finite, or `checkpoint` holds another run, or one that another process is at.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
@@ -137,9 +137,10 @@ def sample(
     from fmu.analysis.failure_ledger import failure_rate_exceeded
     from fmu.analysis.live import live_diagnostics
     from fmu.analysis.starts import starts
-    from fmu.analysis.trace import to_trace
+    from fmu.analysis.trace import names_of, to_trace
     from fmu.checkpoints.maxima import keep_maxima, searched
     from fmu.interruption import interruptible
+    from fmu.posterior.parameters import require_name
     from fmu.progress import reporting
     from fmu.samplers import Run, named
     from fmu.samplers.run import Interrupted
@@ -151,6 +152,8 @@ def sample(
             f"sampler: must be one of {', '.join(SAMPLERS)}, or a settings object such as fmu.Slice() "
             f"(got {sampler!r})"
         )
+    for name in names_of(problem):
+        require_name(name)
     draws = whole_number("draws", draws, 1)
     limit = most_draws(draws, until_ess, max_draws)
     failure_rate_exceeded(0, 0, max_failure_rate)  # whether it is a rate

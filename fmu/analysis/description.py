@@ -12,7 +12,7 @@ from fmu.fem.pairing import IndexPairing
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel
 from fmu.fem.structure import PairedStructure
-from fmu.numbers import given, listed
+from fmu.numbers import given, listed, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -100,16 +100,23 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     """Say what mass moves when all that is free to does so in one direction: a check on units and densities.
 
     Of three directions the smallest mass counts: beside a support, where such a motion bends the elements, their
-    rotary inertia takes part in the others.
+    rotary inertia takes part in the others. Degrees of freedom without names may point anywhere: theirs are not
+    added up.
     """
-    directions = np.array([direction for _, direction in structure.dofs])
     M = structure.M(problem.start[: structure.n_parameters])
+    if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
+        least, most = (significant(float(end), 4) for end in (M.diagonal().min(), M.diagonal().max()))
+        between = f"is {least} kg" if least == most else f"goes from {least} to {most} kg"
+        return [
+            f"At the start the diagonal of the mass matrix {between}; its rows have no directions (dofs in "
+            "[model]) in which masses could be added up."
+        ]
+    directions = np.array([direction for _, direction in structure.dofs])
     rigid = [(directions == name).astype(float) for name in _TRANSLATIONS if name in directions]
     if not rigid:
         return []
     mass = min(float(motion @ (M @ motion)) for motion in rigid)
-    words = f"{mass:.3g}" if mass < 100 else f"{mass:.0f}"
-    return [f"At the start a mass of about {words} kg moves with the free degrees of freedom."]
+    return [f"At the start a mass of about {significant(mass)} kg moves with the free degrees of freedom."]
 
 
 def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Tag
 
-from fmu.config.fields import Name, Number, Numbers, Positive, Table, by_kind
+from fmu.config.fields import Name, Number, Numbers, ParameterName, Positive, Table, by_kind
 from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.posterior.errors import ErrorModel, FrequencyErrors, MACErrors, ShapeErrors
@@ -24,7 +24,7 @@ Deviation = Annotated[Number | Numbers | Named, by_kind("a number, a list of num
 class NoiseTable(Table):
     """A standard deviation to be inferred, which error models refer to by its name."""
 
-    name: Name
+    name: ParameterName
     start: Positive
     lower: Annotated[float, Field(ge=0)] = 0.0
     upper: Positive | None = None

@@ -4,10 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag
+
+from fmu.posterior.parameters import require_name
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
 """No slash: traces keep names as paths."""
+
+
+def _of_parameter(name: str) -> str:
+    try:
+        require_name(name)
+    except ValueError as error:  # which ends with what was received
+        raise ValueError(str(error).removeprefix("name: ")) from None
+    return name
+
+
+ParameterName = Annotated[Name, AfterValidator(_of_parameter)]
+"""Kept apart from what else a trace has names for."""
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.config.fields import Name
+from fmu.config.fields import ParameterName
 from fmu.config.frame import Target
 from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
@@ -17,7 +17,7 @@ LEAST_LOG_MASS = -200.0
 class ParameterTable(Target):
     """A parameter; in a frame, what it is the value of, in which groups."""
 
-    name: Name
+    name: ParameterName
     """For tables and figures."""
     start: float
     """The model before updating."""

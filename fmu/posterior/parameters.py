@@ -13,6 +13,9 @@ from fmu.posterior.priors import Normal, Prior, Uniform
 
 FloatArray = NDArray[np.float64]
 
+DIMENSIONS = ("chain", "draw")
+"""Of the draws in a trace."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -21,6 +24,7 @@ class Parameter:
     Attributes
     ----------
     name : str
+        See `require_name`.
     start : float
         Where the model stands before updating, in `unit`.
     lower, upper : float
@@ -28,14 +32,14 @@ class Parameter:
     prior : Prior
         `Uniform` by default, which needs finite bounds.
     unit : str
-        SI unit, for labels; empty for a factor.
+        SI unit, for labels, in printable characters; empty for a factor.
     group : str
         Parameters of one group may share their α in eq. (6), see `share_alpha`.
 
     Raises
     ------
     ValueError
-        If a bound, the start or the prior does not fit the others.
+        If the name is none that a parameter can have, or a bound, the start or the prior does not fit the others.
     """
 
     name: str
@@ -47,8 +51,9 @@ class Parameter:
     group: str = ""
 
     def __post_init__(self) -> None:
-        if not self.name or "/" in self.name:
-            raise ValueError(f"name: must not be empty or contain '/' (got {self.name!r})")
+        require_name(self.name)
+        if not self.unit.isprintable():
+            raise ValueError(f"{self.name}.unit: must have printable characters alone (got {self.unit!r})")
         if not self.lower < self.upper:
             raise ValueError(f"{self.name}.upper: must exceed lower {self.lower} (got {self.upper})")
         low, high = self.prior.support
@@ -83,6 +88,22 @@ class Parameter:
 
     def _has_density(self, x: float) -> bool:
         return bool(np.isfinite(self.prior.log_pdf(np.array([x]))[0]))
+
+
+def require_name(name: str) -> None:
+    """Raise ValueError if a parameter cannot have a name: a trace could not keep it, or nobody could read it.
+
+    Spaces, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are letters like others.
+    """
+    if not name or "/" in name:
+        rule = "must not be empty or contain '/'"
+    elif name in DIMENSIONS or name in (".", ".."):
+        rule = f"must not be {', '.join(map(repr, DIMENSIONS))}, '.' or '..', which mean something else in a trace"
+    elif not name.isprintable() or name != name.strip():
+        rule = "must have printable characters alone, and no space at its ends"
+    else:
+        return
+    raise ValueError(f"name: {rule} (got {name!r})")
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:

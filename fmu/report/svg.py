@@ -19,6 +19,8 @@ RASTER_DPI = 110
 """Resolution of the parts that are drawn as pixels: paths and clouds of many points."""
 _COLOURS = 32
 _CSS_PER_INCH = 96
+_TAG = re.compile(r"<[^>]*>")
+"""Matplotlib writes the angle brackets of names as entities."""
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
@@ -61,13 +63,21 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     text = file.getvalue()
     body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
     # A style inside an SVG would be that of the whole page.
-    body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r" ?font-family: [^;\"]*;?", "", body).replace("xlink:href", "href")
-    body = re.sub(r' (?:d|x|y|transform|points)="[^"]*"', _rounded, body)
-    body = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, body)
-    body = re.sub(r"\s*\n\s*", " ", _own_ids(body, key))
+    body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"\s*\n\s*", " ", body)
+    used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
+    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # text stays as it is
     width, height = (72.0 * size for size in figure.get_size_inches())
     return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
+
+
+def _clean(tag: str, key: str, used: set[str]) -> str:
+    """Return a tag without the font's name, short, and with ids of its own: those that are referred to."""
+    tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
+    tag = re.sub(r' (?:d|x|y|transform|points)="[^"]*"', _rounded, tag)
+    tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
+    tag = re.sub(r' id="([^"]*)"', lambda match: f' id="{key}-{match[1]}"' if match[1] in used else "", tag)
+    return re.sub(r"(url\(#|href=\"#)", rf"\g<1>{key}-", tag)
 
 
 def _rounded(attribute: re.Match[str]) -> str:
@@ -83,14 +93,3 @@ def _fewer_colours(data: re.Match[str]) -> str:
     with Image.open(io.BytesIO(base64.b64decode(data[0]))) as pixels:
         pixels.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE).save(file, "PNG", optimize=True)
     return base64.b64encode(file.getvalue()).decode()
-
-
-def _own_ids(body: str, key: str) -> str:
-    """Prefix the ids that are referred to, and drop the others."""
-    used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", body))
-
-    def renamed(match: re.Match[str]) -> str:
-        return f' id="{key}-{match[1]}"' if match[1] in used else ""
-
-    body = re.sub(r' id="([^"]*)"', renamed, body)
-    return re.sub(r"(url\(#|href=\"#)", rf"\g<1>{key}-", body)

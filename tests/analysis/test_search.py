@@ -198,7 +198,7 @@ def test_words(section, section_maxima):
     assert words.loc["share of mass", "maximum 1"] == "100 %"
     assert section_maxima.at_bounds()[0] == "Maximum 1 lies at bounds: Ix2 upper, Ax1 upper."
     assert list(words.loc["Ix1"]) == ["m⁴", "7e-9", "3.904e-9", "6.873e-9", ""]
-    assert list(words.loc["mode 1"]) == ["Hz", "32.00", "28.77", "30.15", "31.90"]
+    assert list(words.loc["mode 1"]) == ["Hz", "32.00", "28.77", "30.15", "31.9"]
     assert section_maxima.side_by_side().shape[1] == 3 + len(section_maxima)
     assert "3.904e-9" in str(section_maxima)
     html = section_maxima._repr_html_()
