@@ -80,7 +80,7 @@ def test_run_writes_traces_and_tables(invoke, tmp_path):
     trace = fmu.load_trace(out / "slice.nc")
     assert trace["posterior"].sizes == {"chain": 2, "draw": 6}
     assert trace["warmup_posterior"].sizes == {"chain": 2, "draw": 3}
-    assert (trace.attrs["seed"], trace.attrs["init"]) == (4, "prior")
+    assert (trace.attrs["seed"], trace.attrs["init"]) == (4, "maxima")
     pd.testing.assert_frame_equal(
         pd.read_csv(out / "summary-slice.csv", index_col="parameter"), fmu.summary(trace), check_index_type=False
     )
@@ -198,7 +198,7 @@ def test_sampling_on_until_there_is_enough(invoke):
     assert "Stopped" not in result.stdout
     assert "hmc  converged" in result.stdout.splitlines()
     steps = fmu.load_trace("here/hmc.nc")["posterior"].sizes["draw"]
-    assert steps in (200, 400, 800, 1600)
+    assert 50 < steps <= 1600
     assert pd.read_csv("here/summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
 
 
@@ -231,7 +231,7 @@ def test_a_run_that_is_long_enough_but_missed_a_maximum_is_short(young, monkeypa
 
 def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(young, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    trace = fmu.sample(young, "hmc", draws=600, warmup=200)
+    trace = fmu.sample(young, "hmc", draws=600, warmup=200, init="prior")
     save_trace(trace, "hmc.nc")
     result = CliRunner().invoke(cli.main, ["compare", "."])
     lines = result.stdout.splitlines()
@@ -401,8 +401,8 @@ def test_failed_points_are_reported(invoke, young, monkeypatch):
         if len(theta) != 2:
             return young.log_prob(theta)
         calls.append(theta)
-        # The second chain's candidates fail, its start does not.
-        return np.where((np.arange(2) == 1) & (len(calls) > 1), np.nan, young.log_prob(theta))
+        # The second chain's candidates fail, its start does not, which is looked at twice.
+        return np.where((np.arange(2) == 1) & (len(calls) > 2), np.nan, young.log_prob(theta))
 
     problem.log_prob = log_prob
     monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)

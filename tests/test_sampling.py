@@ -7,6 +7,7 @@ import pytest
 
 import fmu
 from fmu import samplers
+from fmu.checkpoints.maxima import keep_maxima, kept_maxima
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import Normal
@@ -50,7 +51,7 @@ def test_posterior_of_a_linear_model(problem, name, settings, draws):
 
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_cost_in_the_trace_is_what_the_model_was_asked(problem, name):
-    trace = fmu.sample(problem, name, draws=30, warmup=20, seed=3)
+    trace = fmu.sample(problem, name, draws=30, warmup=20, seed=3, init="prior")
     walkers = trace.attrs["walkers"]
     assert trace["posterior"].sizes == {"chain": 4, "draw": 30 * walkers}
     assert trace["warmup_posterior"].sizes == {"chain": 4, "draw": 20 * walkers}
@@ -99,10 +100,10 @@ def test_given_starts_enter_the_hash(problem):
 
 
 def test_sampling_on_is_bitwise_the_longer_run(problem):
-    """Looked at after 40, 80 and 160 draws; the ESS asked for is out of reach."""
+    """Looked at after 10 and 20 draws, too few to predict from; the ESS asked for is out of reach."""
     phases = []
     grown = fmu.sample(
-        problem, "hmc", draws=40, warmup=30, seed=7, until_ess=1e6, max_draws=130,
+        problem, "hmc", draws=10, warmup=30, seed=7, until_ess=1e6, max_draws=130,
         progress=lambda phase, done, total, info: phases.append((phase, done, total)),
     )  # fmt: skip
     whole = fmu.sample(problem, "hmc", draws=130, warmup=30, seed=7, maxima=fmu.find_map(problem))
@@ -110,25 +111,21 @@ def test_sampling_on_is_bitwise_the_longer_run(problem):
         assert grown[group].identical(whole[group])
     assert grown.attrs["configuration_hash"] == whole.attrs["configuration_hash"]
     assert grown.attrs["n_solves"] == whole.attrs["n_solves"]
-    assert [phases[k] for k in (29, 69, 70, 109, 110, -1)] == [
+    assert [phases[k] for k in (29, 39, 40, 49)] == [
         ("warmup", 30, 30),
-        ("draws", 40, 40),
-        ("draws", 41, 80),
-        ("draws", 80, 80),
-        ("draws", 81, 130),
-        ("draws", 130, 130),
+        ("draws", 10, 10),
+        ("draws", 11, 20),
+        ("draws", 20, 20),
     ]
+    assert phases[-1] == ("draws", 130, 130)
 
 
-def test_sampling_stops_when_there_is_enough(problem):
-    trace = fmu.sample(problem, "hmc", draws=50, warmup=200, seed=1, until_ess=700)
-    steps = trace["posterior"].sizes["draw"]
-    table = fmu.summary(trace)
-    assert steps in (200, 400, 800, 1600)
-    assert table[["ess_bulk", "ess_tail"]].min().min() >= 700
+@pytest.mark.parametrize(("name", "draws"), [("hmc", 50), ("mh", 500)])
+def test_sampling_stops_when_there_is_enough(problem, name, draws):
+    """Doubling would come to up to twice the ESS asked for."""
+    trace = fmu.sample(problem, name, draws=draws, warmup=200, seed=1, until_ess=700)
+    assert 700 <= fmu.summary(trace)[["ess_bulk", "ess_tail"]].min().min() <= 1.25 * 700
     assert fmu.diagnose(trace).converged
-    shorter = fmu.summary(trace.isel(draw=slice(steps // 2)))
-    assert shorter[["ess_bulk", "ess_tail"]].min().min() < 700 or shorter["rhat"].max() >= 1.01
 
 
 def test_enough_draws_of_chains_that_disagree_are_not_enough(problem):
@@ -154,10 +151,62 @@ def test_a_plain_density_can_be_sampled_on():
     assert "maxima" not in trace.children
 
 
+def test_a_plain_density_starts_from_its_prior():
+    class Plain:
+        ndim, lower, upper = 2, np.zeros(2), np.ones(2)
+
+        def log_prob(self, theta):
+            return np.zeros(np.shape(theta)[:-1])
+
+        def sample_prior(self, rng, n):
+            return rng.uniform(size=(n, 2))
+
+    default, prior = (fmu.sample(Plain(), "mh", draws=3, warmup=0, init=i) for i in ("maxima", "prior"))
+    assert default["posterior"].identical(prior["posterior"])
+    assert default.attrs["init"] == "prior"
+
+
 def test_without_an_ess_the_draws_are_what_was_asked_for(problem):
     trace = fmu.sample(problem, "mh", draws=7, warmup=3)
     assert trace["posterior"].sizes["draw"] == 7
-    assert "maxima" not in trace.children
+
+
+def test_chains_start_at_the_maxima_which_the_trace_keeps(problem):
+    maxima = fmu.find_map(problem)
+    searched, given = (fmu.sample(problem, "mh", draws=7, warmup=3, maxima=m) for m in (None, maxima))
+    assert searched.attrs["init"] == given.attrs["init"] == "maxima"
+    assert searched["posterior"].identical(given["posterior"])
+    assert searched["maxima"].identical(given["maxima"])
+    assert json.loads(given.attrs["configuration"])["run"]["init"] == {"maxima": maxima.hash}
+    other = fmu.sample(problem, "mh", draws=7, warmup=3, maxima=fmu.find_map(problem, seed=2))
+    assert other.attrs["configuration_hash"] != given.attrs["configuration_hash"]
+    from_prior = fmu.sample(problem, "mh", draws=7, warmup=3, init="prior")
+    assert from_prior.attrs["init"] == "prior"
+    assert "maxima" not in from_prior.children
+
+
+def test_maxima_are_kept_with_a_checkpoint(problem, tmp_path, monkeypatch):
+    """A run that goes on starts where it did, on a machine whose search would end elsewhere in the last digit."""
+    settings = {"draws": 9, "warmup": 3, "seed": 2, "checkpoint": tmp_path / "kept"}
+    first = fmu.sample(problem, "mh", **settings)
+
+    def searched_again(*_):
+        raise AssertionError("the maxima are kept")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fmu.analysis.search.find_map", searched_again)
+        assert fmu.sample(problem, "mh", **settings)["posterior"].identical(first["posterior"])
+    with pytest.raises(ValueError, match=r"holds another run: run\.init\.maxima"):
+        fmu.sample(problem, "mh", **settings, maxima=fmu.find_map(problem, seed=2))
+
+
+def test_maxima_kept_of_another_posterior_are_not_taken(problem, tmp_path):
+    elsewhere = UpdatingProblem(problem.model, ModalData([104.0, 98.0, 106.0]), problem.parameters, name="linear")
+    keep_maxima(tmp_path, fmu.find_map(elsewhere), elsewhere)
+    assert kept_maxima(tmp_path, problem) is None
+    assert kept_maxima(tmp_path, elsewhere) is not None
+    trace = fmu.sample(problem, "mh", draws=3, warmup=3, checkpoint=tmp_path)
+    assert trace["maxima"].identical(fmu.sample(problem, "mh", draws=3, warmup=3)["maxima"])
 
 
 def test_progress_is_reported(problem):
