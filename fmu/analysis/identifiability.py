@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.maxima import Maxima, percent
 from fmu.analysis.modal_states import MAXIMUM, START
+from fmu.progress.phases import phase
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,9 +186,11 @@ def with_identifiability(
 
     states = {START: problem.start} | ({} if maxima is None else {MAXIMUM: maxima[0].theta})
     linearised = {}
-    for name, theta in states.items():
-        with suppress(ValueError):
-            linearised[name] = identifiability(problem, theta)
+    with phase("identifiability", len(states)) as under_way:
+        for name, theta in states.items():
+            with suppress(ValueError):
+                linearised[name] = identifiability(problem, theta)
+            under_way.advance()
     if not linearised:
         return trace
     found = list(linearised.values())
