@@ -82,9 +82,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         "frequency": (("state", "mode"), problem.frequencies(theta), {"units": "Hz"}),
     }
     if hasattr(problem.model, "full_shapes"):
-        shapes = _aligned(
-            np.array([_shapes(problem, point) for point in theta[:, : problem.n_structural]])
-        )
+        shapes = _aligned(np.array([_shapes(problem, point) for point in theta[:, : problem.n_structural]]))
         variables |= _shape_variables(problem, shapes)
     return xr.Dataset(
         variables,

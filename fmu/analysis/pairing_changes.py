@@ -229,8 +229,7 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in ("block", "rank"))
     dims = ("sample", "mode")
     variables: dict[str, Any] = {
-        name: (dims, labels[inverse].astype(np.int16))
-        for name, labels in (("block", block), ("rank", rank))
+        name: (dims, labels[inverse].astype(np.int16)) for name, labels in (("block", block), ("rank", rank))
     }
     if not constant:
         gap = nearest_other(structure, distinct, block, rank)

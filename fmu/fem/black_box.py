@@ -117,7 +117,7 @@ class BlackBoxModel:
         """Return what the function gives at theta (n, n_parameters), None where it fails; see `reasons`."""
         if self.batched and len(theta) > 1:
             try:
-                answers = list(self._called(theta))
+                answers: list[Answer | None] = list(self._called(theta))
                 solved(len(theta))
                 return answers
             except (Exception, SystemExit):  # which of the points is at fault shows one at a time

@@ -24,7 +24,7 @@ _FIRST_ROWS = 16
 FloatArray = NDArray[np.float64]
 
 Note = Callable[[str, int, int], None]
-"""Called as ``note(phase, done, total)`` from the beginning of a phase on, and with an empty name after its end."""
+"""Called as ``note(phase, done, total)`` from the beginning of a phase on; with an empty name after its end."""
 
 
 class _Count:
