@@ -10,18 +10,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from fmu.progress import Report, in_notebook
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 AT_ONCE_S = 0.5
 """A phase is not told before it has taken so long: most take no time."""
 
 _PART_S = 0.1
 _FIRST_ROWS = 16
-FloatArray = NDArray[np.float64]
 
 Note = Callable[[str, int, int], None]
 """Called as ``note(phase, done, total)`` from the beginning of a phase on; with an empty name after its end."""
@@ -126,7 +127,7 @@ def advanced(steps: int = 1) -> None:
 
 
 def by_parts[Found](
-    name: str, function: Callable[[FloatArray], Found], points: FloatArray, most: int = 4096
+    name: str, function: Callable[[NDArray[np.float64]], Found], points: NDArray[np.float64], most: int = 4096
 ) -> list[Found]:
     """Return what a function gives for points (n, ...), a part of them at a time, as a phase.
 
