@@ -1,4 +1,4 @@
-"""Ctrl-C, and the signal that batch systems send before they kill: to stop between two steps, not anywhere."""
+"""Ctrl-C, and the signal that batch systems send before they kill: obeyed within seconds, wherever the work is."""
 
 from __future__ import annotations
 
@@ -9,38 +9,121 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_current: threading.Event | None = None
+GRACE_S = 2.0
+"""How long work that stops between two steps of its own may take over the step under way."""
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
+
+
+class _Stop:
+    """What is known of a stop, and who deals with it.
+
+    Attributes
+    ----------
+    asked : bool
+        Whether a signal has come.
+    due : bool
+        Whether a KeyboardInterrupt is to be raised as soon as nothing shields from it.
+    polling, shields : int
+        Nested blocks that ask for themselves, and nested blocks that must not be interrupted.
+    """
+
+    def __init__(self) -> None:
+        self.asked = self.due = False
+        self.polling = self.shields = 0
+        self.before: dict[int, Any] = {}
+
+    def listen(self, number: int) -> None:
+        """Install the handler of a signal, and remember the one before."""
+        self.before.setdefault(number, signal.signal(number, self.hear))
+
+    def leave(self) -> None:
+        """Put all handlers back."""
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number, handler in self.before.items():
+            # one that was not installed from Python cannot be put back
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+    def hear(self, number: int, frame: Any) -> None:
+        """Take a signal: the handler."""
+        first, self.asked = not self.asked, True
+        if first and self.polling:
+            print("Stopping after the step under way; once more to stop at once.", file=sys.stderr, flush=True)
+            if hasattr(signal, "setitimer"):  # it is heard like a second signal
+                self.listen(signal.SIGALRM)
+                signal.setitimer(signal.ITIMER_REAL, GRACE_S)
+            return
+        self.due = True
+        self.obey()
+
+    def obey(self) -> None:
+        """Raise the KeyboardInterrupt that is due, unless something shields from it."""
+        if self.due and not self.shields:
+            self.due = False
+            raise KeyboardInterrupt
+
+
+_current: _Stop | None = None
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Have SIGINT and SIGTERM raise a KeyboardInterrupt, at once, anywhere but in `interruptible` and `shielded`.
+
+    Signals reach the main thread only: elsewhere, and within another such block, nothing changes.
+    """
+    with _listening():
+        yield
 
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Give a function that says whether a stop was asked for, by SIGINT or SIGTERM.
+    """Give a function that says whether a stop was asked for, by SIGINT or SIGTERM: to stop between two steps.
 
-    A second one stops at once, as a KeyboardInterrupt. Within another such block it is that one's function: who
-    asks for a stop asks both. Signals reach the main thread only: elsewhere nothing changes, and the function
-    always says no.
+    A step that takes longer than `GRACE_S` is interrupted by a KeyboardInterrupt; so is any by a second signal.
+    Within another such block both are asked. In another thread than the main one the function always says no.
     """
+    with _listening() as stop:
+        if stop is None:
+            yield lambda: False
+            return
+        stop.polling += 1
+        try:
+            yield lambda: stop.asked
+        finally:
+            stop.polling -= 1
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Put a KeyboardInterrupt off to the end of a block: files and memory have to agree with each other."""
+    stop = _current if threading.current_thread() is threading.main_thread() else None
+    if stop is None:
+        yield
+        return
+    stop.shields += 1
+    try:
+        yield
+    finally:
+        stop.shields -= 1
+    stop.obey()
+
+
+@contextmanager
+def _listening() -> Iterator[_Stop | None]:
+    """Install the handlers, unless they are; give what they know, None in another thread than the main one."""
     global _current
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
+        yield None
         return
     if _current is not None:
-        yield _current.is_set
+        yield _current
         return
-    asked = _current = threading.Event()
-
-    def hear(number: int, frame: Any) -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
-        print("Stopping after the step under way; once more to stop at once.", file=sys.stderr, flush=True)
-
-    before = {number: signal.signal(number, hear) for number in _SIGNALS}
+    _current = _Stop()
     try:
-        yield asked.is_set
+        for number in _SIGNALS:
+            _current.listen(number)
+        yield _current
     finally:
-        _current = None
-        for number, handler in before.items():
-            # one that was not installed from Python cannot be put back
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        stop, _current = _current, None
+        stop.leave()

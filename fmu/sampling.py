@@ -48,7 +48,7 @@ class StoppedRun(KeyboardInterrupt):
 
 def sample(
     problem: LogDensity,
-    sampler: str | Sampler = "hmc",
+    sampler: str | Sampler | None = None,
     *,
     draws: int = 1000,
     warmup: int = 1000,
@@ -74,9 +74,10 @@ def sample(
     problem : LogDensity
         An `UpdatingProblem`, or anything with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
         ``log_prob_and_grad``.
-    sampler : str or Sampler
+    sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"`` or ``"tempering"`` with their default settings, or a settings
-        object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``.
+        object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. If not given, what the model
+        offers decides: see `default_sampler`.
     draws, warmup : int
         Steps kept, and steps before them. An ensemble draws as many vectors a step as it has walkers.
     chains : int
@@ -110,13 +111,16 @@ def sample(
         The run stops when a larger share of the solves has failed; 1 for never.
     progress : bool or callable, optional
         Whether to draw progress bars on a terminal or in a notebook: in a notebook only, if not given. A callable
-        is called after every step as ``progress(phase, done, total, info)`` instead, see `fmu.samplers.Run`.
+        is called after every step as ``progress(phase, done, total, info)`` instead, see `fmu.samplers.Run`; and
+        for the phases before and after the draws that take long, such as ``"search"`` and ``"predictions"``, with
+        the solves of the phase so far in ``info["solves"]``.
 
     Returns
     -------
     xarray.DataTree
-        The trace, see `fmu.analysis.trace.to_trace`; its attributes include the certificate of the reduced model
-        where there is one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
+        The trace, see `fmu.analysis.trace.to_trace`; its attributes include ``after_n_solves``, the solves after
+        the last draw, for predictions and what follows, and the certificate of the reduced model where there is
+        one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
         (`fmu.analysis.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`) and ``identifiability``
         (`fmu.analysis.identifiability`) go with it.
 
@@ -129,11 +133,12 @@ def sample(
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
-        If Ctrl-C or SIGTERM stopped a run with a checkpoint: a KeyboardInterrupt with the trace so far.
+        If Ctrl-C or SIGTERM stopped the draws of a run with a checkpoint: a KeyboardInterrupt with the trace so
+        far, without what takes further solves. A stop after them is a KeyboardInterrupt; the draws are kept.
     TooManyFailuresError
         If too large a share of the solves failed.
     """
-    from fmu.analysis.diagnosis import draws_missing
+    from fmu.analysis.diagnosis import draws_missing, with_maxima
     from fmu.analysis.failure_ledger import failure_rate_exceeded
     from fmu.analysis.live import live_diagnostics
     from fmu.analysis.starts import starts
@@ -142,10 +147,13 @@ def sample(
     from fmu.interruption import interruptible
     from fmu.posterior.parameters import require_name
     from fmu.progress import reporting
+    from fmu.progress.phases import solves, told_to
     from fmu.samplers import Run, named
     from fmu.samplers.run import Interrupted
     from fmu.samplers.settings import whole_number
 
+    if sampler is None:
+        sampler = default_sampler(problem)
     settings: Any = named(sampler) if isinstance(sampler, str) else sampler
     if not (hasattr(settings, "bind") and hasattr(settings, "walkers")):
         raise ValueError(
@@ -159,11 +167,6 @@ def sample(
     failure_rate_exceeded(0, 0, max_failure_rate)  # whether it is a rate
     arguments = {"warmup": warmup, "chains": chains, "groups": groups, "seed": seed}
     _check(init, arguments, settings)
-    found = None
-    if maxima is None and (until_ess is not None or (isinstance(init, str) and init == "maxima")):
-        kept_in: Any = getattr(checkpoint, "directory", checkpoint)
-        maxima = found = searched(problem, kept_in)
-    start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
     full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
     getattr(problem, "take_failures", list)()  # those of the run are to come
 
@@ -171,10 +174,15 @@ def sample(
         named = replace(result, init="maxima") if isinstance(says, dict) else result
         return to_trace(named, problem, says, predictions=predictions)
 
-    def trace_of(result: RunResult, *, complete: bool) -> xr.DataTree:
-        return _with_structure(as_trace(result), problem, maxima, full_solves, complete)
-
-    with ExitStack() as stack:
+    with ExitStack() as outer:
+        report = outer.enter_context(reporting(progress, settings.name))
+        outer.enter_context(told_to(report))
+        found = None
+        if maxima is None and (until_ess is not None or (isinstance(init, str) and init == "maxima")):
+            kept_in: Any = getattr(checkpoint, "directory", checkpoint)
+            maxima = found = searched(problem, kept_in)
+        start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
+        stack = outer.enter_context(ExitStack())  # closed before what follows the draws
         store = None
         if checkpoint is not None:
             store = stack.enter_context(_store(checkpoint, problem, settings, arguments, says))
@@ -186,7 +194,7 @@ def sample(
                 settings,
                 **arguments,  # type: ignore[arg-type]
                 init=start,
-                progress=stack.enter_context(reporting(progress, settings.name)),
+                progress=report,
                 engine=_engine(workers, stack),
                 keeper=store,
                 stop=None if store is None else stack.enter_context(interruptible()),
@@ -206,8 +214,14 @@ def sample(
             if so_far is None:
                 raise StoppedRun("in warm-up", None) from None
             where = f"after {so_far.draws} of {draws} draws"
-            raise StoppedRun(where, trace_of(so_far, complete=False)) from None
-    return trace_of(result, complete=True)
+            drawn = as_trace(so_far, predictions=False)
+            drawn.attrs["complete"] = 0
+            raise StoppedRun(where, drawn if maxima is None else with_maxima(drawn, maxima)) from None
+        stack.close()
+        solved_before = solves()
+        trace = _with_structure(as_trace(result), problem, maxima, full_solves)
+        trace.attrs["after_n_solves"] = solves() - solved_before
+    return trace
 
 
 def _check(init: Any, arguments: dict[str, Any], settings: Any) -> None:
@@ -257,9 +271,19 @@ def _engine(workers: Any, stack: ExitStack) -> Engine:
     return stack.enter_context(made)
 
 
-def _with_structure(
-    trace: xr.DataTree, problem: Any, maxima: Maxima | None, full_solves: int, complete: bool
-) -> xr.DataTree:
+def default_sampler(problem: LogDensity) -> str:
+    """Return the sampler for what a problem offers: ``"hmc"`` with exact gradients, ``"mh"`` without.
+
+    Without them a gradient takes 2 ndim + 1 solves, and a step of HMC several gradients. Of the samplers that need
+    none, Metropolis–Hastings gives the most effective draws a solve, warm-up counted: on four functions of two and
+    three parameters 0.018 to 0.12, slice sampling 0.018 to 0.085, emcee 0.013 to 0.027; HMC by differences 0.002
+    to 0.11.
+    """
+    has_gradient = hasattr(problem, "log_prob_and_grad") and getattr(problem, "solves_per_gradient", 1) == 1
+    return "hmc" if has_gradient else "mh"
+
+
+def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, full_solves: int) -> xr.DataTree:
     """Keep in a trace what the problem says beside the draws."""
     from fmu.analysis.certificate import certify
     from fmu.analysis.diagnosis import with_maxima
@@ -269,7 +293,7 @@ def _with_structure(
 
     if maxima is not None:
         trace = with_maxima(trace, maxima)
-    trace.attrs["complete"] = int(complete)
+    trace.attrs["complete"] = 1
     trace.attrs.update(certify(trace, problem, full_solves=full_solves))
     if not hasattr(problem, "likelihood"):
         return trace

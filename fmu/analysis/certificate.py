@@ -10,9 +10,14 @@ import numpy as np
 from fmu.analysis.diagnostics import parameter_draws
 from fmu.numbers import apart, given
 from fmu.posterior.focus import PLAUSIBLE, Tolerance
+from fmu.progress.phases import by_parts
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+_AT_ONCE = 16  # draws
+_OF_MODES = ("eigenvalues", "block", "rank")
 
 
 class CertificateWarning(UserWarning):
@@ -60,8 +65,10 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
     from fmu.fem.modal import frequency_hz
 
     structural = theta[:, : structure.n_parameters]
-    exact, reduced = structure.full_modes(structural), structure.modes(structural)
-    exact_hz, reduced_hz = frequency_hz(exact.eigenvalues), frequency_hz(reduced.eigenvalues)
+    parts = by_parts("certificate", structure.full_modes, structural, _AT_ONCE)
+    exact, block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in _OF_MODES)
+    reduced = structure.modes(structural)
+    exact_hz, reduced_hz = frequency_hz(exact), frequency_hz(reduced.eigenvalues)
     frequency_error = float(np.max(np.abs(reduced_hz / exact_hz - 1.0)))
     log_prob_error = 0.0
     likelihood = problem.likelihood
@@ -69,11 +76,12 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         if hasattr(likelihood, "error"):  # no need to solve again
             of_exact, of_reduced = (likelihood.error.log_prob_terms(hz) for hz in (exact_hz, reduced_hz))
         else:
-            of_exact, of_reduced = likelihood.full_terms(theta), likelihood.terms(theta)
+            of_exact = np.concatenate(by_parts("certificate", likelihood.full_terms, theta, _AT_ONCE))
+            of_reduced = likelihood.terms(theta)
         total = of_exact.sum(axis=1)
         plausible = total >= total.max() - PLAUSIBLE
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
-    changed = np.any((exact.block != reduced.block) | (exact.rank != reduced.rank), axis=1)
+    changed = np.any((block != reduced.block) | (rank != reduced.rank), axis=1)
     promised = getattr(problem, "promised", None) or Tolerance()
     certificate = {
         "certificate_draws": len(theta),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.modal_states import MAXIMUM, START
 from fmu.numbers import fixed, share, significant
+from fmu.progress.phases import phase
 from fmu.text_table import distinct, text_table, wrapped
 
 if TYPE_CHECKING:
@@ -189,9 +190,11 @@ def with_identifiability(
 
     states = {START: problem.start} | ({} if maxima is None else {MAXIMUM: maxima[0].theta})
     linearised = {}
-    for name, theta in states.items():
-        with suppress(ValueError):
-            linearised[name] = identifiability(problem, theta)
+    with phase("identifiability", len(states)) as under_way:
+        for name, theta in states.items():
+            with suppress(ValueError):
+                linearised[name] = identifiability(problem, theta)
+            under_way.advance()
     if not linearised:
         return trace
     found = list(linearised.values())

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.analysis.diagnostics import parameter_draws
 from fmu.analysis.maxima import Maxima
 from fmu.fem.modal import mac
+from fmu.progress.phases import advanced, phase
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,7 +33,9 @@ def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | No
     import xarray as xr
 
     kept = trace.copy()
-    kept[GROUP] = xr.DataTree(modal_states(problem, states_of(trace, problem, maxima)))
+    states = states_of(trace, problem, maxima)
+    with phase("modes", len(states)):
+        kept[GROUP] = xr.DataTree(modal_states(problem, states))
     return kept
 
 
@@ -79,14 +82,19 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         "frequency": (("state", "mode"), problem.frequencies(theta), {"units": "Hz"}),
     }
     if hasattr(problem.model, "full_shapes"):
-        shapes = _aligned(
-            np.array([problem.model.full_shapes(point) for point in theta[:, : problem.n_structural]])
-        )
+        shapes = _aligned(np.array([_shapes(problem, point) for point in theta[:, : problem.n_structural]]))
         variables |= _shape_variables(problem, shapes)
     return xr.Dataset(
         variables,
         coords={"state": list(states), "parameter": list(problem.names), "mode": labels, "reference_mode": labels},
     )
+
+
+def _shapes(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
+    shapes: FloatArray = problem.model.full_shapes(theta)  # type: ignore[attr-defined]
+    advanced()
+    return shapes
 
 
 def _aligned(shapes: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from fmu.analysis.trace import check_trace
 from fmu.fem.modal import frequency_hz
 from fmu.fem.pairing import RankPairing
 from fmu.numbers import share, significant
+from fmu.progress.phases import by_parts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -225,14 +226,14 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     picked = np.unique(np.linspace(0, len(theta) - 1, min(len(theta), MOST_DRAWS)).astype(int))
     picked = np.array([highest]) if constant else np.union1d(picked, highest)
     distinct, inverse = np.unique(theta[picked], axis=0, return_inverse=True)
-    modes = structure.modes(distinct)
+    parts = by_parts("pairing", structure.modes, distinct)
+    block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in ("block", "rank"))
     dims = ("sample", "mode")
     variables: dict[str, Any] = {
-        name: (dims, labels[inverse].astype(np.int16))
-        for name, labels in (("block", modes.block), ("rank", modes.rank))
+        name: (dims, labels[inverse].astype(np.int16)) for name, labels in (("block", block), ("rank", rank))
     }
     if not constant:
-        gap = nearest_other(structure, distinct, modes.block, modes.rank)
+        gap = nearest_other(structure, distinct, block, rank)
         variables["gap"] = (dims, gap[inverse].astype(np.float32))
     chain, draw = np.divmod(picked, draws.shape[1])
     coordinates: dict[str, Any] = {"mode": list(problem.data.labels)}
@@ -257,8 +258,9 @@ def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray
     block, rank : ndarray of int, shape (n, n_modes)
         Of the modes.
     """
-    eigenvalues, blocks, ranks = structure.candidates(theta)
-    hz = frequency_hz(eigenvalues)
+    found = by_parts("pairing", structure.candidates, theta)
+    hz = frequency_hz(np.concatenate([eigenvalues for eigenvalues, _, _ in found]))
+    _, blocks, ranks = found[0]
     gap = np.full(block.shape, np.inf)
     for i in range(block.shape[1]):
         own = (blocks == block[:, i : i + 1]) & (ranks == rank[:, i : i + 1])

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.progress.phases import by_parts
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -51,7 +53,7 @@ class DistinctDraws:
         return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
 
     def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int = BATCH) -> FloatArray:
-        """Return ``function(theta)`` for every draw, shape (chains, draws, ...).
+        """Return ``function(theta)`` for every draw, shape (chains, draws, ...): the phase "predictions" of a run.
 
         Parameters
         ----------
@@ -59,5 +61,4 @@ class DistinctDraws:
             Maps (n, ndim) to (n, ...); called with at most `batch` rows, once for each distinct draw.
         batch : int
         """
-        parts = [function(self.theta[i : i + batch]) for i in range(0, len(self.theta), batch)]
-        return np.concatenate(parts)[self.inverse]
+        return np.concatenate(by_parts("predictions", function, self.theta, batch))[self.inverse]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fmu.analysis.curvature import hessian_at
 from fmu.analysis.mass import LocalQuadratic, Mass, masses
 from fmu.analysis.maxima import Maxima, PosteriorMaximum
+from fmu.progress.phases import phase
 
 if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
@@ -70,7 +71,12 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     found = local_maxima(problem, default_starts(problem) if starts is None else starts, seed)
     theta = np.array([maximum.theta for maximum in found])
     gradient = np.asarray(problem.log_prob_and_grad(theta)[1]) * problem.scale
-    hessians, curvatures = zip(*(hessian_at(problem, x) for x in theta), strict=True)
+    with phase("curvature", len(theta)) as under_way:
+        curved = []
+        for x in theta:
+            curved.append(hessian_at(problem, x))
+            under_way.advance()
+    hessians, curvatures = zip(*curved, strict=True)
     lower, upper = ((bound - problem.offset) / problem.scale for bound in (problem.lower, problem.upper))
     models = [
         LocalQuadratic((m.theta - problem.offset) / problem.scale, m.log_prob, g, H)

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from fmu.analysis.evidence import tempering_group
 from fmu.analysis.provenance import attributes
 from fmu.analysis.replay import DistinctDraws
+from fmu.checkpoints.durable import write_durably
+from fmu.interruption import shielded
 from fmu.posterior.correlated import CorrelatedFrequencyError
 from fmu.samplers.tempering import LOG_LIKELIHOOD
 
@@ -88,6 +90,9 @@ def to_trace(
 def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """Write a trace to a netCDF file, which appears complete or not at all.
 
+    It is made in memory first: the HDF5 library cannot close a file for which the disk has no room, and says so
+    again and again.
+
     Parameters
     ----------
     trace : xarray.DataTree
@@ -97,14 +102,16 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     Returns
     -------
     Path
+
+    Raises
+    ------
+    OSError
+        If it cannot be written: the disk is full, for example. What was there before still is.
     """
     path = Path(path)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        trace.to_netcdf(unfinished, engine="h5netcdf")
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with shielded():
+        content = trace.to_netcdf(engine="h5netcdf")
+        write_durably(path, content)
     return path
 
 

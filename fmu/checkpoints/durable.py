@@ -14,7 +14,7 @@ class DamagedError(ValueError):
     """A file is not as it was written."""
 
 
-def write_durably(path: Path, content: bytes) -> None:
+def write_durably(path: Path, content: bytes | memoryview) -> None:
     """Write a file so that it has either its old content or all of the new one, even if the machine stops.
 
     Raises

@@ -14,7 +14,8 @@ from filelock import FileLock, Timeout
 
 from fmu.checkpoints.durable import write_durably
 
-FILE, LOCK = "at-work.json", "lock"
+FILE, LOCK, PHASE = "at-work.json", "lock", "phase.json"
+_NOTED_S = 0.5
 # fields of /proc/PID/stat, counted behind the number and the name
 _SINCE_BOOT = 22 - 3
 _ENDED = "ZX"
@@ -93,7 +94,8 @@ def announce(directory: Path) -> None:
 def leave(directory: Path) -> None:
     """Take the note away: whoever left it there afterwards was killed."""
     with suppress(OSError):
-        (directory / FILE).unlink(missing_ok=True)
+        for name in (PHASE, FILE):
+            (directory / name).unlink(missing_ok=True)
 
 
 def present(directory: Path) -> Presence | None:
@@ -101,6 +103,43 @@ def present(directory: Path) -> Presence | None:
     try:
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return Presence(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+class PhaseNote:
+    """A note of the phase under way in a directory, to be read without taking the lock; there is none between two.
+
+    Parameters
+    ----------
+    directory : Path
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / PHASE
+        self._noted = ("", 0.0)
+
+    def note(self, phase: str, done: int, total: int) -> None:
+        """Note how far a phase is, twice a second at most; an empty name for none."""
+        now = time.monotonic()
+        name, at = self._noted
+        if name == phase and now < at + _NOTED_S:
+            return
+        self._noted = phase, now
+        with suppress(OSError):  # without room for it, do without
+            if phase:
+                unfinished = self._path.with_name(f".{PHASE}.part")
+                unfinished.write_text(json.dumps({"phase": phase, "done": done, "total": total}))
+                os.replace(unfinished, self._path)
+            elif name:
+                self._path.unlink(missing_ok=True)
+
+
+def noted_phase(directory: Path) -> tuple[str, int, int] | None:
+    """Return the phase under way, its steps done and all; None if there is none, or the note is damaged."""
+    try:
+        held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
+        return str(held["phase"]), int(held["done"]), int(held["total"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

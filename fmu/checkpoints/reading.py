@@ -13,9 +13,8 @@ from fmu.checkpoints.durable import DamagedError
 from fmu.checkpoints.group_reading import GroupReader, KeptGroup
 from fmu.checkpoints.identity import FILE as IDENTITY
 from fmu.checkpoints.identity import Identity
-from fmu.checkpoints.maxima import FILE as MAXIMA
 from fmu.checkpoints.presence import FILE as PRESENCE
-from fmu.checkpoints.presence import LOCK, Presence, present
+from fmu.checkpoints.presence import LOCK, Presence, noted_phase, present
 from fmu.checkpoints.run_directory import FOLDER, unfinished
 from fmu.checkpoints.sampler_reading import Progress, of_group, of_trace, together
 from fmu.checkpoints.store import numbered
@@ -65,8 +64,9 @@ class RunReading:
     samplers : tuple of SamplerReading
     is_of_command : bool
         Whether ``fmu run`` made it, and can resume it.
-    is_searching : bool
-        Whether the maxima of the posterior are being searched for, before the samplers.
+    phase : str
+        The phase under way that is not one of a sampler's, and how far it is, such as ``certificate 32/64``; empty
+        if there is none.
     notes : tuple of str
         What could not be read, in words.
     """
@@ -76,7 +76,7 @@ class RunReading:
     at_work: Presence | None
     samplers: tuple[SamplerReading, ...]
     is_of_command: bool
-    is_searching: bool
+    phase: str
     notes: tuple[str, ...]
 
 
@@ -120,7 +120,7 @@ class RunReader:
         whole = [group.phase == "draws" and group.done == group.total for group in _each(sampler)]
         if at_work is None and all(whole):
             sampler = SamplerReading(sampler.name, FINISHED, sampler.together, sampler.groups)
-        return RunReading(self.directory, sampler.state, at_work, (sampler,), False, False, tuple(self._notes))
+        return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
         """Return how far a run of ``fmu run`` is, which keeps what was asked for in `where`."""
@@ -145,8 +145,9 @@ class RunReader:
             else:
                 samplers.append(self._unfinished(name, where / name, its, orders))
                 its = WAITING
-        searching = now == RUNNING and bool(names) and not (folder / MAXIMA).is_file()
-        return RunReading(self.directory, now, at_work, tuple(samplers), True, searching, tuple(self._notes))
+        phase = noted_phase(folder) if now == RUNNING else None
+        under_way = "" if phase is None else f"{phase[0]} {phase[1]}/{phase[2]}"
+        return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _asked(self, where: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
         """Return what was asked for and which samplers are done, as far as that can be read."""

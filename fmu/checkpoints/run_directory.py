@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from fmu.checkpoints.maxima import keep_maxima, kept_maxima
 from fmu.checkpoints.presence import FILE as PRESENCE
-from fmu.checkpoints.presence import LOCK, Hold, announce
+from fmu.checkpoints.presence import LOCK, Hold, PhaseNote, announce
 from fmu.checkpoints.store import LEDGER
 from fmu.config.kept import ORIGIN, KeptProblem, keep
 
@@ -41,12 +41,21 @@ class RunDirectory:
         self.folder.mkdir(exist_ok=True)
         self._hold = Hold(self.folder, f"--out: another fmu run is at work in {path}")
         announce(self.folder)
+        self._phase = PhaseNote(self.folder)
 
     def __enter__(self) -> RunDirectory:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._hold.release()
+
+    def note(self, phase: str, done: int, total: int) -> None:
+        """Note how far a phase is that keeps nothing, for who looks on."""
+        self._phase.note(phase, done, total)
+
+    def keep(self, problem: KeptProblem) -> None:
+        """Keep the problem and what is asked for, to go on with."""
+        self._keep(problem, self.folder)
 
     def begin(self, problem: KeptProblem) -> None:
         """Forget what an earlier run has left to go on from, and keep the problem and what is asked for."""
@@ -55,7 +64,7 @@ class RunDirectory:
                 shutil.rmtree(path)
             elif path.name not in (LOCK, PRESENCE):
                 path.unlink()
-        self._keep(problem, self.folder)
+        self.keep(problem)
 
     def abandon(self) -> None:
         """Take everything away, if nothing has been drawn: the run was not one that could be made."""

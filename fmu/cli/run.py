@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +14,17 @@ from click.core import ParameterSource
 
 from fmu.cli.notes import warnings_as_notes
 from fmu.cli.output import claimed, make_writable
-from fmu.cli.sampled import sampled, stopped_at_once, tell
+from fmu.cli.sampled import Sampled, sampled, stopped, tell
 from fmu.cli.source import source
+from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
-from fmu.sampling import INITS, MAX_FAILURE_RATE, SAMPLERS, most_draws
+from fmu.progress.phases import told_to
+from fmu.sampling import INITS, MAX_FAILURE_RATE, SAMPLERS, default_sampler, most_draws
 
 if TYPE_CHECKING:
+    from fmu.checkpoints.run_directory import RunDirectory
     from fmu.config.kept import KeptProblem
+    from fmu.posterior.problem import UpdatingProblem
 
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate"}
 """What may be said anew when a run is resumed: the draws do not depend on it."""
@@ -28,8 +32,9 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
 
 @click.command("run")
 @click.argument("case", required=False)
-@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=("hmc",),
-              show_default=True, help="May be given several times.")  # fmt: skip
+@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS),
+              help="May be given several times.  [default: hmc; mh for a Python function without gradients]",
+              )  # fmt: skip
 @click.option("--pairing", type=click.Choice(("shape", "index", "soft")),
               help="Pair computed with measured modes by shape, by number in the spectrum, or softly by shape, "
               "without jumps.  [default: what the file says]")  # fmt: skip
@@ -93,6 +98,7 @@ def command(
     from fmu.config.kept import KeptProblem
 
     with ExitStack() as stack:
+        stack.enter_context(stoppable())
         if resume is None:
             if case is None:
                 raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
@@ -112,21 +118,70 @@ def command(
         stack.enter_context(warnings_as_notes())
         at_work = stack.enter_context(engine(workers, cluster))
         running = stack.enter_context(RunDirectory(directory))
-        if resume is None and not overwrite:
+        # what is there is replaced when the file has turned out not to be wrong, or is not known to be
+        replaces = resume is None and overwrite
+        if resume is None and not replaces:
             running.begin(asked)
         try:
-            problem = load(at_work)
-        except (ValueError, OSError):
-            running.abandon()
-            raise
-        if resume is None and overwrite:  # not before: a file that is wrong replaces nothing
-            running.begin(asked)
-        report = stack.enter_context(_reporting(progress))
-        try:
-            outcome = sampled(problem, asked, running, at_work, report)
-        except KeyboardInterrupt:  # in the search for maxima, or a second time
-            outcome = None
-    return stopped_at_once(directory) if outcome is None else tell(outcome, directory, reports)
+            with _reporting(progress) as report, told_to(report, running.note):
+                try:
+                    problem = load(at_work)
+                except (ValueError, OSError):
+                    running.abandon()
+                    raise
+                if replaces:
+                    running.begin(asked)
+                    replaces = False
+                asked = _with_sampler(asked, problem, running)
+                if resume is None and progress != "json":  # whose stream is for programs
+                    _tell_beforehand(problem, asked.orders, orders["samplers"], at_work.workers)
+                outcome = sampled(problem, asked, running, at_work, report)
+            if outcome.stopped:
+                return stopped(directory, outcome.stopped)
+            return _told(outcome, running, reports, progress)
+        except KeyboardInterrupt:  # in any other phase than warm-up and draws, or a second time
+            if replaces:
+                running.begin(asked)
+            return stopped(directory)
+
+
+def _told(outcome: Sampled, running: RunDirectory, reports: bool, progress: str) -> int:
+    """Print what came of a run, and write its report; return the exit code."""
+    try:
+        code = tell(outcome, running.path)
+        if reports:
+            from fmu.report.html import publish
+
+            with _reporting(progress) as report, told_to(report, running.note):
+                index = publish(outcome.traces, running.path)
+            click.echo(f"Report: {index}")
+        return code
+    finally:
+        running.ended()
+
+
+def _with_sampler(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
+    """Return what was asked for, with the sampler that the model calls for where none was named, and keep it."""
+    if asked.orders["samplers"]:
+        return asked
+    asked = replace(asked, orders={**asked.orders, "samplers": [default_sampler(problem)]})
+    running.keep(asked)
+    return asked
+
+
+def _tell_beforehand(
+    problem: UpdatingProblem, orders: Mapping[str, Any], named: Sequence[str], workers: int
+) -> None:
+    """Say which sampler was chosen, if none was named, and what the run will cost."""
+    from fmu.analysis.estimate import estimates, in_words
+    from fmu.analysis.search import default_starts
+
+    (first, *_) = orders["samplers"]
+    if not named and first != "hmc":
+        click.echo(f"The model gives no gradients: {first} is the sampler (--sampler chooses another).", err=True)
+    click.echo(
+        in_words(estimates(problem, orders, orders["starts"] or default_starts(problem), workers)), err=True
+    )
 
 
 def _check_groups(orders: dict[str, Any]) -> None:
@@ -136,7 +191,7 @@ def _check_groups(orders: dict[str, Any]) -> None:
     from fmu.samplers import named
     from fmu.samplers.run import n_groups
 
-    for name in orders["samplers"]:
+    for name in orders["samplers"] or ("mh",):
         if name != "emcee":  # whose ensembles are the groups
             n_groups(orders["groups"], orders["chains"], named(name))
 

@@ -13,7 +13,7 @@ import click
 
 from fmu.cli.output import write_csv
 from fmu.cli.tables import echo_comparison, summary_text
-from fmu.interruption import interruptible
+from fmu.interruption import shielded
 from fmu.numbers import given
 from fmu.progress import Report, labelled
 from fmu.progress.lines import JSONLines
@@ -82,18 +82,14 @@ def sampled(
     if stopped:
         return outcome._replace(stopped=stopped)
     write_csv(outcome.maxima.table(), running.path / "map.csv")
-    running.ended()
     return outcome
 
 
-def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
-    """Print the tables and verdicts of a run, write the comparison and the pages; return the exit code."""
+def tell(outcome: Sampled, directory: Path) -> int:
+    """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
     from fmu.analysis.comparison import side_by_side
     from fmu.analysis.diagnosis import diagnose_all
 
-    if outcome.stopped:
-        click.echo(f"Stopped: {outcome.stopped}. To go on: fmu run --resume {directory}", err=True)
-        return _STOPPED
     traces, summaries = outcome.traces, outcome.summaries
     verdicts = diagnose_all(traces, summaries=summaries)
     comparison = side_by_side(traces, summaries, verdicts)
@@ -108,16 +104,12 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
     if short:
         click.echo(f"\nStopped at the most draws, short of --until-ess {given(until_ess)}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
-    if reports:
-        from fmu.report.html import publish
-
-        click.echo(f"Report: {publish(traces, directory)}")
     return 1 if short else 0
 
 
-def stopped_at_once(directory: Path) -> int:
-    """Say how to go on with a run that was stopped anywhere; return the exit code."""
-    click.echo(f"Stopped. To go on: fmu run --resume {directory}", err=True)
+def stopped(directory: Path, where: str = "") -> int:
+    """Say where a run was stopped, in words, and how to go on with it; return the exit code."""
+    click.echo(f"Stopped{where and f': {where}'}. To go on: fmu run --resume {directory}", err=True)
     return _STOPPED
 
 
@@ -125,12 +117,12 @@ def _all(
     outcome: Sampled, asked: KeptProblem, running: RunDirectory, engine: Engine, report: Report | None
 ) -> str:
     """Put the traces of all samplers into the outcome; return in words where the run was stopped, if it was."""
-    with interruptible() as is_to_stop:
-        for name in dict.fromkeys(outcome.orders["samplers"]):
-            stopped = f"before {name}" if is_to_stop() else _one(name, outcome, asked, running, engine, report)
-            if stopped:
-                return stopped
-            asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
+    for name in dict.fromkeys(outcome.orders["samplers"]):
+        stopped = _one(name, outcome, asked, running, engine, report)
+        if stopped:
+            return stopped
+        asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
+        with shielded():
             running.finished(name, asked)
     return ""
 

@@ -97,7 +97,7 @@ def _state(reading: RunReading) -> str:
         return f"killed ({process})"
     if reading.state == "silent":
         return f"silent ({process}, which cannot be asked from here, has kept nothing for long)"
-    doing = ", searching for the maxima of the posterior" if reading.is_searching else ""
+    doing = f", {reading.phase}" if reading.phase else ""
     return f"running for {duration(max(time.time() - who.began, 0.0))}{doing} ({process})"
 
 
@@ -125,7 +125,7 @@ def _row(name: str, group: str, state: str, at: Progress) -> tuple[str, ...]:
         number(at.solves),
         "" if math.isnan(at.solves_per_s) else number(at.solves_per_s),
         number(at.failed),
-        "" if at.remaining_s is None else _left(at.remaining_s),
+        "" if at.remaining_s is None or at.done == at.total else _left(at.remaining_s),
     )
 
 

@@ -33,6 +33,7 @@ from fmu.engines.engine import MOST_DEATHS, Engine, LostTaskError
 from fmu.fem.answers import Answer as Answer
 from fmu.fem.answers import AnswerError as AnswerError
 from fmu.fem.answers import checked
+from fmu.progress.phases import solved
 
 FloatArray = NDArray[np.float64]
 
@@ -116,11 +117,14 @@ class BlackBoxModel:
         """Return what the function gives at theta (n, n_parameters), None where it fails; see `reasons`."""
         if self.batched and len(theta) > 1:
             try:
-                return list(self._called(theta))
+                answers: list[Answer | None] = list(self._called(theta))
+                solved(len(theta))
+                return answers
             except (Exception, SystemExit):  # which of the points is at fault shows one at a time
                 return [answer for point in theta for answer in self.answers(point[None])]
         found: list[Answer | None] = []
         for point, (answer, reason) in zip(theta, self._tried(theta), strict=True):
+            solved()
             if answer is None:
                 self.fail(point, reason)
             found.append(answer)

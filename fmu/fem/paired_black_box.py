@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
+from fmu.fem.memory import Memory
 from fmu.fem.modal import mac
 from fmu.fem.observed import Observed
 from fmu.fem.pairing import assign
@@ -68,6 +69,7 @@ class PairedBlackBox:
         self.n_modes = len(numbers)
         self.numbers = numbers
         self.lower, self.upper, self.scale = lower, upper, scale
+        self._memory = Memory()
         try:
             answer = black_box.at(start)
             self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
@@ -151,24 +153,40 @@ class PairedBlackBox:
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
     def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none."""
-        frequencies = np.full((len(theta), self.n_modes), np.nan)
-        gradient = np.full((len(theta), self.n_modes, self.n_parameters), np.nan)
-        shapes = np.full((len(theta), self._n_sensors or 0, self.n_modes), np.nan)
-        for i, answer in enumerate(self.black_box.answers(theta)):
-            if answer is None:
-                continue
-            try:
-                columns = self._columns(answer)
-            except AnswerError as error:
-                self.black_box.fail(theta[i], str(error))
-                continue
-            frequencies[i] = answer.frequencies[columns]
-            if answer.gradient is not None:
-                gradient[i] = answer.gradient[columns]
-            if answer.shapes is not None and len(answer.shapes) == shapes.shape[1]:
-                shapes[i] = answer.shapes[:, columns]
-        return frequencies, gradient, shapes
+        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none.
+
+        Where it answered before, it is not called again.
+        """
+        n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
+        rows = np.full((n, m * (1 + p + s)), np.nan)
+        missing = []
+        for i, point in enumerate(theta):
+            known = self._memory.row(point)
+            if known is None:
+                missing.append(i)
+            else:
+                rows[i] = known
+        if missing:
+            for i, answer in zip(missing, self.black_box.answers(theta[missing]), strict=True):
+                if answer is not None:
+                    self._take(theta[i], answer, rows[i])
+        f, df, phi = np.split(rows, [m, m * (1 + p)], axis=1)
+        return f, df.reshape(n, m, p), phi.reshape(n, s, m)
+
+    def _take(self, theta: FloatArray, answer: Answer, row: FloatArray) -> None:
+        """Put an answer at one theta into a row, and into the memory; leave it if no mode answers."""
+        try:
+            columns = self._columns(answer)
+        except AnswerError as error:
+            self.black_box.fail(theta, str(error))
+            return
+        m, p, s = self.n_modes, self.n_parameters, self._n_sensors or 0
+        row[:m] = answer.frequencies[columns]
+        if answer.gradient is not None:
+            row[m : m * (1 + p)] = answer.gradient[columns].ravel()
+        if answer.shapes is not None and len(answer.shapes) == s:
+            row[m * (1 + p) :] = answer.shapes[:, columns].ravel()
+        self._memory.keep(theta, row.copy())
 
     def _columns(self, answer: Answer) -> IntArray:
         """Return which of the modes given answers to each measured one; AnswerError if one of them is no mode."""

@@ -19,6 +19,7 @@ from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.separable import SeparableModel, selection
 from fmu.fem.threads import single_thread
 from fmu.fem.training import Trained, Training
+from fmu.progress.phases import solved
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -167,6 +168,7 @@ class PairedStructure:
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> Modes:
         """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        solved(len(theta))
         with single_thread():
             if self.reduced is None:
                 return self._solve_full(theta, gradient)
@@ -201,19 +203,21 @@ class PairedStructure:
         counts = {b: min(count + 1, self.full.blocks[b].size) for b, count in self.rule.counts(self.full).items()}
         found = np.full((len(theta), sum(counts.values())), np.nan)
         within = self.within(theta)
+        solved(len(theta))
         with single_thread():
             for model, rows in ((self.full, ~within), (self.reduced, within)):
                 start = 0
                 for b, count in counts.items():
                     if model is not None and rows.any():
-                        solved = min(count, model.blocks[b].trusted)
-                        found[rows, start : start + solved] = model.blocks[b].eigenvalues(theta[rows], solved)
+                        trusted = min(count, model.blocks[b].trusted)
+                        found[rows, start : start + trusted] = model.blocks[b].eigenvalues(theta[rows], trusted)
                     start += count
         ranks = np.concatenate([np.arange(count) for count in counts.values()])
         return found, np.repeat(list(counts), list(counts.values())), ranks
 
     def full_modes(self, theta: FloatArray) -> Modes:
         """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""
+        solved(len(theta))
         with single_thread():
             return self._solve_full(theta)
 
@@ -239,6 +243,7 @@ class PairedStructure:
 
     def full_observed(self, theta: FloatArray) -> Observed:
         """Return frequencies and shapes at the sensors by the full model, paired by the rule itself."""
+        solved(len(theta))
         with single_thread():
             return self._see_full(theta)
 
@@ -251,6 +256,7 @@ class PairedStructure:
 
     def full_seen_candidates(self, theta: FloatArray) -> Candidates:
         """Return all modes that might answer to a measured one by the full model."""
+        solved(len(theta))
         with single_thread():
             return self._full_candidates(theta)
 
@@ -322,6 +328,7 @@ class PairedStructure:
         gradient: bool,
     ) -> Look:
         """Return what the reduced model shows, and the full one where that has no say or failed."""
+        solved(len(theta))
         with single_thread():
             if self.reduced is None:
                 return full(theta, gradient)

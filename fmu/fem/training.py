@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from fmu.engines.engine import Engine
+from fmu.engines.engine import Engine, InProcess
 from fmu.fem.modal import DENSE_LIMIT, FullBlock
 from fmu.fem.model import Block, BlockModel
 from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.snapshots import AT_ONCE, LARGE, MANY_SHAPES, Snapshots, proper_orthogonal_basis, smallest_basis
+from fmu.progress.phases import phase, solved
 
 FloatArray = NDArray[np.float64]
 
@@ -92,7 +93,7 @@ class Training:
         self.lower, self.upper = lower, upper
         self.tolerance = tolerance
         self.n_sobol = n_sobol
-        self._engine = engine
+        self._engine = engine or InProcess()
         self.snapshots: dict[int, Snapshots] = {}
         self.pairing: Pairing = rule
         self.basis: dict[int, FloatArray] = {}
@@ -162,12 +163,12 @@ class Training:
     def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
         """Solve the blocks that the rule looks at, for all modes that might be needed."""
         counts = self.rule.counts(self.full)
-        if self._engine is None:
-            return {b: Snapshots.solve(self._block(b), theta, count) for b, count in counts.items()}
         parts = [theta[first : first + _CHUNK] for first in range(0, len(theta), _CHUNK)]
         tasks = [(b, part, count) for b, count in counts.items() for part in parts]
-        solved = iter(self._engine.lines(_solve_there, self.full, tasks))
-        return {b: Snapshots.joined(list(islice(solved, len(parts)))) for b in counts}
+        with phase("training", len(tasks)) as under_way:
+            outcome = iter(self._engine.lines(_solve_there, self.full, tasks, lambda *_: under_way.advance()))
+            solved(len(theta))
+        return {b: Snapshots.joined(list(islice(outcome, len(parts)))) for b in counts}
 
     def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
         """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.progress.phases import advanced
+
 if TYPE_CHECKING:
     from fmu.posterior.parameters import Parameter
     from fmu.posterior.problem import UpdatingProblem
@@ -111,10 +113,13 @@ def ascend(
     stationary = np.zeros(len(u), dtype=bool)
     i = np.arange(u.shape[1])
     going = np.flatnonzero(np.isfinite(V))
+    advanced(len(u) - len(going))
     step = 0
     for step in range(max_steps):  # noqa: B007
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
-        going = going[~stationary[going] & (damping[going] < _MOST_DAMPING)]
+        on = going[~stationary[going] & (damping[going] < _MOST_DAMPING)]
+        advanced(len(going) - len(on))
+        going = on
         if not going.size:
             break
         damped = _invertible(H[going])

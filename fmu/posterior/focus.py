@@ -19,6 +19,7 @@ from fmu.fem.structure import PairedStructure
 from fmu.fem.training import box_points
 from fmu.numbers import apart, given
 from fmu.posterior.maxima import local_maxima
+from fmu.progress.phases import by_parts
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -31,6 +32,7 @@ LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
 # Below the maximum by more than this, a probability does not matter.
 PLAUSIBLE = 50.0
 PATIENCE = 3
+_AT_ONCE = 16  # points
 _CHECKED, _CHECK_SEED = 32, 10_000
 
 
@@ -114,7 +116,8 @@ def reduce_model(
 
     def wanting() -> FloatArray | None:
         points = plausible_points(problem, 64, rng)
-        difference = np.sum(likelihood.terms(points) - likelihood.full_terms(points), axis=1)
+        exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
+        difference = np.sum(likelihood.terms(points) - exact, axis=1)
         wrong = ~(np.abs(difference) <= promised.log_prob)
         if not isinstance(structure.rule, SoftPairing):
             wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], promised.frequency)

@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from fmu.posterior.ascent import GaussNewton, ascend
+from fmu.progress.phases import advanced, phase
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -60,8 +61,14 @@ def local_maxima(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) 
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
     points = _starting_points(problem, starts, seed)
+    with phase("search", starts):
+        return _found(problem, points)
+
+
+def _found(problem: UpdatingProblem, points: FloatArray) -> tuple[Maximum, ...]:
+    """Return where the climbs from scaled points (n, ndim) lead to."""
     if not hasattr(problem.likelihood, "quadratic"):
-        return _merged(problem, (_climb(problem, u) for u in points))
+        return _merged(problem, [_climb(problem, u) for u in points])
     lower, upper = _box(problem)
     ends = ascend(GaussNewton(problem), points, lower, upper, tolerance=_TOLERANCE)
     arrived = _merged(problem, _ended(problem, ends.position[ends.stationary]))
@@ -139,4 +146,5 @@ def _climb(problem: UpdatingProblem, start: FloatArray, starts: int = 1) -> Maxi
         options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 500, "maxcor": 20},
     )
     theta = _theta(problem, result.x)
+    advanced(starts)
     return Maximum(theta, float(problem.log_prob(theta)), starts)

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fmu.progress.phases import Phase, phase
 from fmu.report.document import Page
 from fmu.report.pages import INDEX, file_names, index_page, sampler_page
-from fmu.report.run import runs_of
+from fmu.report.run import Run, runs_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -75,13 +76,22 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
         The index page.
     """
     directory = Path(directory)
-    runs = runs_of(traces)
+    with phase("report", len(traces) + 2) as under_way:
+        runs = runs_of(traces)
+        under_way.advance()
+        return _written(runs, directory, under_way)
+
+
+def _written(runs: dict[str, Run], directory: Path, under_way: Phase) -> Path:
+    """Write the pages of runs, and return the index."""
     files = file_names(runs)
     directory.mkdir(parents=True, exist_ok=True)
     for name, run in runs.items():
         (directory / files[name]).write_text(render(sampler_page(run, files, runs)), encoding="utf-8")
+        under_way.advance()
     index = directory / f"{INDEX}.html"
     index.write_text(render(index_page(runs, files)), encoding="utf-8")
+    under_way.advance()
     return index
 
 

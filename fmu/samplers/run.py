@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from fmu.engines.engine import Engine, InProcess
+from fmu.interruption import shielded
 from fmu.numbers import apart
 from fmu.progress import Report
 
@@ -274,6 +275,10 @@ class Run:
         began, before = time.perf_counter(), self._elapsed_s[phase]
 
         def follow(line: int, done: Done) -> Part | None:
+            with shielded():
+                return taken(line, done)
+
+        def taken(line: int, done: Done) -> Part | None:
             self._elapsed_s[phase] = before + time.perf_counter() - began
             group = behind[line]
             self._write(group, phase, group.standing.done[phase], done.steps)
@@ -286,15 +291,21 @@ class Run:
             if why is not None:
                 raise TooManyFailuresError(why, self._so_far())
             if stopped and self._engine.workers == 1 and any(g.standing.done[phase] < target for g in behind):
-                for other in behind:  # none is under way: they need not take another step each
-                    self._keep(other, phase, target, at_once=True)
-                raise Interrupted(self._so_far())
+                raise Interrupted(None)  # no other is under way: they need not take another step each
             if self._watch is not None and phase == DRAWS:
                 self._watch.look(self._common(phase))
             return None if ended else self._part(group, phase, target)
 
         parts = [self._part(group, phase, target) for group in behind]
-        self._engine.lines(advance, self._setting, parts, follow, self._watch)
+        try:
+            self._engine.lines(advance, self._setting, parts, follow, self._watch)
+        except KeyboardInterrupt as stop:  # perhaps in the middle of a step, which is lost
+            if self._keeper is None and not isinstance(stop, Interrupted):
+                raise
+            with shielded():
+                for group in behind:
+                    self._keep(group, phase, target, at_once=True)
+            raise Interrupted(self._so_far()) from None
         self._elapsed_s[phase] = before + time.perf_counter() - began
         if any(group.standing.done[phase] < target for group in behind):
             raise Interrupted(self._so_far())

@@ -55,7 +55,7 @@ def test_ensembles_need_fifty_autocorrelation_times_and_walkers_that_mix():
 
 
 def test_predicted_draws_reach_the_goal_and_little_more():
-    """A hundred runs of four chains with an autocorrelation time of 9 steps, whose ESS is known to some percent."""
+    """A hundred runs of four chains with an autocorrelation time of 9 steps, its ESS known to some percent."""
     rng, goal = np.random.default_rng(61), 1000.0
     reached = []
     for _ in range(100):

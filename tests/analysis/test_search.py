@@ -158,7 +158,7 @@ def test_hopeless_maxima_keep_their_laplace_mass():
     assert other.effective == 0
     assert other.log_mass == pytest.approx(np.log(1.0 / 30.0), abs=0.02)
     assert other.mean[0] == pytest.approx(1 - 1 / 30, abs=0.005)
-    assert calls == [1024]
+    assert sum(calls) == 1024
 
 
 def test_section_by_number_has_its_mass_in_a(section_maxima):

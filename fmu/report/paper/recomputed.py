@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, cast
 
 from fmu.cases.published import EXPERIMENTS
 from fmu.numbers import fixed, given, share
@@ -73,7 +73,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
             f"Table {row.table}", row.column, row.mode, row.printed_hz, fixed(row.model_hz, 3),
             fixed(row.difference_hz, 3), fixed(row.tolerance_hz, 3), "yes" if row.within else "**no**", row.remark,
         )
-        for row in table.itertuples()
+        for row in cast("Iterable[Any]", table.itertuples())
     ]  # fmt: skip
     passed = int(table["within"].sum())
     return (

@@ -1,0 +1,149 @@
+"""What a run will cost, about: solves of the model, and seconds at the cost of one that was just measured."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+    from fmu.samplers.kernel import Sampler
+
+_PER_STEP = {  # of a chain, or of a walker: evaluations in warm-up, in draws; and distinct draws
+    "mh": (1.5, 0.7, 0.3),
+    "slice": (3.0, 2.3, 1.0),
+    "hmc": (10.0, 4.0, 0.9),
+    "emcee": (0.85, 0.85, 0.5),
+    "tempering": (50.0, 35.0, 1.0),
+}
+"""Means over the shipped cases, and over functions of two and three parameters."""
+_CLIMB = 12  # evaluations with gradient
+_WEIGHED = 1024  # draws for each maximum
+_SLOW_S = 0.005
+_OVERHEAD_S = 1e-4  # of a step beside a solve
+_PROBE_S = 0.05
+_CERTIFIED = 64
+
+
+class Estimate(NamedTuple):
+    """What a part of a run costs, about: its name, solves, seconds."""
+
+    name: str
+    solves: float
+    seconds: float
+
+
+def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
+    """Return what the parts of a run will cost: each sampler, and what else takes more than a second.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        It is solved a few times, to measure how long that takes.
+    orders : mapping of str
+        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``init`` of the run.
+    starts : int
+        Climbs of the search for maxima.
+    workers : int
+        Processes that share the work.
+    """
+    from fmu.samplers import named
+
+    per_gradient = problem.solves_per_gradient
+    is_function = hasattr(problem.model, "black_box")
+    one_s = _seconds_of_one(problem)
+    is_slow = is_function or one_s > _SLOW_S
+    found = []
+    if is_slow:
+        at_once = workers if is_function else 1
+        solves = (starts * _CLIMB + 6 * problem.ndim) * per_gradient + _WEIGHED
+        found.append(Estimate("search", solves, solves * one_s / at_once))
+    for name in orders["samplers"]:
+        settings: Any = named(name)
+        lines = orders["chains"] * settings.walkers
+        warmup, draws, distinct = _PER_STEP[name]
+        per_step = per_gradient if name == "hmc" else 1
+        solves = lines * (orders["warmup"] * warmup + orders["draws"] * draws) * per_step
+        if not is_slow:
+            each_s = _seconds_in_a_sampler(problem, settings, orders)
+            side_by_side = 1
+        else:
+            each_s = one_s + _OVERHEAD_S
+            # a function's evaluations are shared out, those of the chains of one step at most
+            side_by_side = min(workers, lines) if is_function else min(workers, orders["groups"] or 1)
+        found.append(Estimate(name, solves, solves * each_s / side_by_side))
+        if is_slow and not is_function:
+            predicted = lines * orders["draws"] * distinct
+            found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
+    if getattr(problem.model, "reduced", None) is not None:
+        full_s = _timed(lambda: problem.model.full_modes(problem.start[None, : problem.n_structural]))  # type: ignore[attr-defined]
+        of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
+        found += [of_each] * len(orders["samplers"])
+    samplers = set(orders["samplers"])
+    return [part for part in found if part.name in samplers or part.seconds >= 1.0]
+
+
+def in_words(parts: list[Estimate]) -> str:
+    """Return what a run will cost, in one line: ``hmc: about 36 000 solves, 12 s``."""
+    return "; ".join(f"{part.name}: about {_rounded(part.solves)} solves, {_time(part.seconds)}" for part in parts)
+
+
+def _seconds_of_one(problem: UpdatingProblem) -> float:
+    """Return how long a solve takes: of a function, one call."""
+    model: Any = problem.model
+    if hasattr(model, "black_box"):
+        return _timed(lambda: model.black_box.at(problem.start[: problem.n_structural]))
+    return _timed(lambda: problem.log_prob(problem.start))
+
+
+def _timed(work: Callable[[], object]) -> float:
+    """Return the seconds that the second of two tries takes: the first may have something to load."""
+    took = 0.0
+    for _ in range(2):
+        began = time.perf_counter()
+        work()
+        took = time.perf_counter() - began
+        if took > 1.0:
+            break
+    return took
+
+
+def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any]) -> float:
+    """Return how long a solve takes in a sampler, its own work counted, from the first steps of its warm-up."""
+    from fmu.samplers.group import DRAWS, WARMUP, Part, Setting, advance, first_snapshot
+    from fmu.samplers.run import n_groups
+
+    setting = Setting(problem, settings, max(orders["warmup"], 1))
+    rng = np.random.default_rng(0)
+    chains = orders["chains"] // n_groups(orders["groups"], orders["chains"], settings)
+    shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
+    theta = problem.sample_prior(rng, chains * settings.walkers).reshape(shape)
+    phase = WARMUP if orders["warmup"] else DRAWS
+    group = first_snapshot(setting, rng, setting.scaled.to_scaled(theta), 0)
+    seconds, solves = 0.0, 0
+    for _ in range(2):  # the first try may have something to load
+        began = time.perf_counter()
+        done = advance(setting, Part(group, phase, max(orders[phase], 1), _PROBE_S, 1))
+        seconds = time.perf_counter() - began
+        group, solves = done.standing.group, int(done.steps.stats["n_solves"].sum())
+    return seconds / max(solves, 1)
+
+
+def _rounded(number: float) -> str:
+    """Return a number in two digits, thousands apart."""
+    digits = len(str(int(number))) - 2
+    return f"{round(number, -max(digits, 0)):,.0f}".replace(",", " ")
+
+
+def _time(seconds: float) -> str:
+    """Return a time in two digits, in plain words."""
+    if seconds < 1.0:
+        return "under 1 s"
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= 1.5 * size:
+            value = seconds / size
+            return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
+    return f"{seconds:.0f} s"

@@ -1,0 +1,159 @@
+"""The phases of a run beside its draws: each tells how far it is, and how often the model was solved in it.
+
+Whoever works through something that may take long opens a `phase`, and says `Phase.advance`; models say `solved`.
+Who wants to know listens with `told_to`. So nothing between them has to pass a callback on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+from fmu.progress import Report, in_notebook
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+AT_ONCE_S = 0.5
+"""A phase is not told before it has taken so long: most take no time."""
+
+_PART_S = 0.1
+_FIRST_ROWS = 16
+
+Note = Callable[[str, int, int], None]
+"""Called as ``note(phase, done, total)`` from the beginning of a phase on; with an empty name after its end."""
+
+
+class _Count:
+    solves = 0
+
+
+class Phase:
+    """A phase that goes on.
+
+    Parameters
+    ----------
+    name : str
+    total : int
+        Steps, as far as is known.
+    report : Report or None
+    note : Note or None
+    """
+
+    def __init__(self, name: str, total: int, report: Report | None, note: Note | None) -> None:
+        self.name, self.total = name, total
+        self.done = self.solves = 0
+        self._report, self._note = report, note
+        self._began = time.monotonic()
+        self._is_told = False
+        self.tell()
+
+    def advance(self, steps: int = 1) -> None:
+        """Say that so many more steps are done."""
+        self.done += steps
+        self.total = max(self.total, self.done)
+        self.tell()
+
+    def expect(self, steps: int) -> None:
+        """Say that there are so many steps more than was known."""
+        self.total += steps
+
+    def solved(self, n: int) -> None:
+        """Say that the model was solved at `n` more theta."""
+        self.solves += n
+        self.tell()
+
+    def tell(self) -> None:
+        """Tell whoever listens, if it takes long enough."""
+        if self._note is not None:
+            self._note(self.name, self.done, self.total)
+        if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
+            self._is_told = True
+            self._report(self.name, self.done, self.total, {"solves": self.solves})
+
+    def end(self) -> None:
+        """Tell that it is over, if it was told before."""
+        if self._is_told and self.done < self.total:
+            self.total = self.done
+            self.tell()
+
+
+_phase: ContextVar[Phase | None] = ContextVar("phase", default=None)
+_report: ContextVar[Report | None] = ContextVar("report", default=None)
+_note: ContextVar[Note | None] = ContextVar("note", default=None)
+
+
+@contextmanager
+def told_to(report: Report | None, note: Note | None = None) -> Iterator[None]:
+    """Have the phases of a block told; what is None is left to whoever was told before."""
+    before = _report.set(report or _report.get()), _note.set(note or _note.get())
+    try:
+        yield
+    finally:
+        _report.reset(before[0])
+        _note.reset(before[1])
+
+
+@contextmanager
+def phase(name: str, total: int = 0) -> Iterator[Phase]:
+    """Open a phase; one within another is told by itself, and its solves are the other's too."""
+    outer, report, note = _phase.get(), _report.get(), _note.get()
+    if report is None and in_notebook():
+        from fmu.progress.bars import NotebookBars
+
+        report = NotebookBars().report
+    opened = Phase(name, total, report, note)
+    token = _phase.set(opened)
+    try:
+        yield opened
+        opened.end()
+    finally:
+        _phase.reset(token)
+        if outer is not None:
+            outer.solves += opened.solves
+        if note is not None:
+            note("" if outer is None else outer.name, 0 if outer is None else outer.done, 0)
+
+
+def advanced(steps: int = 1) -> None:
+    """Say that so many more steps of the phase under way are done, if there is one."""
+    under_way = _phase.get()
+    if under_way is not None:
+        under_way.advance(steps)
+
+
+def by_parts[Found](
+    name: str, function: Callable[[NDArray[np.float64]], Found], points: NDArray[np.float64], most: int = 4096
+) -> list[Found]:
+    """Return what a function gives for points (n, ...), a part of them at a time, as a phase.
+
+    A part takes some tenths of a second where that can be, and has at most `most` rows.
+    """
+    found: list[Found] = []
+    first, rows = 0, min(_FIRST_ROWS, most)
+    with phase(name, len(points)) as under_way:
+        while first < len(points) or not found:
+            began = time.monotonic()
+            part = points[first : first + rows]
+            found.append(function(part))
+            under_way.advance(len(part))
+            took, first = time.monotonic() - began, first + rows
+            rows = min(2 * rows, most) if took < _PART_S else max(rows // 2, 1)
+    return found
+
+
+def solved(n: int = 1) -> None:
+    """Count solves of the model at `n` theta, and have the phase under way tell of them."""
+    _Count.solves += n
+    under_way = _phase.get()
+    if under_way is not None:
+        under_way.solved(n)
+
+
+def solves() -> int:
+    """Return how many solves this process has counted."""
+    return _Count.solves
