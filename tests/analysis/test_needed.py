@@ -35,10 +35,11 @@ def test_the_scarcest_of_all_criteria_counts():
         (table(600), 700),
         (table(250), 2264),  # four fifths of 4080 first, as it more than doubles the run
         (table(450), 1000),
+        (table(60), 3000),  # no further than four times the run at once
         (table(49), 1000),  # too few to predict from
         (table(np.nan), 1000),
         (table(2000, rhat=1.011), 100),
-        (table(2000, rhat=1.04), 250),
+        (table(2000, rhat=1.04), 150),
         (table(2000), 1000),  # no number of draws is known to help
         (table(2000, rhat=np.nan), 1000),
     ],
@@ -51,11 +52,11 @@ def test_ensembles_need_fifty_autocorrelation_times_and_walkers_that_mix():
     lengths, mixed = np.array([40.0, 60.0]), np.array([1.0, 1.02])
     assert draws_to_come(1000, table(5000), 400.0, lengths, mixed) == 275
     assert draws_to_come(1000, table(5000), 400.0, 2 * lengths, mixed) == 1000
-    assert draws_to_come(1000, table(5000), 400.0, 2 * lengths, np.array([1.0, 1.06])) == 200
+    assert draws_to_come(1000, table(5000), 400.0, 2 * lengths, np.array([1.0, 1.06])) == 150
 
 
 def test_predicted_draws_reach_the_goal_and_little_more():
-    """A hundred runs of four chains with an autocorrelation time of 9 steps, its ESS known to some percent."""
+    """A hundred runs of four chains of an autocorrelation time of 9 steps, their ESS known to some percent."""
     rng, goal = np.random.default_rng(61), 1000.0
     reached = []
     for _ in range(100):

@@ -31,7 +31,7 @@ from tests.four_storeys import SD, TRUTH, four_storeys
 
 FloatArray = NDArray[np.float64]
 
-WARMUP, DRAWS = 300, 200
+WARMUP, DRAWS = 200, 100
 SEEDS = {"hmc": 20, "mh": 5, "slice": 3, "emcee": 2}
 SEEDS_FROM_PRIOR = {"hmc": 6, "mh": 5, "slice": 3, "emcee": 2}
 BEAMS = tuple(
