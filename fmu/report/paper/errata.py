@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fmu.cases.published import EXPERIMENTS
-from fmu.numbers import fixed, given, significant
+from fmu.numbers import fixed, given, share, significant
 from fmu.report import markdown
 from fmu.report.paper import spectrum
 
