@@ -74,8 +74,8 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
     how = "" if tests is None else f" as {measurement_in_words(tests)}"
     columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean")
     return [
-        f"mode {mode} was measured at {measured:.1f} Hz{how}, outside the {per_cent} % interval of its prediction, "
-        f"{low:.1f} to {high:.1f} Hz (mean {mean:.1f} Hz)"
+        f"mode {mode} was measured at {measured:.1f} Hz{how}, outside the {per_cent} % interval of its "
+        f"prediction, {low:.1f} to {high:.1f} Hz (mean {mean:.1f} Hz)"
         for mode, measured, low, high, mean in zip(table.index, *(table[c] for c in columns), strict=True)
         if not low <= measured <= high
     ]

@@ -122,7 +122,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:
-    """Return the single tests (n_tests, n_modes) in Hz, NaN where one missed a mode; None if none were repeated."""
+    """Return the single tests (n_tests, n_modes) in Hz, NaN where one missed a mode; None if there is none."""
     if "observed_data" not in trace.children or "tests" not in trace["observed_data"]:
         return None
     return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.analysis.prediction import measured_tests
 from fmu.posterior.repeated import RepeatedTests
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FloatArray = NDArray[np.float64]
 
-FALSE_ALARMS = 0.008
+FALSE_ALARMS = 0.005
 """Share of problems with independent tests in which any mode is told, over all modes together."""
 _PERMUTATIONS = 2000
 _AT_ONCE = 1_000_000
@@ -67,14 +72,14 @@ class Repeatability:
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
             said.append(
-                "Consecutive tests resemble each other, if all modes are taken together (mean lag-1 autocorrelation "
-                f"{self.autocorrelation.mean():.2f}). {_worth(n, effective)}"
+                "Consecutive tests resemble each other, if all modes are taken together (mean lag-1 "
+                f"autocorrelation {self.autocorrelation.mean():.2f}). {_worth(n, effective)}"
             )
         if said:
             said.append(
-                "Find out what changed between the tests (temperature, mass, joints). Then average the tests of each "
-                "block or day into one row of tests, as such means are nearly independent; or keep the tests of one "
-                "state of the structure; or give frequencies with an sd that covers the change."
+                "Find out what changed between the tests (temperature, mass, joints). Then average the tests of "
+                "each block or day into one row of tests, as such means are nearly independent; or keep the tests "
+                "of one state of the structure; or give frequencies with an sd that covers the change."
             )
         return said
 
@@ -107,7 +112,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     Were the tests independent, any order of them would be as probable. The statistics are r_1 of each mode, its
     mean over the modes, and the size of the correlation of each mode with the order, each standardised by its mean
     and standard deviation over random orders; the same order for all modes, which may depend on each other. Told
-    is what exceeds the largest of all statistics in all but 0.8 % of the random orders, so that independent tests
+    is what exceeds the largest of all statistics in all but 0.5 % of the random orders, so that independent tests
     of any distribution are called dependent in less than 1 % of problems, over all modes together (Westfall &
     Young 1993, *Resampling-based multiple testing*, section 2.3). Five tests and fewer can tell nothing.
 
@@ -151,6 +156,14 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
         drifts=told[n_modes + 1 :],
         all_resemble=bool(told[n_modes]),
     )
+
+
+def repeatability_warnings(trace: xr.DataTree) -> list[str]:
+    """Return `Repeatability.doubts` of the tests that a trace keeps; empty if there are none."""
+    tests = measured_tests(trace)
+    if tests is None:
+        return []
+    return repeatability(tests, tuple(map(str, trace["observed_data"]["mode"].to_numpy()))).doubts()
 
 
 def _statistics(z: FloatArray, present: NDArray[np.bool_]) -> FloatArray:

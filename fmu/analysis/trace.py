@@ -58,9 +58,10 @@ def to_trace(
         term a mode, and where errors are correlated also ``frequency_given_others``), ``posterior_predictive``
         (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
         ``model_frequency`` without it, Hz; of repeated tests ``frequency`` is the mean of as many new tests, and
-        ``one_more_test`` a single one), ``prior`` (draws from the prior inside the bounds),
-        ``observed_data`` (``frequency``, and ``tests``, a row a test, where it is their mean) and ``constant_data`` (``lower``, ``upper``, ``start``, ``beta``, and
-        ``covariance_hz2`` where errors are correlated); of parallel tempering ``tempering``
+        ``one_more_test`` a single one), ``prior`` (draws from the prior inside the bounds), ``observed_data``
+        (``frequency``, and ``tests``, a row a test, where it is their mean) and ``constant_data`` (``lower``,
+        ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel
+        tempering ``tempering``
         (`fmu.analysis.evidence.tempering_group`). The attributes say how the draws came about.
     """
     import xarray as xr
@@ -230,7 +231,7 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         if problem.data.tests is not None:
             single = problem.simulate_test(noise, hz, theta)
             predicted[ONE_MORE_TEST] = (dims, single.reshape(frequency.shape), hertz)
-    observed = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
+    observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
     if problem.data.tests is not None:
         observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
     return {

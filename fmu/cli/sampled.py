@@ -99,7 +99,7 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
     write_csv(comparison, directory / "comparison.csv")
     click.echo(f"Maxima of the posterior\n{outcome.maxima}\n")
     for name, table in summaries.items():
-        click.echo(f"{name}\n{text(table.assign(unit=table.attrs['units']))}\n")
+        click.echo(f"{name}\n{text(table.assign(unit=table.attrs['units'], **_updated(traces[name])))}\n")
         _echo_failed_points(name, traces[name], directory, outcome.problem)
     echo_comparison(comparison, verdicts)
     until_ess = outcome.orders["until_ess"]
@@ -112,6 +112,15 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
 
         click.echo(f"Report: {publish(traces, directory)}")
     return 1 if short else 0
+
+
+def _updated(trace: xr.DataTree) -> dict[str, list[str]]:
+    """Return a column that says which parameters the data updated, none where that cannot be said."""
+    from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
+
+    words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
+    found = information(trace)
+    return {} if found is None else {"updated": [words[basis] for basis in found.basis]}
 
 
 def stopped_at_once(directory: Path) -> int:

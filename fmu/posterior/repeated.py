@@ -67,7 +67,7 @@ def mean_frequencies(frequencies: ArrayLike, scatter: str = "each") -> MeanFrequ
 
 
 class _Scatter(NamedTuple):
-    """Means and sample standard deviations in Hz, degrees of freedom and numbers of tests, all of shape (n_modes,)."""
+    """Means and sample standard deviations in Hz, degrees of freedom and numbers of tests: each (n_modes,)."""
 
     mean: FloatArray
     s: FloatArray
@@ -143,11 +143,11 @@ class RepeatedTests:
         """Draw how far one more test lies from the frequencies of the structure, shape (size, n_modes), Hz.
 
         The standard deviation of single tests is known from n tests only. With the prior ∝ 1/s it is integrated
-        out: s_i times Student's t with ν_i degrees of freedom. An interval about the posterior of a model that can
-        follow the mean is a little wide for very few tests (a 90 % interval holds 93 % for two tests, 92 % for
-        three, 90 % from five on), as the Gaussian of `mean_frequencies` is widened too. Where the scatter is "joint", the multivariate t
-        with n − n_modes degrees of freedom and the matrix (n − 1) S/(n − n_modes), under the prior of
-        `mean_frequencies`.
+        out: s_i times Student's t with ν_i degrees of freedom. An interval about the posterior of a model that
+        can follow the mean is a little wide for very few tests (a 90 % interval holds 93 % for two tests, 92 %
+        for three, 90 % from five on), as the Gaussian of `mean_frequencies` is widened too. Where the scatter is
+        "joint", the multivariate t with n − n_modes degrees of freedom and the matrix (n − 1) S/(n − n_modes),
+        under the prior of `mean_frequencies`.
         """
         values = np.asarray(self.frequencies_hz)
         z = rng.standard_normal((size, values.shape[1]))
