@@ -86,8 +86,8 @@ class MeasurementTable(Table):
     shapes_file: FileName | None = None
     """A table of shapes with their sensors, from the folder of this file."""
     test_shapes: list[list[list[Missed]]] | None = None
-    """Shapes of repeated tests: a list a test, in it a row a mode and a number a sensor, in any scale and sign; nan
-    at every sensor where a test missed a mode. Their mean is compared, and their scatter tells its error."""
+    """Shapes of repeated tests: a list a test, in it a row a mode and a number a sensor, in any scale and sign;
+    nan at every sensor where a test missed a mode. Their mean is compared, and their scatter tells its error."""
 
     @field_validator("covariance")
     @classmethod
@@ -223,7 +223,7 @@ class MeasurementTable(Table):
         return read._replace(sensors=modes.sensors, shapes=modes.shapes)
 
     def _frequencies(self, folder: Path) -> _Read:
-        """Return the frequencies, their own uncertainty, and labels, numbers and tests where the source has them."""
+        """Return the frequencies and their own uncertainty, with labels, numbers and tests where there are any."""
         if self.frequencies is not None:
             return _Read(np.array(self.frequencies), {}, (), (), (), None)
         if self.tests is not None:

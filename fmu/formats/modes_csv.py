@@ -12,8 +12,8 @@ Shapes, a sensor a row and a mode a column::
     tip,z,1.0,1.0
     12,-z,0.34,-0.71
 
-Repeated tests, a test a row in the order in which they were made and a mode a column; the column ``test``, a number or
-a time, may be left out, and a cell is empty or ``nan`` where a test missed the mode::
+Repeated tests, a test a row in the order in which they were made and a mode a column. The column ``test``, a
+number or a time, may be left out. A cell is empty or ``nan`` where a test missed the mode::
 
     test,first bending,second bending
     Monday 9:00,31.9,197.9
@@ -118,7 +118,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
 
 
 def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the frequencies of repeated tests (n_tests, n_modes), Hz, NaN where one missed a mode, and the labels.
+    """Return frequencies of repeated tests (n_tests, n_modes), Hz, NaN where one missed a mode; and the labels.
 
     Raises
     ------
