@@ -13,7 +13,10 @@ from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.initial_modes import InitialModes, initial_modes
 from fmu.analysis.modal_states import START, modal_states
 from fmu.analysis.mode_text import modes_as_text
+from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
+from fmu.analysis.repeatability import repeatability
+from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.numbers import fixed, given, with_sd
 from fmu.text_table import text_table, wrapped
 
@@ -47,6 +50,10 @@ class Check:
         The structure as SVG; empty where there is none to draw.
     colours : tuple of (str or None)
         Of the elements that each parameter changes, in the drawing.
+    measurement : str
+        What a measured frequency is: ``"a measurement"``, or ``"the mean of 5 tests"``.
+    tests : tuple of str
+        What is doubtful in the order of repeated tests, a sentence each.
     shapes : xarray.Dataset or None
         The shapes at the start (`fmu.analysis.modal_states.modal_states`), where there is a structure to draw.
     """
@@ -60,12 +67,16 @@ class Check:
     prior: PriorPrediction
     drawing: str = ""
     colours: tuple[str | None, ...] = ()
+    measurement: str = "a measurement"
+    tests: tuple[str, ...] = ()
     shapes: xr.Dataset | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What to look into before sampling, a sentence each; empty if there is nothing."""
-        found = list(self.modes.doubts)
+        found = [*self.modes.doubts, *self.tests]
+        if self.identifiability is not None:
+            found += doubts_of_information(self.identifiability)
         if not self.gradient.agrees:
             found.append(self.gradient.sentence())
         if self.prior.failed or self.prior.is_far.any():
@@ -74,9 +85,9 @@ class Check:
 
     def sentences(self) -> list[str]:
         """Say in words: the model, the pairing, the gradient, what the data tell, what the prior expects."""
-        said = [*self.model, *self.modes.notes, *self.modes.doubts, self.gradient.sentence()]
+        said = [*self.model, *self.modes.notes, *self.modes.doubts, *self.tests, self.gradient.sentence()]
         if self.identifiability is not None:
-            said += self.identifiability.sentences()
+            said += self.identifiability.sentences() + doubts_of_information(self.identifiability)
         return said + self.prior.sentences()
 
     def mode_table(self) -> pd.DataFrame:
@@ -106,7 +117,8 @@ class Check:
         ]
         if self.identifiability is not None:
             parts.append(f"What the data can tell\n{_lines(self.identifiability.sentences())}")
-        parts.append(f"What the prior predicts, Hz\n{_as_text(self.prior_table().reset_index(names=''))}")
+        predicted = _as_text(self.prior_table().reset_index(names=""))
+        parts.append(f"What the prior predicts for {self.measurement}, Hz\n{predicted}")
         parts.append(_lines(self.prior.sentences()))
         return "\n\n".join([*parts, self.verdict()])
 
@@ -130,7 +142,10 @@ class Check:
         ]
         if self.identifiability is not None:
             parts.append(words("What the data can tell", *self.identifiability.sentences()))
-        parts += [words("What the prior predicts, Hz", *self.prior.sentences()), self.prior_table().to_html()]
+        parts += [
+            words(f"What the prior predicts for {self.measurement}, Hz", *self.prior.sentences()),
+            self.prior_table().to_html(),
+        ]
         doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
         parts.append(words("Doubtful") + f"<ul>{doubts}</ul>" if doubts else words("Nothing doubtful was found."))
         return f'<div class="fmu-check">{"".join(parts)}</div>'
@@ -180,6 +195,8 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
     gradient = check_gradient(problem, seed)
     informed = hasattr(problem.likelihood, "sensitivity") and bool(np.all(np.isfinite(gradient.exact[0])))
     drawing, colours = structure_drawing(problem)
+    tests = problem.data.tests
+    labels = tuple(map(str, problem.data.labels))
     return Check(
         name=problem.name,
         model=tuple(model_in_words(problem)),
@@ -190,5 +207,7 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         prior=prior_prediction(problem, draws, seed),
         drawing=drawing,
         colours=tuple(colours),
+        measurement=measurement_in_words(None if tests is None else np.asarray(tests.frequencies_hz)),
+        tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
     )

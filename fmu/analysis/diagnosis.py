@@ -22,7 +22,9 @@ from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings
 from fmu.analysis.needed import draws_to_come, required_ess
 from fmu.analysis.other_runs import missed_places
 from fmu.analysis.pairing_changes import jump_warnings
+from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace import check_trace
+from fmu.analysis.uninformed import information_warnings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,7 +53,8 @@ class Diagnosis:
         Why not, one sentence each, the gravest first; empty if it has converged.
     warnings : tuple of str
         What speaks against the model, converged or not: parameters at their bounds, modes that are not fitted,
-        shapes unlike the measured ones, a pairing that jumps.
+        shapes unlike the measured ones, a pairing that jumps; and what speaks of the data: parameters that they
+        did not update, repeated tests that are not independent.
     searched : bool
         Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
     stopped : str
@@ -162,6 +165,7 @@ def judge(
     reasons += missed_places(trace, others or {}, best)
     reasons += convergence_failures(trace, table)
     warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
+    warnings += information_warnings(trace) + repeatability_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws, and can go on" if steps else ""
     return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped)

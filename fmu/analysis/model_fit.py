@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fmu.analysis.diagnostics import parameter_draws, parameter_names
 from fmu.analysis.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.pairing_doubts import ALIKE
-from fmu.analysis.prediction import predict_frequencies
+from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 from fmu.numbers import apart, fixed, given, share
 
 if TYPE_CHECKING:
@@ -62,6 +62,8 @@ def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margi
 def fit_warnings(trace: xr.DataTree) -> list[str]:
     """Name the measured modes that lie outside the interval in which a new measurement is predicted, eq. (10).
 
+    Where the measurement is the mean of repeated tests, that is the interval of such a mean.
+
     Measurement noise is in it, and 99 % of the probability. Nothing can be said where there is no predictive
     distribution of frequencies: of the modal residual, and of a plain density.
     """
@@ -70,12 +72,14 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
     table = predict_frequencies(trace, INTERVAL)
     per_cent = f"{100 * INTERVAL:g}"
     columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean", "noisy_sd")
+    tests = measured_tests(trace)
+    how = "" if tests is None else f" as {measurement_in_words(tests)}"
     found = []
     for mode, measured, low, high, mean, sd in zip(table.index, *(table[c] for c in columns), strict=True):
         if not low <= measured <= high:
             _, from_hz, to_hz, mean_hz = apart(measured, low, high, mean, sd=sd)
             found.append(
-                f"mode {mode} was measured at {given(measured)} Hz, outside the {share(INTERVAL)} interval of its "
+                f"mode {mode} was measured at {given(measured)} Hz{how}, outside the {share(INTERVAL)} interval of its "
                 f"prediction, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
             )
     return found

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.diagnostics import interval_columns, parameter_draws, walkers_of
 from fmu.analysis.effective import ess_bulk, mcse_mean
-from fmu.analysis.trace import GIVEN_OTHERS, check_trace
+from fmu.analysis.trace import GIVEN_OTHERS, ONE_MORE_TEST, check_trace
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +45,8 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
     G : callable or str
         A function of the draws, (n, ndim) in SI units and in the order of the problem's parameters, that returns
         (n,) or (n, k); or the name of a parameter, or of a variable of the posterior predictive
-        (``"model_frequency"``, ``"frequency"``).
+        (``"model_frequency"``, ``"frequency"``, and of repeated tests ``"one_more_test"``, which has no mean
+        where a mode was measured by two tests only).
 
     Returns
     -------
@@ -84,7 +85,9 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         One row a mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
         (``eti90_lb``, ``eti90_ub``) of the model's frequency, without measurement noise; ``noisy_sd`` and the
         interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with it; these are left out under
-        the modal residual, which has no measurement noise to predict with.
+        the modal residual, which has no measurement noise to predict with. Where the measured frequency is the
+        mean of repeated tests, a new measurement is the mean of as many tests again; ``test_eti90_lb`` and
+        ``test_eti90_ub`` are the ends of the interval of one more test.
 
     Raises
     ------
@@ -112,7 +115,26 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
             f"{prefix}{lower}": low,
             f"{prefix}{upper}": high,
         }
+    if ONE_MORE_TEST in predictive:
+        values = predictive[ONE_MORE_TEST].transpose("chain", "draw", "mode").to_numpy()
+        columns[f"test_{lower}"], columns[f"test_{upper}"] = np.quantile(values, ends, axis=(0, 1))
     return pd.DataFrame(columns, index=pd.Index(predictive["mode"].to_numpy(), name="mode"))
+
+
+def measured_tests(trace: xr.DataTree) -> FloatArray | None:
+    """Return the single tests (n_tests, n_modes) in Hz, NaN where one missed a mode; None if there is none."""
+    if "observed_data" not in trace.children or "tests" not in trace["observed_data"]:
+        return None
+    return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())
+
+
+def measurement_in_words(tests: FloatArray | None) -> str:
+    """Say what a measured frequency is: ``"a measurement"``, ``"the mean of 5 tests"``, ``"… 4 to 5 tests"``."""
+    if tests is None:
+        return "a measurement"
+    counts = np.sum(~np.isnan(tests), axis=0)
+    least, most = int(counts.min()), int(counts.max())
+    return f"the mean of {most} tests" if least == most else f"the mean of {least} to {most} tests"
 
 
 def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from fmu.samplers.run import Draws, RunResult
 
 GIVEN_OTHERS = "frequency_given_others"
+ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
 PRIOR_STREAM, NOISE_STREAM, START_STREAM = 0, 1, 2
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
@@ -59,9 +60,11 @@ def to_trace(
         ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, or ``residual`` under the modal residual; one
         term a mode, and where errors are correlated also ``frequency_given_others``), ``posterior_predictive``
         (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
-        ``model_frequency`` without it, Hz), ``prior`` (draws from the prior inside the bounds),
-        ``observed_data`` (``frequency``) and ``constant_data`` (``lower``, ``upper``, ``start``, ``beta``, and
-        ``covariance_hz2`` where errors are correlated); of parallel tempering ``tempering``
+        ``model_frequency`` without it, Hz; of repeated tests ``frequency`` is the mean of as many new tests, and
+        ``one_more_test`` a single one), ``prior`` (draws from the prior inside the bounds), ``observed_data``
+        (``frequency``, and ``tests``, a row a test, where it is their mean) and ``constant_data`` (``lower``,
+        ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel
+        tempering ``tempering``
         (`fmu.analysis.evidence.tempering_group`). The attributes say how the draws came about.
     """
     import xarray as xr
@@ -233,11 +236,14 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
         replicate = problem.simulate_data(noise, hz, theta)
         predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
+        if problem.data.tests is not None:
+            single = problem.simulate_test(noise, hz, theta)
+            predicted[ONE_MORE_TEST] = (dims, single.reshape(frequency.shape), hertz)
+    observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
+    if problem.data.tests is not None:
+        observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
     return {
         "log_likelihood": xr.Dataset(terms, coords=coordinates),
         "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
-        "observed_data": xr.Dataset(
-            {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)},
-            coords={"mode": coordinates["mode"]},
-        ),
+        "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
     }

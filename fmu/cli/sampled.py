@@ -96,7 +96,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
     write_csv(comparison, directory / "comparison.csv")
     click.echo(f"Maxima of the posterior\n{outcome.maxima}\n")
     for name, table in summaries.items():
-        click.echo(f"{name}\n{summary_text(table)}\n")
+        click.echo(f"{name}\n{summary_text(table, _updated(traces[name]))}\n")
         _echo_failed_points(name, traces[name], directory, outcome.problem)
     echo_comparison(comparison, verdicts)
     until_ess = outcome.orders["until_ess"]
@@ -105,6 +105,15 @@ def tell(outcome: Sampled, directory: Path) -> int:
         click.echo(f"\nStopped at the most draws, short of --until-ess {given(until_ess)}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
     return 1 if short else 0
+
+
+def _updated(trace: xr.DataTree) -> list[str] | None:
+    """Return a column that says which parameters the data updated, None where that cannot be said."""
+    from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
+
+    words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
+    found = information(trace)
+    return None if found is None else [words[basis] for basis in found.basis]
 
 
 def stopped(directory: Path, where: str = "") -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -28,13 +28,18 @@ _FORMATS: dict[str, Callable[[float], str]] = {
 }
 
 
-def summary_text(table: pd.DataFrame) -> str:
-    """Return ``fmu.summary(trace)`` as text: of means and intervals as many digits as their sd leaves."""
+def summary_text(table: pd.DataFrame, updated: Sequence[str] | None = None) -> str:
+    """Return ``fmu.summary(trace)`` as text: of means and intervals as many digits as their sd leaves.
+
+    With `updated`, a last column says of each parameter whether the data updated it.
+    """
+    more = [] if updated is None else ["updated"]
     rows = []
-    for name, row in table.iterrows():
+    for k, (name, row) in enumerate(table.iterrows()):
         cells = [_FORMATS[c](row[c]) if c in _FORMATS else rounded(row[c], row["sd"]) for c in table.columns]
-        rows.append([str(name), *cells, table.attrs["units"][name]])
-    return text_table(["", *map(str, table.columns), "unit"], rows, words=(0, len(table.columns) + 1))
+        rows.append([str(name), *cells, table.attrs["units"][name], *([] if updated is None else [updated[k]])])
+    n = len(table.columns) + 1
+    return text_table(["", *map(str, table.columns), "unit", *more], rows, words=(0, n, n + 1)[: 2 + len(more)])
 
 
 def echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> None:

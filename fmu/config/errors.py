@@ -119,6 +119,26 @@ def built_noise(
     return noise, found
 
 
+def beside_tests(errors: Sequence[Any], data: ModalData) -> list[Mistake]:
+    """Refuse an ``sd`` of errors whose size the scatter of repeated tests tells: one of the two would be ignored.
+
+    Parameters
+    ----------
+    errors : sequence of ErrorTable
+    data : ModalData
+    """
+    told = {"frequencies": data.tests is not None, "shapes": data.tests is not None and data.shapes_sd is not None}
+    rule = (
+        "must not be given beside tests, whose scatter tells the error of their mean; leave it out, and give "
+        "discrepancy for what the model leaves out, or give the means as frequencies with an sd instead of tests"
+    )
+    return [
+        Mistake(f"error.{i}.sd", got(rule, table.sd))
+        for i, table in enumerate(errors)
+        if told.get(table.of) and table.sd is not None
+    ]
+
+
 def vanishing(
     noise: Mapping[str, Parameter], errors: Sequence[Any], data: ModalData, n_parameters: int
 ) -> list[Mistake]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
 from fmu.config.fields import Name, NumberOrNumbers, Positive, SensorTable, Table
@@ -14,16 +14,18 @@ from fmu.config.measured_files import FileName, OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built
 from fmu.formats.modes import ModesError
-from fmu.formats.modes_csv import read_frequencies, read_shapes
+from fmu.formats.modes_csv import read_frequencies, read_shapes, read_tests
 from fmu.posterior.correlated import checked_covariance
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.repeated import mean_frequencies
+from fmu.posterior.repeated import RepeatedTests, mean_shapes, shapes_sd
 
 FloatArray = NDArray[np.float64]
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A frequency, or nan where a test missed the mode."""
-_SOURCES = ("frequencies", "tests", "file", "uff", "oma")
+_SOURCES = ("frequencies", "tests", "tests_file", "file", "uff", "oma")
+_TESTS = ("tests", "tests_file")
+_SHAPES = ("shapes", "shapes_file", "test_shapes")
 _WITH_SHAPES = ("uff", "oma")
 _TRUST = ("sd", "beta", "covariance")
 _ONE_TRUST = "must have either sd or beta or covariance"
@@ -38,20 +40,25 @@ class _Read(NamedTuple):
     labels: tuple[str, ...]
     numbers: tuple[int, ...]
     shapes: FloatArray | None
+    tests: RepeatedTests | None = None
 
 
 class MeasurementTable(Table):
-    """The modes measured, from one of ``frequencies``, ``tests``, ``file`` (a table), ``uff`` and ``oma``.
+    """The modes measured, from one of ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff`` and ``oma``.
 
     Of the errors in frequency ``sd`` in Hz, or ``beta`` = 1/(2 sd²), or ``covariance`` in Hz²; they hold instead
     of what a file says. ``tests`` are repeated, a row a test with nan where it missed a mode, and their scatter
-    tells the error. ``shapes`` are a row a mode at the ``sensors``, or in a table, ``shapes_file``.
+    tells the error. ``shapes`` are a row a mode at the ``sensors``, or in a table, ``shapes_file``, or of each
+    test, ``test_shapes``.
     """
 
     frequencies: Annotated[list[Positive], Field(min_length=1)] | None = None
     """Natural frequencies, Hz."""
     tests: Annotated[list[list[Missed]], Field(min_length=2)] | None = None
-    """Frequencies of repeated tests, Hz: a row a test, nan where it missed a mode."""
+    """Frequencies of repeated tests, Hz: a row a test, in order of time, nan where it missed a mode."""
+    tests_file: FileName | None = None
+    """A CSV table of repeated tests, from the folder of this file: a row a test in order of time, a column a mode
+    with its name as header, empty or nan where a test missed the mode; a column named test is not read."""
     scatter: Literal["each", "pooled", "joint"] = "each"
     """What the scatter of the tests tells: a deviation each mode, one for all, or a covariance."""
     file: FileName | None = None
@@ -78,6 +85,9 @@ class MeasurementTable(Table):
     """A row a mode, a number a sensor, in any scale."""
     shapes_file: FileName | None = None
     """A table of shapes with their sensors, from the folder of this file."""
+    test_shapes: list[list[list[Missed]]] | None = None
+    """Shapes of repeated tests: a list a test, in it a row a mode and a number a sensor, in any scale and sign;
+    nan at every sensor where a test missed a mode. Their mean is compared, and their scatter tells its error."""
 
     @field_validator("covariance")
     @classmethod
@@ -97,13 +107,16 @@ class MeasurementTable(Table):
         trust = [key for key in _TRUST if getattr(self, key) is not None]
         if len(trust) > 1:
             raise ValueError(got(_ONE_TRUST, trust))
-        if trust and given[0] == "tests":
-            raise ValueError(f"{trust[0]} must not be given beside tests, whose scatter tells the error")
-        if self.shapes is not None and self.shapes_file is not None:
-            raise ValueError("must have either shapes or shapes_file")
+        if trust and given[0] in _TESTS:
+            raise ValueError(f"{trust[0]} must not be given beside {given[0]}, whose scatter tells the error")
+        shapes = [key for key in _SHAPES if getattr(self, key) is not None]
+        if len(shapes) > 1:
+            raise ValueError(f"must have either {' or '.join(shapes)}")
+        if self.test_shapes is not None and given[0] not in _TESTS:
+            raise ValueError("test_shapes must be beside tests or tests_file, a list a test")
         if self.shapes_file is not None and self.sensors:
             raise ValueError("sensors must not be given beside shapes_file, which has them")
-        if given[0] in _WITH_SHAPES and (self.shapes is not None or self.shapes_file is not None):
+        if given[0] in _WITH_SHAPES and shapes:
             raise ValueError(f"shapes must not be given beside {given[0]}, which has them")
         if self.oma is not None and not self.sensors:
             raise ValueError("sensors must be given beside oma, one a channel")
@@ -164,6 +177,7 @@ class MeasurementTable(Table):
                 labels,
                 read.shapes,
                 counterparts=tuple(self.counterparts),
+                tests=read.tests,
                 **trust,
             )
         except ValueError as error:
@@ -193,32 +207,72 @@ class MeasurementTable(Table):
                     raise broken(f"measurement.{key}", error) from None
                 own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
                 return _Read(modes.frequencies_hz, own, modes.sensors, modes.labels, (), modes.shapes)
-        frequencies, own, labels, numbers = self._frequencies(folder)
+        read = self._frequencies(folder)._replace(sensors=sensors)
+        if self.shapes is not None:
+            return read._replace(shapes=_columns(self.shapes))
+        if self.test_shapes is not None:
+            shapes, spread = _repeated_shapes(self.test_shapes, read)
+            return read._replace(shapes=shapes, uncertainty={**read.uncertainty, "shapes_sd": spread})
         if self.shapes_file is None:
-            shapes = None if self.shapes is None else _columns(self.shapes)
-            return _Read(frequencies, own, sensors, labels, numbers, shapes)
+            return read
         try:
-            modes = read_shapes(folder / self.shapes_file, labels or tuple(self.labels) or _counted(frequencies))
+            labels = read.labels or tuple(self.labels) or _counted(read.frequencies)
+            modes = read_shapes(folder / self.shapes_file, labels)
         except (ModesError, OSError) as error:
             raise broken("measurement.shapes_file", error) from None
-        return _Read(frequencies, own, modes.sensors, labels, numbers, modes.shapes)
+        return read._replace(sensors=modes.sensors, shapes=modes.shapes)
 
-    def _frequencies(self, folder: Path) -> tuple[FloatArray, dict[str, Any], tuple[str, ...], tuple[int, ...]]:
-        """Return the frequencies, their own uncertainty, and labels and numbers where a table has them."""
+    def _frequencies(self, folder: Path) -> _Read:
+        """Return the frequencies and their own uncertainty, with labels, numbers and tests where there are any."""
         if self.frequencies is not None:
-            return np.array(self.frequencies), {}, (), ()
+            return _Read(np.array(self.frequencies), {}, (), (), (), None)
         if self.tests is not None:
-            try:
-                mean, sd, covariance = mean_frequencies(self.tests, self.scatter)
-            except ValueError as error:
-                place, _, rule = str(error).partition(": ")
-                raise BrokenError([Mistake(place.replace("frequencies", "measurement.tests"), rule)]) from None
-            return mean, {"sd_hz": sd, "covariance_hz2": covariance}, (), ()
+            return _mean("tests", self.tests, self.scatter)
+        key, name = ("file", self.file) if self.file is not None else ("tests_file", self.tests_file)
         try:
-            modes, numbers = read_frequencies(folder / str(self.file))
+            if key == "tests_file":
+                values, labels = read_tests(folder / str(name))
+                return _mean(key, values, self.scatter)._replace(labels=labels)
+            modes, numbers = read_frequencies(folder / str(name))
         except (ModesError, OSError) as error:
-            raise broken("measurement.file", error) from None
-        return modes.frequencies_hz, {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}, modes.labels, numbers
+            raise broken(f"measurement.{key}", error) from None
+        own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
+        return _Read(modes.frequencies_hz, own, (), modes.labels, numbers, None)
+
+
+def _mean(key: str, values: ArrayLike, scatter: str) -> _Read:
+    """Return the mean of repeated tests."""
+    try:
+        tests = RepeatedTests(values, scatter)
+    except ValueError as error:
+        place, _, rule = str(error).partition(": ")
+        raise BrokenError([Mistake(place.replace("frequencies", f"measurement.{key}"), rule)]) from None
+    mean, sd, covariance = tests.mean()
+    return _Read(mean, {"sd_hz": sd, "covariance_hz2": covariance}, (), (), (), None, tests)
+
+
+def _repeated_shapes(shapes: list[list[list[float]]], read: _Read) -> tuple[FloatArray, FloatArray | None]:
+    """Return the mean of the tests' shapes, (n_sensors, n_modes), and its standard deviation if they tell one."""
+    where, n_modes = "measurement.test_shapes", len(read.frequencies)
+    n_tests = len(np.asarray(read.tests.frequencies_hz)) if read.tests is not None else 0
+    if len(shapes) != n_tests:
+        raise BrokenError([Mistake(where, f"must be {n_tests}, one a test (got {len(shapes)})")])
+    wrong = [i for i, test in enumerate(shapes) if len(test) != n_modes]
+    if wrong:
+        raise BrokenError(
+            [Mistake(f"{where}.{i}", f"must be {n_modes}, one a mode (got {len(shapes[i])})") for i in wrong]
+        )
+    lengths = {len(row) for test in shapes for row in test}
+    if len(lengths) > 1:
+        raise BrokenError(
+            [Mistake(where, got("must have rows of one length, one value a sensor", sorted(lengths)))]
+        )
+    values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
+    try:
+        return mean_shapes(values), shapes_sd(values)
+    except ValueError as error:
+        place, _, rule = str(error).partition(": ")
+        raise BrokenError([Mistake(place.replace("shapes", where, 1), rule)]) from None
 
 
 def _columns(shapes: list[list[float]]) -> FloatArray:

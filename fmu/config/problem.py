@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from fmu.config import parameters as given
-from fmu.config.errors import ErrorTable, NoiseTable, built_noise, vanishing
+from fmu.config.errors import ErrorTable, NoiseTable, beside_tests, built_noise, vanishing
 from fmu.config.fields import Name, Positive, Table, by_kind
 from fmu.config.frame import FrameTable
 from fmu.config.matrices import MatricesTable
@@ -97,9 +97,9 @@ class ProblemFile(Table):
         try:
             built = self.model.build(folder, self.parameters)
             data = self._data(folder, built, beta)
-            without_end = vanishing(noise, errors, data, len(parameters))
-            if without_end:
-                raise BrokenError(without_end)
+            wrong = beside_tests(errors, data) or vanishing(noise, errors, data, len(parameters))
+            if wrong:
+                raise BrokenError(wrong)
             trust = self.measurement.beta if beta is None else beta
             return UpdatingProblem(
                 built.model,

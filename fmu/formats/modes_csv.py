@@ -12,6 +12,13 @@ Shapes, a sensor a row and a mode a column::
     tip,z,1.0,1.0
     12,-z,0.34,-0.71
 
+Repeated tests, a test a row in the order in which they were made and a mode a column. The column ``test``, a
+number or a time, may be left out. A cell is empty or ``nan`` where a test missed the mode::
+
+    test,first bending,second bending
+    Monday 9:00,31.9,197.9
+    Monday 9:30,31.8,
+
 Between values there may be commas, semicolons or tabs, as in the first line; lines that are empty or start with
 ``#`` do not count.
 """
@@ -24,10 +31,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu.formats.modes import Modes, ModesError, checked_file
 
+FloatArray = NDArray[np.float64]
+
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
+_TEST = "test"
+_MISSED = ("", "nan")
 _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
@@ -103,6 +115,36 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
         for place, row in zip(places, rows, strict=True)
     ]
     return Modes(np.full(len(labels), np.nan), labels, None, tuple(sensors), np.array(shapes))
+
+
+def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return frequencies of repeated tests (n_tests, n_modes), Hz, NaN where one missed a mode; and the labels.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        With every mistake, its line and its column.
+    """
+    header, rows, found = _table(path)
+    labels = tuple(name for name in header if name != _TEST)
+    if not labels:
+        found.append("must have a column a mode, with its name")
+    if "" in labels:
+        found.append("every column must have a name, that of its mode")
+    if found:
+        raise ModesError(path.name, found)
+    values = [
+        [
+            np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
+            for label in labels
+        ]
+        for row in rows
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    return np.array(values), labels
 
 
 def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:

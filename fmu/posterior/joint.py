@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -108,10 +109,32 @@ class JointLikelihood:
         ValueError
             If standard deviations are inferred and `theta` (n, ndim) is not given.
         """
+        return self._simulated(self._frequency_term, rng, frequencies, theta)
+
+    def simulate_discrepancy(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes), Hz, with the inferred errors alone: what the model leaves out.
+
+        Raises
+        ------
+        ValueError
+            As `simulate` does.
+        """
+        term = self._frequency_term
+        inferred = replace(term, spread=replace(term.spread, fixed=np.zeros_like(term.spread.fixed)))
+        return self._simulated(inferred, rng, frequencies, theta)
+
+    @property
+    def _frequency_term(self) -> FrequencyTerm:
+        return next(term for term in self.terms_of if isinstance(term, FrequencyTerm))
+
+    def _simulated(
+        self, term: FrequencyTerm, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None
+    ) -> FloatArray:
         if theta is None and self.noise:
             raise ValueError("theta: must be given where standard deviations are inferred (got None)")
         noise = np.empty((len(frequencies), 0)) if theta is None else theta[:, self.n_structural :]
-        term = next(term for term in self.terms_of if isinstance(term, FrequencyTerm))
         return term.simulate(rng, frequencies, noise)
 
     def sensitivity(self, theta: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from fmu.formats.modes_csv import read_frequencies, read_shapes
 from fmu.formats.pyoma import pyoma_modes
 from fmu.formats.uff import read_uff, write_uff
 from fmu.posterior.correlated import checked_covariance
-from fmu.posterior.repeated import mean_frequencies, mean_shapes
+from fmu.posterior.repeated import RepeatedTests, mean_shapes, shapes_sd
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +49,9 @@ class ModalData:
         For pairing by shape where no shapes were measured: which mode of the model before updating each measured
         one answers to, from 1, among the elastic ones that the sensors can see. The lowest by default, in
         ascending order.
+    tests : RepeatedTests, optional
+        The single tests that `frequencies_hz` are the mean of. The likelihood is of the mean; the tests tell where
+        one more of them would lie, and whether they are independent of each other.
 
     Raises
     ------
@@ -67,6 +70,7 @@ class ModalData:
     covariance_hz2: ArrayLike | None = None
     shapes_sd: ArrayLike | None = None
     counterparts: tuple[int, ...] = ()
+    tests: RepeatedTests | None = None
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
@@ -99,6 +103,8 @@ class ModalData:
             object.__setattr__(self, "shapes", shapes)
         self._check_uncertainty(n)
         self._check_counterparts(n)
+        if self.tests is not None and np.shape(self.tests.frequencies_hz)[1] != n:
+            raise ValueError(f"tests: must be of {n} modes (got {np.shape(self.tests.frequencies_hz)[1]})")
 
     def _check_counterparts(self, n: int) -> None:
         given = tuple(self.counterparts)
@@ -142,6 +148,7 @@ class ModalData:
             NaN where a test missed a mode; every mode needs two values.
         shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
             In any scale and sign, all NaN where a test missed a mode; see `fmu.posterior.repeated.mean_shapes`.
+            Their scatter gives the standard deviation of the mean shapes (`fmu.posterior.repeated.shapes_sd`).
         scatter : {"each", "pooled", "joint"}
             Independent modes, each with the scatter of its own values; independent, and the same relative scatter
             in all, for few tests; or a full covariance, for at least three tests more than modes. In all three
@@ -154,9 +161,10 @@ class ModalData:
         ValueError
             If a mode has too few values, they do not scatter, or two tests' shapes are of different modes.
         """
-        mean, sd, covariance = mean_frequencies(frequencies, scatter)
-        average = None if shapes is None else mean_shapes(shapes)
-        return cls(mean, numbers, sensors, labels, average, sd, covariance)
+        tests = RepeatedTests(frequencies, scatter)
+        mean, sd, covariance = tests.mean()
+        average, spread = (None, None) if shapes is None else (mean_shapes(shapes), shapes_sd(shapes))
+        return cls(mean, numbers, sensors, labels, average, sd, covariance, spread, tests=tests)
 
     @classmethod
     def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
@@ -286,6 +294,7 @@ class ModalData:
             "labels": list(self.labels),
             **{name: value.tolist() for name, value in given.items()},
             **({"counterparts": [int(number) for number in self.counterparts]} if self.counterparts else {}),
+            **({} if self.tests is None else {"tests": self.tests.as_dict()}),
         }
 
 

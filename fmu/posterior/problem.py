@@ -237,6 +237,25 @@ class UpdatingProblem:
             return self.likelihood.simulate(rng, frequencies, theta)
         return self.likelihood.error.simulate(rng, frequencies)
 
+    def simulate_test(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+    ) -> FloatArray:
+        """Return what one more test would measure where the model has `frequencies`, Hz, shape (n, n_modes).
+
+        `simulate_data` repeats the data, the mean of all tests; a single test scatters √n times as much
+        (`fmu.posterior.repeated.RepeatedTests.simulate`). The parameters are those of `simulate_data`.
+
+        Raises
+        ------
+        ValueError
+            If the data are not the mean of tests.
+        """
+        if self.data.tests is None:
+            raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")
+        if isinstance(self.likelihood, JointLikelihood) and self.likelihood.simulates:
+            frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, theta)
+        return np.asarray(frequencies + self.data.tests.simulate(rng, len(frequencies)))
+
     @property
     def failures(self) -> list[Failure]:
         """The points inside the bounds that have no finite log-likelihood, and why; the first ten thousand."""

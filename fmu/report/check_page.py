@@ -10,6 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from fmu.analysis.check import Check
+from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.fem.drawing import UNCHANGED
 from fmu.numbers import MISSING, change, fixed, given, listed, significant, with_sd
 from fmu.report.document import Details, Items, Page, Part, Picture, Pictures, Section, Table, Text, Verdict
@@ -76,8 +77,11 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     )
     if found.identifiability is not None:
         n, k = len(found.identifiability.names), found.identifiability.n_informed
-        answer = f"{k} of {n} directions"
-        verdicts.append(Verdict("What can the data tell?", answer, True if k == n else None, "", ()))
+        answer, unknown = f"{k} of {n} directions", tuple(doubts_of_information(found.identifiability))
+        good = False if unknown else True if k == n else None
+        verdicts.append(Verdict("What can the data tell?", answer, good, "What they cannot tell", unknown))
+    if found.tests:
+        verdicts.append(Verdict("Are the tests independent?", "No", False, "How they depend", found.tests))
     agrees = found.gradient.agrees
     reasons = () if agrees else (found.gradient.sentence(),)
     answer = "Yes" if agrees else "No"
@@ -185,7 +189,7 @@ def _prior(found: Check) -> Section:
         parts.append(Pictures((picture(axes, "prior", alt, caption),)))
         table = found.prior_table()
         rows = tuple((label, *row) for label, row in zip(labels, table.to_numpy(), strict=True))
-        noise = "Of a measurement: its error is in the sd." if np.isfinite(prior.noise_sd).all() else ""
+        noise = f"Of {found.measurement}: its error is in the sd." if np.isfinite(prior.noise_sd).all() else ""
         header = ("mode", "measured, Hz", "the prior predicts, Hz", "distance, sd")
         parts.append(Table(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
     return Section("prior", "What the prior predicts", tuple(parts))

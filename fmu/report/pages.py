@@ -94,18 +94,18 @@ def _told(runs: Mapping[str, Run]) -> Run:
     return next((run for run in runs.values() if run.diagnosis.converged), next(iter(runs.values())))
 
 
-def _common_verdicts(runs: Mapping[str, Run]) -> tuple[Verdict, Verdict]:
-    """Return the verdicts on all runs together: how many converged, and the fit by one that did."""
+def _common_verdicts(runs: Mapping[str, Run]) -> tuple[Verdict, ...]:
+    """Return the verdicts on all runs together: how many converged, and what one that did says of the model."""
     failed = [run for run in runs.values() if not run.diagnosis.converged]
     good = len(runs) - len(failed)
     answer = "All converged" if not failed else f"{good} of {len(runs)} converged" if good else "None converged"
     reasons = tuple(f"{run.title}: {run.diagnosis.verdict}" for run in runs.values())
     told = _told(runs)
-    fit = verdicts(told)[1]
+    others = verdicts(told)[1:]
     by = f"By the draws of: {told.title}."
     return (
         Verdict("Have the samplers converged?", answer, not failed, "Verdict on each sampler", reasons),
-        replace(fit, reasons=(by, *fit.reasons)),
+        *(replace(verdict, reasons=(by, *verdict.reasons)) for verdict in others),
     )
 
 

@@ -78,6 +78,54 @@ def test_joint_scatter_of_tests(problem):
     assert_array_equal(found.data.covariance_hz2, ModalData.from_tests(rows, scatter="joint").covariance_hz2)
 
 
+SHAPES_OF_TESTS = np.array([[[0.6, 1.0], [1.0, -0.6]], [[-1.3, -1.9], [1.0, -0.6]], [[0.6, 1.05], [np.nan] * 2]])
+
+
+def test_repeated_tests_from_a_table(problem, folder):
+    rows = "test;sway;bend\nMonday 9:00;3.1;9.8\n# a comment\nMonday 9:30;3.12;\nlater;3.09;NaN\n;3.08;9.9\n"
+    (folder / "tests.csv").write_text(rows)
+    data = problem('tests_file = "tests.csv"\n' + SENSORS).data
+    values = [[3.1, 9.8], [3.12, np.nan], [3.09, np.nan], [3.08, 9.9]]
+    assert data.labels == ("sway", "bend")
+    assert_array_equal(data.tests.frequencies_hz, values)
+    assert_array_equal(data.sd_hz, ModalData.from_tests(values).sd_hz)
+    (folder / "tests.csv").write_text("sway,bend\n3.1,9.8\n3.1,-2\n3.2,x\n")
+    with pytest.raises(ConfigurationError) as caught:
+        problem('tests_file = "tests.csv"\n')
+    assert [str(mistake) for mistake in caught.value.mistakes] == [
+        "measurement.tests_file: line 3, column bend: must be a positive number (got '-2')",
+        "measurement.tests_file: line 4, column bend: must be a positive number (got 'x')",
+    ]
+
+
+def test_shapes_of_each_test(problem):
+    """Brought to one scale and sign; their scatter is the standard deviation that errors of shapes take."""
+    text = f"tests = [[3.1, 9.8], [3.12, 9.85], [3.09, 9.9]]\ntest_shapes = {SHAPES_OF_TESTS.tolist()}\n" + SENSORS
+    with pytest.raises(ConfigurationError, match="errors: needs sd"):  # of the second mode there are but two alike
+        problem(text, *OF_SHAPES)
+    shapes = SHAPES_OF_TESTS.copy()
+    shapes[2, 1] = [1.0, -0.7]
+    data = problem(text.replace(str(SHAPES_OF_TESTS.tolist()), str(shapes.tolist())), *OF_SHAPES).data
+    expected = ModalData.from_tests(data.tests.frequencies_hz, np.swapaxes(shapes, 1, 2), sensors=data.sensors)
+    assert_array_equal(data.shapes, expected.shapes)
+    assert_array_equal(data.shapes_sd, expected.shapes_sd)
+
+
+OF_SHAPES = ('[[parameters]]\nname = "k1"', '[[error]]\nof = "shapes"\n\n[[parameters]]\nname = "k1"')
+
+
+@pytest.mark.parametrize("sd", ["0.01", "[0.01, 0.02]", '"scatter"'])
+def test_an_error_of_a_size_of_its_own_beside_tests(mistakes, sd):
+    """Silently, it would have taken the place of the scatter that the tests were repeated for."""
+    noise = '\n[[noise]]\nname = "scatter"\nstart = 0.01\nlower = 0.001\nupper = 0.1' if "scatter" in sd else ""
+    table = f'[[error]]\nof = "frequencies"\nsd = {sd}\n{noise}\n[[parameters]]\nname = "k1"'
+    (found,) = mistakes("tests = [[3.1, 9.8], [3.12, 9.85]]\n", '[[parameters]]\nname = "k1"', table)
+    assert found.startswith(
+        "error.0.sd: must not be given beside tests, whose scatter tells the error of their mean"
+    )
+    assert "discrepancy" in found
+
+
 def test_tables(problem, folder):
     (folder / "modes.csv").write_text("mode,frequency,sd\nsway,3.1,0.02\nbend,9.8,0.05\n")
     (folder / "shapes.csv").write_text("place,direction,bend,sway\nfirst,x,1.0,0.6\nsecond,-x,0.6,-1.0\n")
@@ -140,7 +188,7 @@ def test_result_of_pyoma(problem, folder):
 
 
 BROKEN = {
-    "": "measurement: must have one of frequencies, tests, file, uff, oma (got [])",
+    "": "measurement: must have one of frequencies, tests, tests_file, file, uff, oma (got [])",
     'frequencies = [3.1]\nsd = 0.1\nfile = "modes.csv"': "measurement: must have one of frequencies, tests,",
     "frequencies = [3.1, 9.8]": "measurement: must have either sd or beta or covariance (got [])",
     "frequencies = [3.1, 9.8]\nsd = 0.1\nbeta = 1.0": "measurement: must have either sd or beta or covariance",
@@ -180,6 +228,22 @@ BROKEN = {
     "tests = [[3.1, 9.8], [3.2, nan]]": "measurement.tests: every mode must have at least 2 values (got 1 of",
     "tests = [[3.1, 9.8], [3.1, 9.9]]": "measurement.tests: the values of a mode must differ",
     'tests = [[3.1, 9.8], [3.2, 9.9]]\nscatter = "joint"': "measurement.tests: must be of at least 5 tests",
+    'tests_file = "none.csv"': "measurement.tests_file: must be a file (no such file: ",
+    'tests_file = "tests.csv"\nsd = 0.1': "measurement: sd must not be given beside tests_file, whose scatter",
+    'tests_file = "no-sd.csv"': "measurement.tests_file: line 2, column mode: must be a positive number (got 'a')",
+    "frequencies = [3.1]\nsd = 0.1\ntest_shapes = [[[1.0]]]": "measurement: test_shapes must be beside tests",
+    "tests = [[3.1, 9.8], [3.2, 9.9]]\ntest_shapes = [[[1.0, 0.5], [1.0, -0.5]]]\n" + SENSORS: (
+        "measurement.test_shapes: must be 2, one a test (got 1)"
+    ),
+    "tests = [[3.1, 9.8], [3.2, 9.9]]\ntest_shapes = [[[1.0, 0.5]], [[1.0, 0.5], [1.0, -0.5]]]\n" + SENSORS: (
+        "measurement.test_shapes.0: must be 2, one a mode (got 1)"
+    ),
+    "tests = [[3.1], [3.2]]\ntest_shapes = [[[1.0, 0.5]], [[1.0]]]\n" + SENSORS: (
+        "measurement.test_shapes: must have rows of one length, one value a sensor (got [1, 2])"
+    ),
+    "tests = [[3.1], [3.2], [3.3]]\ntest_shapes = [[[1.0, 0.0]], [[1.0, 0.1]], [[0.0, 1.0]]]\n" + SENSORS: (
+        "measurement.test_shapes.2: mode 1 must have a MAC of at least 0.5"
+    ),
     'file = "none.csv"': "measurement.file: must be a file (no such file: ",
     'file = "no-sd.csv"': "measurement: must have either sd or beta or covariance, as the file has no standard",
     'file = "broken.csv"': "measurement.file: line 2, column frequency: must be a positive number (got '-3')",

@@ -16,6 +16,7 @@ ALTERNATIVES = {
     "beta": ("sd",),
     "covariance": ("sd",),
     "tests": ("frequencies", "sd"),
+    "tests_file": ("frequencies", "sd"),
     "file": ("frequencies",),
     "rectangle": CONSTANTS,
     "tube": CONSTANTS,

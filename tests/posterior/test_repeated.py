@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm, t
 
 from fmu.posterior.measurement import ModalData
-from fmu.posterior.repeated import mean_frequencies, mean_shapes
+from fmu.posterior.repeated import RepeatedTests, mean_frequencies, mean_shapes, shapes_sd
 
 TESTS = np.array([[10.0, 20.1, 30.3], [10.2, 20.0, np.nan], [10.1, 20.5, 30.0]])
 
@@ -64,6 +64,91 @@ def test_joint_covariance_is_that_of_the_posterior_of_the_mean():
 def test_joint_covariance_of_many_tests_is_the_sample_covariance_over_n():
     values = np.random.default_rng(1).multivariate_normal([10.0, 20.0], [[1.0, 0.5], [0.5, 1.0]], 5000)
     assert_allclose(mean_frequencies(values, "joint")[2], np.cov(values.T) / 5000, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("scatter", "nu"), [("each", [2, 2, 1]), ("pooled", [5, 5, 5])])
+def test_one_more_test_scatters_as_students_t(scatter, nu):
+    """With the sd of single tests, √n times that of the mean but for the factors of few tests."""
+    tests = RepeatedTests(TESTS, scatter)
+    sd = mean_frequencies(TESTS, scatter).sd_hz
+    s = sd * np.sqrt([3, 3, 2]) * norm.ppf(0.975) / t.ppf(0.975, nu)
+    drawn = tests.simulate(np.random.default_rng(5), 20000)
+    for share in (0.05, 0.25, 0.75, 0.9):
+        below = np.mean(drawn < s * t.ppf(share, nu), axis=0)
+        assert_allclose(below, share, atol=5 * np.sqrt(share * (1 - share) / 20000))
+
+
+def test_one_more_test_of_modes_that_move_together():
+    """Against draws of Σ from its posterior, as for the mean."""
+    from scipy.stats import invwishart
+
+    rng = np.random.default_rng(6)
+    n, values = 12, np.random.default_rng(0).multivariate_normal([10.0, 20.0], [[1.0, 0.8], [0.8, 1.0]], 12)
+    centred = values - values.mean(axis=0)
+    sigma = invwishart(n - 1, centred.T @ centred).rvs(20000, random_state=rng)
+    expected = np.einsum("nij,nj->ni", np.linalg.cholesky(sigma), rng.standard_normal((20000, 2)))
+    drawn = RepeatedTests(values, "joint").simulate(rng, 20000)
+    assert_allclose(np.cov(drawn.T), np.cov(expected.T), rtol=0.1)
+    difference = np.quantile(drawn @ [1.0, -1.0], [0.05, 0.95]) / np.quantile(expected @ [1.0, -1.0], [0.05, 0.95])
+    assert_allclose(difference, 1.0, atol=0.08)
+
+
+@pytest.mark.parametrize("n", [3, 10, 100])
+def test_the_interval_of_one_more_test_holds_new_tests(n):
+    """100 new tests after each of 200 sets of n: 90 % lie in it, but 92 % for n = 3, as is documented.
+
+    In the interval of the mean, which was called that of a new measurement, lie 10 to 90 %.
+    """
+    rng = np.random.default_rng(n)
+    inside, of_mean = [], []
+    for _ in range(200):
+        tests = RepeatedTests(10.0 + 0.1 * rng.standard_normal((n, 1)))
+        mean, sd, _ = tests.mean()
+        model = mean + sd * rng.standard_normal((1000, 1))  # what a model that can follow the mean believes
+        new = 10.0 + 0.1 * rng.standard_normal(100)
+        for found, drawn in (
+            (inside, model + tests.simulate(rng, 1000)),
+            (of_mean, model + sd * rng.standard_normal((1000, 1))),
+        ):
+            low, high = np.quantile(drawn, [0.05, 0.95])
+            found.append(np.mean((new > low) & (new < high)))
+    error = np.std(inside) / np.sqrt(200)
+    assert abs(np.mean(inside) - {3: 0.922}.get(n, 0.9)) < 4 * error < 0.05
+    if n == 100:
+        assert np.mean(of_mean) < 0.25
+
+
+def test_single_tests_stay_in_the_data():
+    data = ModalData.from_tests(TESTS)
+    assert data.as_dict()["tests"] == {
+        "frequencies_hz": [[10.0, 20.1, 30.3], [10.2, 20.0, None], [10.1, 20.5, 30.0]], "scatter": "each"
+    }  # fmt: skip
+    with pytest.raises(ValueError, match=r"tests: must be of 2 modes \(got 3\)"):
+        ModalData([10.0, 20.0], tests=RepeatedTests(TESTS))
+
+
+def test_scatter_of_shapes_is_that_of_the_error_of_their_mean():
+    """u = φ + σ noise at unit length: the mean of n directions errs by σ/√n across φ, in every one of q − 1."""
+    rng, phi, sigma, n = np.random.default_rng(7), np.array([3.0, 4.0, 12.0, 0.0, 2.0]), 0.02, 4
+    phi = phi / np.linalg.norm(phi)
+    told, errors = [], []
+    for _ in range(300):
+        signs = rng.choice([-1.0, 1.0], (n, 1)) * rng.uniform(0.1, 9.0, (n, 1))
+        shapes = signs * (phi + sigma * rng.standard_normal((n, 5)))
+        told.append(shapes_sd(shapes[:, :, None])[0])
+        mean = mean_shapes(shapes[:, :, None])[:, 0]
+        errors.append(mean - (mean @ phi) * phi)
+    true = np.sqrt(np.sum(np.square(errors)) / (300 * 4))
+    assert true == pytest.approx(sigma / np.sqrt(n), rel=5 / np.sqrt(2 * 1200))
+    factor = t.ppf(0.975, 12) / norm.ppf(0.975)  # of (n − 1)(q − 1) degrees of freedom
+    assert np.sqrt(np.mean(np.square(told))) / factor == pytest.approx(true, rel=5 / np.sqrt(1200))
+
+
+def test_shapes_that_do_not_scatter_tell_no_deviation():
+    shapes = np.tile([[1.0], [0.5], [0.2]], (3, 1, 1)) * np.array([1.0, -2.0, 7.0])[:, None, None]
+    assert shapes_sd(shapes) is None
+    assert shapes_sd(shapes[:1]) is None
+    assert shapes_sd(shapes[:, :1]) is None
 
 
 def test_shapes_are_averaged_in_one_scale_and_sign():

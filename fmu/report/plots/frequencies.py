@@ -108,7 +108,8 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     """Draw how far the model's frequencies lie from the measured ones before updating and after it.
 
     Before updating where the trace knows it. After it: the posterior mean of the model's frequencies, with the
-    90 % interval of a new measurement, noise included, where there is one.
+    90 % interval of a new measurement, noise included, where there is one. Of repeated tests a new measurement is
+    the mean of as many, and the 90 % interval of one more test is drawn beside it.
 
     Parameters
     ----------
@@ -120,9 +121,9 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     -------
     Axes
     """
-    from fmu.analysis.prediction import predict_frequencies
+    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 
-    table = predict_frequencies(trace)
+    table, tests = predict_frequencies(trace), measured_tests(trace)
     series = []
     before = frequencies_before(trace)
     if before is not None:
@@ -130,7 +131,14 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     prefix, kind = ("noisy_", "with") if "noisy_sd" in table else ("", "without")
     ends = table[[f"{prefix}eti90_lb", f"{prefix}eti90_ub"]].to_numpy().T
     label = f"after: mean, 90 % interval {kind} measurement noise"
+    if tests is not None and "noisy_sd" in table:
+        label = f"after: mean, 90 % interval for {measurement_in_words(tests)}"
     series.append(Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends))
+    if "test_eti90_lb" in table:
+        ends = table[["test_eti90_lb", "test_eti90_ub"]].to_numpy().T
+        series.append(
+            Frequencies("the same for one more test", table["mean"], BLACK, filled=False, interval_hz=ends)
+        )
     labels = [literal(str(mode)) for mode in table.index]
     figure = figure or new_figure(NARROW, 5.2 if _turned(labels, NARROW) else 4.2)
     return plot_frequency_errors(table["measured"], series, labels, figure)
@@ -150,6 +158,9 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     """Draw each measured frequency in the distribution that the posterior predicts for it, eq. (10).
 
+    Of repeated tests that is the distribution of their mean. The single tests are drawn beside the interval that
+    is predicted for one more of them.
+
     Parameters
     ----------
     trace : xarray.DataTree
@@ -165,7 +176,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     ValueError
         If the trace has no predictive distribution of measurements.
     """
-    from fmu.analysis.prediction import predict_frequencies
+    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:
@@ -175,11 +186,13 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     axes = figure.subplots()
     x = np.arange(len(narrow), dtype=float)
 
-    def scaled(column: pd.Series) -> FloatArray:
+    def scaled(column: pd.Series | FloatArray) -> FloatArray:
         return np.asarray((column - narrow["mean"]) / narrow["noisy_sd"])
 
+    tests = measured_tests(trace)
+    new = "new measurements" if tests is None else f"new measurements ({measurement_in_words(tests)})"
     for table, ends, width, alpha, words in (
-        (wide, ("noisy_eti99_lb", "noisy_eti99_ub"), 5.0, 0.25, "99 % of new measurements, noise included"),
+        (wide, ("noisy_eti99_lb", "noisy_eti99_ub"), 5.0, 0.25, f"99 % of {new}, noise included"),
         (narrow, ("noisy_eti90_lb", "noisy_eti90_ub"), 5.0, 0.45, "90 % of them"),
         (narrow, ("eti90_lb", "eti90_ub"), 14.0, 0.8, "90 % of the model's frequencies, without noise"),
     ):
@@ -187,6 +200,13 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
         axes.vlines(x, low, high, color=base, linewidth=width, alpha=alpha, label=words)
     measured = scaled(narrow["measured"])
     axes.plot(x, measured, linestyle="none", marker="D", color=BLACK, markersize=6, label="measured")
+    if tests is not None:
+        low, high = (scaled(narrow[f"test_eti90_{end}"]) for end in ("lb", "ub"))
+        beside = x + 0.25
+        axes.vlines(beside, low, high, color=GREY, linewidth=5.0, alpha=0.45, label="90 % of one more test")
+        axes.plot(beside, np.transpose([scaled(test) for test in tests]), linestyle="none", marker="_",
+                  color=BLACK, alpha=0.6)  # fmt: skip
+        axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
     labels = [literal(str(mode)) for mode in narrow.index]
     axes.set_xticks(x, labels, **_turned(labels, figure.get_figwidth()))

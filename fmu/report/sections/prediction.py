@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from fmu.analysis.prediction import leave_one_out
-from fmu.numbers import fixed, given
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.prediction import leave_one_out, measured_tests, measurement_in_words
+from fmu.analysis.repeatability import repeatability_warnings
+from fmu.numbers import decimals, fixed, given, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.frequencies import plot_predictive_check
 from fmu.report.run import Run
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.report.svg import picture
+
+FloatArray = NDArray[np.float64]
 
 _FEWEST = 100
 """Draws to estimate the tail of importance weights from."""
@@ -32,7 +38,9 @@ def predictive(run: Run) -> Section | Omitted:
         for mode, p in zip(table.index, below, strict=True)
     )  # fmt: skip
     header = ("mode", "measured, Hz", "distance, sd", "share predicted below", "in the 90 % interval")
-    caption = "Measured frequencies among those predicted for a new measurement, noise included."
+    tests = measured_tests(run.trace)
+    new = "a new measurement" if tests is None else f"a new measurement, {measurement_in_words(tests)}"
+    caption = f"Measured frequencies among those predicted for {new}, noise included."
     seen = "; ".join(f"mode {mode} {fixed(float(d), 2)}" for mode, d in distance.items())
     alt = (
         f"Distance of the measured frequencies from the predicted mean in predictive standard deviations: {seen}."
@@ -43,8 +51,37 @@ def predictive(run: Run) -> Section | Omitted:
         f"{int(inside.sum())} of {len(table)} measured frequencies lie in the 90 % interval of their prediction. "
         "The same data were used for updating: a mode outside contradicts the model, one inside confirms little."
     )
-    parts = (Text(said), Table(caption, header, rows, words=(4,)), Pictures((drawing,)))
+    parts: tuple[Part, ...] = (Text(said), Table(caption, header, rows, words=(4,)), Pictures((drawing,)))
+    if tests is not None:
+        parts = (*parts, *_single_tests(run, tests))
     return Section("predictive", title, parts)
+
+
+def _single_tests(run: Run, tests: FloatArray) -> tuple[Part, ...]:
+    """Return where one more test would lie, and how the tests that were made lie there."""
+    table = run.prediction
+    if table is None:
+        raise ValueError("run: must predict frequencies (got none)")
+    rows = []
+    for (mode, row), made in zip(table.iterrows(), tests.T, strict=True):
+        made = made[~np.isnan(made)]
+        low, high = row["test_eti90_lb"], row["test_eti90_ub"]
+        s = float(made.std(ddof=1))
+        n = decimals(s / np.sqrt(len(made)))
+        inside = int(np.sum((made >= low) & (made <= high)))
+        mean = span(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n)
+        rows.append((str(mode), str(len(made)), fixed(s, n), mean, span(low, high, n), f"{inside} of {len(made)}"))
+    header = (
+        "mode", "tests", "scatter s, Hz", "90 % for the mean of as many, Hz", "90 % for one more test, Hz",
+        "tests made in it",
+    )  # fmt: skip
+    caption = (
+        "The likelihood is of the mean of the tests, whose error is s/√n. One more test scatters by s about the "
+        "structure's frequency (Student's t, as s is known from n tests only)."
+    )
+    parts: tuple[Part, ...] = (Table(caption, header, tuple(rows)),)
+    doubts = repeatability_warnings(run.trace)
+    return (*parts, Items(tuple(doubts))) if doubts else parts
 
 
 def left_out(run: Run) -> Section | Omitted:

@@ -6,7 +6,9 @@ import numpy as np
 
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima_text import FREQUENCY_DIGITS, MOST_SHOWN, share_of_mass
-from fmu.numbers import MISSING, apart, change, decimals, fixed, given, rounded, span
+from fmu.analysis.prediction import measured_tests, measurement_in_words
+from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
+from fmu.numbers import MISSING, apart, change, decimals, fixed, given, rounded, share, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
@@ -15,33 +17,49 @@ from fmu.report.run import Run
 from fmu.report.svg import picture
 from fmu.report.units import shown
 
+_RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, along a combination"}
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
 def parameters(run: Run) -> Section:
-    """Return the updated parameters beside start and bounds."""
-    rows, seen = [], []
-    for name in run.names:
-        unit = run.unit(name)
+    """Return the updated parameters beside start and bounds, and apart from them those that were not updated."""
+    found = information(run.trace)
+    basis = dict(zip(found.names, found.basis, strict=True)) if found else {}
+    rows: dict[bool, list[tuple[str, ...]]] = {True: [], False: []}
+    seen = []
+    for k, name in enumerate(run.names):
+        unit, rests_on = run.unit(name), basis.get(name, DATA)
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
         mean, sd, low, high = (run.value(name, c) for c in ("mean", "sd", "eti90_lb", "eti90_ub"))
         n = decimals(sd)
         bounds = span(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).any() else "none"
-        rows.append(
+        moved = change(mean / start - 1) if start else MISSING
+        if found and rests_on != DATA:
+            moved = share(min(float(found.remaining_sd[k]), 1.0))
+        rows[rests_on == DATA].append(
             (
                 name, unit.name or MISSING, fixed(start, n), fixed(mean, n), span(low, high, n), fixed(sd, n),
-                change(mean / start - 1) if start else MISSING, bounds,
+                moved, bounds, *(() if rests_on == DATA else (_RESTS_ON[rests_on],)),
             )
         )  # fmt: skip
         words = f"{name} {fixed(mean, n)} {unit.name} ({span(low, high, n)})".replace("  ", " ")
         seen.append(f"{words}, start {fixed(start, n)}, bounds {bounds}")
-    header = ("parameter", "unit", "start", "mean", "90 % interval", "sd", "change", "bounds")
-    table = Table("Posterior of the parameters", header, tuple(rows), words=(1,))
+    header: tuple[str, ...] = ("parameter", "unit", "start", "mean", "90 % interval", "sd", "change", "bounds")
+    parts: list[Part] = []
+    if rows[True]:
+        parts.append(Table("Posterior of the parameters", header, tuple(rows[True]), words=(1,)))
+    if rows[False]:
+        caption = (
+            "Not updated by the data. The values are what the prior says, or follow from it where the data tell a "
+            "combination of parameters only. Sd left: of the prior's standard deviation."
+        )
+        header = (*header[:6], "sd left", "bounds", "rests on")
+        parts.append(Table(caption, header, tuple(rows[False]), words=(1, 8)))
     maximum = run.maxima[0].theta if run.maxima else None
     axes = plot_parameter_updates({run.name: run.trace}, maximum=maximum, summaries={run.name: run.summary})
     drawing = picture(axes, "updates", f"Posterior means with 90 % intervals. {'; '.join(seen)}.",
                       "Means and 90 % intervals between the bounds.")  # fmt: skip
-    return Section("parameters", "Updated parameters", (table, Pictures((drawing,))))
+    return Section("parameters", "Updated parameters", (*parts, Pictures((drawing,))))
 
 
 def frequencies(run: Run) -> Section | Omitted:
@@ -51,20 +69,22 @@ def frequencies(run: Run) -> Section | Omitted:
         return Omitted(title, NO_FREQUENCIES)
     before = frequencies_before(run.trace)
     before = np.full(len(table), np.nan) if before is None else before
-    is_noisy = "noisy_sd" in table
+    is_noisy, tests = "noisy_sd" in table, measured_tests(run.trace)
+    has_tests = "test_eti90_lb" in table
     rows, seen = [], []
     for (mode, row), f in zip(table.iterrows(), before, strict=True):
         n = max(1, decimals(row["sd"]))
         errors = [change(value / row["measured"] - 1) for value in (f, row["mean"])]
         noisy = span(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
+        single = (span(row["test_eti90_lb"], row["test_eti90_ub"], n),) if has_tests else ()
         rows.append(
             (
                 str(mode), given(row["measured"]), fixed(f, n), errors[0], fixed(row["mean"], n),
-                errors[1], span(row["eti90_lb"], row["eti90_ub"], n), noisy,
+                errors[1], span(row["eti90_lb"], row["eti90_ub"], n), noisy, *single,
             )
         )  # fmt: skip
         seen.append(f"mode {mode} {errors[0]} before, {errors[1]} after")
-    header = (
+    header: tuple[str, ...] = (
         "mode", "measured, Hz", "before, Hz", "error before", "after, Hz", "error after",
         "90 %, without noise, Hz", "90 %, with noise, Hz",
     )  # fmt: skip
@@ -72,6 +92,13 @@ def frequencies(run: Run) -> Section | Omitted:
         "After: posterior mean of the model's frequency. Its 90 % interval without the measurement noise is where "
         "the model's frequency lies, with it where a new measurement would."
     )
+    if has_tests:
+        header = (*header[:-1], "90 %, mean of tests, Hz", "90 %, one more test, Hz")
+        caption = (
+            "After: posterior mean of the model's frequency. 90 % intervals: without the measurement noise, where "
+            f"the model's frequency lies; where a new measurement would, {measurement_in_words(tests)}; and where "
+            "one more test would."
+        )
     if np.isnan(before).all():
         caption += " The trace does not keep the frequencies before updating."
     axes = plot_frequency_updates(run.trace)

@@ -1,4 +1,4 @@
-"""The two verdicts that come first: has the sampler converged, and does the model fit."""
+"""The verdicts that come first: has the sampler converged, does the model fit, were the parameters updated."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from fmu.analysis.modal_states import MEAN
 from fmu.analysis.model_fit import INTERVAL, fit_warnings, measured_mac, shape_warnings
+from fmu.analysis.prediction import measured_tests, measurement_in_words
+from fmu.analysis.uninformed import DATA, information, information_warnings
 from fmu.numbers import fixed, share
 from fmu.report.document import Verdict
 from fmu.report.run import Run
@@ -14,9 +16,9 @@ SOUND = "Nothing speaks against it: the chains agree, and there are enough effec
 COVERED = "No maximum that was found and holds 1 % of the probability was left out."
 
 
-def verdicts(run: Run) -> tuple[Verdict, Verdict]:
-    """Return both verdicts on a run."""
-    return convergence(run), model_fit(run)
+def verdicts(run: Run) -> tuple[Verdict, Verdict, Verdict]:
+    """Return the verdicts on a run."""
+    return convergence(run), model_fit(run), updated(run)
 
 
 def convergence(run: Run) -> Verdict:
@@ -31,7 +33,8 @@ def convergence(run: Run) -> Verdict:
 def model_fit(run: Run) -> Verdict:
     """Return the verdict on the model, which no convergence of a sampler tells."""
     question = "Does the model fit the data?"
-    found = run.diagnosis.warnings
+    untold = information_warnings(run.trace)  # which `updated` is about
+    found = warnings = tuple(warning for warning in run.diagnosis.warnings if warning not in untold)
     if not run.diagnosis.converged:
         found = (*found, "All of this is by draws that have not converged, and so provisional.")
     if run.prediction is None or "noisy_sd" not in run.prediction:
@@ -41,14 +44,31 @@ def model_fit(run: Run) -> Verdict:
     if missed:
         answer = f"No: {missed} of {n} measured modes {'is' if missed == 1 else 'are'} not fitted"
         return Verdict(question, answer, False, "What speaks against the model", found)
+    tests = measured_tests(run.trace)
+    kind = "" if tests is None else f", {measurement_in_words(tests)},"
     within = (
-        f"Every measured frequency lies in the {share(INTERVAL)} interval of its prediction, measurement noise "
-        "included."
+        f"Every measured frequency{kind} lies in the {share(INTERVAL)} interval of its prediction, measurement "
+        "noise included."
     )
-    answer = "Yes, with reservations" if run.diagnosis.warnings else "Yes"
+    answer = "Yes, with reservations" if warnings else "Yes"
     return Verdict(
         question, answer, True, "What speaks for the model, and against it", (within, *_shapes(run), *found)
     )
+
+
+def updated(run: Run) -> Verdict:
+    """Return the verdict on the data: whether they updated every parameter."""
+    question = "Did the data update the parameters?"
+    found = information(run.trace)
+    if found is None:
+        nothing = "The trace has no draws from the prior to hold the posterior against."
+        return Verdict(question, "Cannot be said", None, "Why that cannot be said", (nothing,))
+    n, left = len(found.names), sum(basis != DATA for basis in found.basis)
+    if not found.uninformed:
+        narrowed = "Along every direction of the parameter space the draws are narrower than the prior."
+        return Verdict(question, "Yes", True, "What speaks for it", (narrowed,))
+    answer = f"{n - left} of {n}" if left else "All, but not in every combination"
+    return Verdict(question, answer, False, "What the data did not update", tuple(found.warnings()))
 
 
 def _shapes(run: Run) -> tuple[str, ...]:

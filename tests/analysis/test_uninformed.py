@@ -1,0 +1,158 @@
+"""What the data leave to the prior is named, and nothing else is: against models whose posterior is known."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from fmu.analysis.check import check
+from fmu.analysis.diagnosis import judge
+from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
+from fmu.analysis.trace import to_trace
+from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, doubts, information, left_to_prior
+from fmu.fem.separable import SeparableModel
+from fmu.fem.terms import Term
+from fmu.posterior.errors import FrequencyErrors
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal, Uniform
+from fmu.posterior.problem import UpdatingProblem
+
+K = 1e4 * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+PRIORS = {
+    "normal": (Normal(0.3, 1.0), 0.2, 4.0),
+    "truncated": (Normal(0.8, 1.0), 0.8, 1.4),
+    "log-normal": (LogNormal(1.0, 0.6), 0.0, np.inf),
+    "uniform": (Uniform(), 0.5, 1.5),
+}
+
+
+def chain(prior="normal", known_mass=0.0, sd=0.04, error=None):
+    """Three masses on three springs, with a factor k on all springs and m on all masses; and a known mass."""
+    distribution, lower, upper = PRIORS[prior]
+    known = np.diag([0.0, 0.0, known_mass])
+    M_terms = [Term(sp.csr_array(np.eye(3)), (0.0, 1.0))]
+    if known_mass:
+        M_terms.append(Term(sp.csr_array(known), (0.0, 0.0)))
+    model = SeparableModel([Term(sp.csr_array(K), (1.0, 0.0))], M_terms)
+    measured = np.sqrt(scipy.linalg.eigh(1.1 * K, np.eye(3) + known, eigvals_only=True)) / (2 * np.pi)
+    parameters = [Parameter(name, 1.0, lower, upper, distribution) for name in ("k", "m")]
+    data = ModalData(measured, sd_hz=sd * measured)
+    settings = {} if error is None else {"error": error}
+    return UpdatingProblem(model, data, parameters, reduction=False, pairing="index", **settings)
+
+
+@pytest.fixture
+def posterior(make_result):
+    """Return a function that draws from a posterior by weighting draws from the prior: exact, and independent."""
+
+    def drawn(problem, seed=1, n=1600, pool=30_000):
+        rng = np.random.default_rng(seed)
+        theta = problem.sample_prior(rng, pool)
+        weight = problem.log_likelihood(theta)
+        weight = np.exp(weight - weight.max())
+        assert weight.sum() ** 2 / np.sum(weight**2) > n  # as many effective draws as are taken
+        picked = rng.choice(pool, n, p=weight / weight.sum())
+        trace = to_trace(make_result(theta[picked].reshape(4, -1, problem.ndim)), problem)
+        return with_identifiability(trace, problem)
+
+    return drawn
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+def test_stiffness_and_mass_that_only_their_ratio_is_told_of(prior, posterior):
+    problem = chain(prior)
+    (found,) = check(problem, draws=20).doubts
+    assert found.startswith("The measured modes cannot tell k and m apart: only k/m is updated.")
+    assert "100 % of the prior's standard deviation" in found
+    trace = posterior(problem)
+    told = information(trace)
+    assert told.basis == (COMBINED, COMBINED)
+    assert any(w.startswith("k and m were not updated by themselves: the data tell only what k/m is") for w in
+               judge(trace).warnings)  # fmt: skip
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+def test_a_known_mass_silences_it(prior, posterior):
+    problem = chain(prior, known_mass=2.0)
+    assert check(problem, draws=20).verdict() == "Nothing doubtful was found."
+    told = information(posterior(problem))
+    assert told.basis == (DATA, DATA)
+    assert told.uninformed == ()
+    assert told.warnings() == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_errors_so_large_that_nothing_is_told(seed, posterior):
+    told = information(posterior(chain("log-normal", known_mass=2.0, sd=100.0), seed))
+    assert told.basis == (PRIOR, PRIOR)
+    assert len(told.warnings()) == 2
+
+
+def test_noise_that_the_data_do_not_tell(posterior):
+    """Of an sd inferred from three frequencies the prior says more; from its own prior alone, all."""
+    noise = Parameter("noise", 0.02, 0.0, prior=LogNormal(0.02, 0.05))
+    tight = chain(known_mass=2.0, error=FrequencyErrors("relative", noise))
+    told = information(posterior(tight))
+    assert told.basis == (DATA, DATA, PRIOR)
+    assert told.warnings()[0].startswith("noise was not updated by the data: the draws keep ")
+    wide = Parameter("noise", 0.02, 0.002, prior=HalfNormal(0.5))
+    assert information(posterior(chain(known_mass=2.0, error=FrequencyErrors("relative", wide)))).basis[2] == DATA
+
+
+def test_a_wide_spread_over_two_maxima_is_no_lack_of_information(make_result, problem):
+    """Two narrow peaks at ∓1.2 prior standard deviations: wider than the prior, and yet only the sign is open."""
+    rng = np.random.default_rng(2)
+    draws = rng.normal(size=(4, 500, 2)) * [0.05, 0.1]
+    draws[..., 0] += rng.choice([-1.2, 1.2], (4, 500))
+    told = information(to_trace(make_result(draws), problem))
+    assert told.remaining_sd[0] > 1.0
+    assert told.uninformed == ()
+
+
+def test_marginals_that_keep_the_prior_while_a_combination_is_known(make_result, problem):
+    """Draws of two parameters that are tied to each other, each with its whole prior."""
+    rng = np.random.default_rng(3)
+    z = rng.normal(size=(4, 500, 1))
+    draws = np.concatenate([z, 2.0 * z], axis=-1) + 0.01 * rng.normal(size=(4, 500, 2))
+    told = information(to_trace(make_result(np.clip(draws, -4, 4)), problem))
+    assert told.remaining_sd.min() > 0.9
+    assert told.basis == (COMBINED, COMBINED)
+    (warning,) = told.warnings()
+    assert warning.startswith("the combination 0.71 ")
+    assert "+ 0.71" in warning
+
+
+def test_parameters_that_no_mode_depends_on_come_first_and_combinations_are_few():
+    S = np.zeros((3, 5))
+    S[0, :2] = [5.0, -5.0]
+    S[1, 2:4] = [7.0, 3.5]
+    found = Identifiability(tuple("abcde"), ("",) * 5, ("1", "2", "3"), np.ones(5), np.full(5, 0.5), S)
+    left = left_to_prior(found)
+    assert [one.words for one in left] == ["e", "0.89 d − 0.45 c", "0.71 a + 0.71 b"]
+    assert [one.told for one in left] == ["", "", "a/b is"]
+    assert doubts(found)[0].startswith(
+        "The measured modes add nothing to what the prior says of e: the data leave 100"
+    )
+    for one in left:
+        assert np.linalg.norm(S @ one.direction) < 1e-12
+    told = Identifiability(*(getattr(found, k) for k in ("names", "units", "labels", "theta", "prior_sd")),
+                           np.eye(5) * 0.33)  # fmt: skip
+    assert left_to_prior(told) == []  # 0.33 prior standard deviations' worth: less than 95 % is left
+
+
+def test_a_common_factor_leaves_the_ratios():
+    S = np.array([[2.0, 3.0, -5.0], [1.0, -2.0, 1.0]])
+    found = Identifiability(tuple("abc"), ("",) * 3, ("1", "2"), np.ones(3), np.ones(3), S)
+    assert [one.told for one in left_to_prior(found)] == ["the ratios of a, b and c are"]
+
+
+def test_an_identifiable_problem_says_nothing(problem, posterior):
+    assert doubts(identifiability(problem)) == []
+    exact = information(posterior(problem, n=400))
+    assert exact.warnings() == []
+
+
+def test_nothing_can_be_said_without_a_prior(make_trace):
+    assert information(make_trace(np.zeros((2, 5, 2)))) is None
