@@ -79,8 +79,8 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
         if not low <= measured <= high:
             _, from_hz, to_hz, mean_hz = apart(measured, low, high, mean, sd=sd)
             found.append(
-                f"mode {mode} was measured at {given(measured)} Hz{how}, outside the {share(INTERVAL)} interval of its "
-                f"prediction, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
+                f"mode {mode} was measured at {given(measured)} Hz{how}, outside the {share(INTERVAL)} interval "
+                f"of its prediction, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
             )
     return found
 

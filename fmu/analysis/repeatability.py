@@ -87,9 +87,8 @@ class Repeatability:
     def _of_mode(self, k: int) -> str:
         what = []
         if self.resembles[k]:
-            what.append(
-                f"consecutive tests resemble each other (lag-1 autocorrelation {fixed(self.autocorrelation[k], 2)})"
-            )
+            rho = fixed(self.autocorrelation[k], 2)
+            what.append(f"consecutive tests resemble each other (lag-1 autocorrelation {rho})")
         if self.drifts[k]:
             way = "rises" if self.drift[k] > 0 else "falls"
             what.append(
@@ -102,8 +101,8 @@ class Repeatability:
 def _worth(n: float, effective: float) -> str:
     ratio = np.sqrt(n / effective)
     return (
-        f"The {whole(n)} tests are worth about {significant(effective, 2)} independent ones: the sd of their mean, s/√n, is too "
-        f"small by a factor of about {significant(ratio, 2)}."
+        f"The {whole(n)} tests are worth about {significant(effective, 2)} independent ones: the sd of "
+        f"their mean, s/√n, is too small by a factor of about {significant(ratio, 2)}."
     )
 
 
