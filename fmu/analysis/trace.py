@@ -114,7 +114,10 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     with shielded():
         content = trace.to_netcdf(engine="h5netcdf")
-        write_durably(path, content)
+        try:
+            write_durably(path, content)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, os.fspath(path)) from error
     return path
 
 

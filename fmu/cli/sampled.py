@@ -156,7 +156,10 @@ def _one(
         if drawn is None:
             return stopped
         trace = drawn
-        save_trace(trace, path)
+        try:
+            save_trace(trace, path)
+        except OSError as error:
+            raise OSError(f"{error}. The draws are kept; to go on: fmu run --resume {running.path}") from error
     outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
     write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
     return stopped

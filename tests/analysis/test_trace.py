@@ -1,3 +1,8 @@
+import errno
+import os
+import subprocess
+import sys
+
 import arviz as az
 import h5py
 import numpy as np
@@ -153,11 +158,10 @@ def test_failed_write_leaves_the_earlier_file(trace, tmp_path, monkeypatch):
     path = save_trace(trace, tmp_path / "hmc.nc")
     before = path.read_bytes()
 
-    def half_written(self, target, **settings):
-        target.write_bytes(b"half a file")
-        raise OSError("no space left on device")
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, "no space left on device")
 
-    monkeypatch.setattr(xr.DataTree, "to_netcdf", half_written)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="no space left"):
         save_trace(trace, path)
     assert path.read_bytes() == before
@@ -196,3 +200,25 @@ def test_foreign_netcdf_is_refused(trace, tmp_path):
     del trace.attrs["sampler"]
     with pytest.raises(ValueError, match="it has no sampler"):
         load_trace(save_trace(trace, path))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_a_file_that_is_too_large_is_one_error(tmp_path):
+    """Nothing else is said, at the end of the process neither; and what was there is there."""
+    path = tmp_path / "t.nc"
+    path.write_bytes(b"before")
+    program = (
+        "import resource, signal, sys\n"
+        "import numpy as np, xarray as xr\n"
+        "from fmu.analysis.trace import save_trace\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))\n"
+        "trace = xr.DataTree(xr.Dataset({name: ('x', np.arange(2000.0)) for name in 'abc'}))\n"
+        "try:\n    save_trace(trace, sys.argv[1])\n"
+        "except OSError as error:\n    print(error)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, timeout=120)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout == f"[Errno 27] File too large: '{path}'\n"
+    assert path.read_bytes() == b"before"
+    assert [file.name for file in tmp_path.iterdir()] == ["t.nc"]

@@ -1,0 +1,51 @@
+"""What a run is said to cost, against what it costs."""
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis.estimate import Estimate, estimates, in_words
+
+ORDERS = {"draws": 150, "warmup": 150, "chains": 4, "groups": None}
+
+
+def frequencies(theta):
+    return [4.0 * np.sqrt(theta[0] * theta[1]), 9.0 * np.sqrt(theta[1])]
+
+
+@pytest.fixture(scope="module")
+def problem():
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in "ab"]
+    return fmu.UpdatingProblem(fmu.BlackBoxModel(frequencies, 2), fmu.ModalData([4.0, 9.0], sd_hz=0.3), parameters)
+
+
+@pytest.mark.parametrize("name", ["mh", "slice", "emcee"])
+def test_solves_within_a_factor_of_two(problem, name):
+    (said,) = [part for part in estimates(problem, ORDERS | {"samplers": [name]}, 16, 1) if part.name == name]
+    trace = fmu.sample(problem, name, draws=150, warmup=150)
+    assert 0.5 < said.solves / (trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]) < 2.0
+
+
+def test_a_function_is_timed_and_its_workers_share(problem, monkeypatch):
+    monkeypatch.setattr("fmu.analysis.estimate._timed", lambda work: (work(), 0.02)[1])
+    one = estimates(problem, ORDERS | {"samplers": ["mh", "hmc"]}, 16, 1)
+    two = estimates(problem, ORDERS | {"samplers": ["mh", "hmc"]}, 16, 2)
+    assert [part.name for part in one] == ["search", "mh", "hmc"]
+    for alone, shared in zip(one, two, strict=True):
+        assert alone.solves * 0.02 <= alone.seconds < alone.solves * 0.0202
+        assert shared == alone._replace(seconds=alone.seconds / 2)
+    assert one[2].solves > 20 * one[1].solves  # five a gradient, and several gradients a step
+
+
+def test_a_reduced_model_is_timed_in_the_sampler():
+    two = fmu.cases.load("shear-2dof")
+    (only,) = estimates(two, ORDERS | {"samplers": ["mh"]}, 16, 1)
+    assert only.name == "mh"
+    assert 0.0 < only.seconds < 60.0
+
+
+def test_in_words():
+    parts = [Estimate("hmc", 36123.0, 12.3), Estimate("certificate", 64.0, 0.2), Estimate("mh", 7.0, 11_880.0)]
+    assert in_words(parts) == (
+        "hmc: about 36 000 solves, 12 s; certificate: about 64 solves, under 1 s; mh: about 7 solves, 3.3 h"
+    )
