@@ -71,10 +71,13 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
     table = predict_frequencies(trace, INTERVAL)
     per_cent = f"{100 * INTERVAL:g}"
     tests = measured_tests(trace)
-    how = "" if tests is None else f" as {measurement_in_words(tests)}"
+    how = {
+        mode: "" if tests is None else f" as {measurement_in_words(tests[:, [k]])}"
+        for k, mode in enumerate(table.index)
+    }
     columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean")
     return [
-        f"mode {mode} was measured at {measured:.1f} Hz{how}, outside the {per_cent} % interval of its "
+        f"mode {mode} was measured at {measured:.1f} Hz{how[mode]}, outside the {per_cent} % interval of its "
         f"prediction, {low:.1f} to {high:.1f} Hz (mean {mean:.1f} Hz)"
         for mode, measured, low, high, mean in zip(table.index, *(table[c] for c in columns), strict=True)
         if not low <= measured <= high

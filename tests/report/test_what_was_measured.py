@@ -73,7 +73,7 @@ def test_the_trace_keeps_the_tests(run, problem, tmp_path):
     np.testing.assert_array_equal(kept["observed_data"]["tests"], problem.data.tests.frequencies_hz)
 
 
-def test_tables_say_which_is_which(run):
+def test_tables_say_which_is_which(run, problem):
     (table,) = (part for part in updating.frequencies(run).parts if isinstance(part, Table))
     assert table.header[-2:] == ("90 %, mean of tests, Hz", "90 %, one more test, Hz")
     assert f"the mean of {N - 1} to {N} tests; and where one more test would" in table.caption
@@ -81,10 +81,14 @@ def test_tables_say_which_is_which(run):
     _, singles = (part for part in section.parts if isinstance(part, Table))
     rows = [dict(zip(singles.header, row, strict=True)) for row in singles.rows]
     assert [row["tests"] for row in rows] == [str(N - 1), str(N), str(N)]
-    for row in rows:
-        inside, of, made = row["tests made in it"].split()
-        assert (of, made) == ("of", row["tests"])
-        assert int(inside) > 0.7 * int(made)
+    tests = problem.data.tests.frequencies_hz
+    low, high = (run.prediction[f"test_eti90_{end}"].to_numpy() for end in ("lb", "ub"))
+    inside = np.sum((tests >= low) & (tests <= high), axis=0)
+    assert [row["tests made in it"] for row in rows] == [
+        f"{inside[0]} of {N - 1}",
+        *(f"{k} of {N}" for k in inside[1:]),
+    ]
+    assert inside[2] > 0.8 * N
     (items,) = (part for part in section.parts if isinstance(part, Items))
     assert items.items[0].startswith("Mode W2: ")
     assert not any("W1" in item for item in items.items)
@@ -92,7 +96,7 @@ def test_tables_say_which_is_which(run):
 
 def test_figures_say_which_is_which(run):
     words = [text.get_text() for text in plots.plot_predictive_check(run.trace).figure.legends[0].get_texts()]
-    assert f"99 % of new measurements (the mean of {N - 1} to {N} tests), noise included" in words
+    assert f"99 % for the mean of {N - 1} to {N} tests" in words
     assert {"90 % of one more test", "the tests"} <= set(words)
     words = [text.get_text() for text in plots.plot_frequency_updates(run.trace).figure.legends[0].get_texts()]
     assert f"after: mean, 90 % interval for the mean of {N - 1} to {N} tests" in words
@@ -108,6 +112,7 @@ def test_what_was_not_updated_is_not_among_what_was(run):
     assert verdict.reasons[0].startswith("c was not updated by the data: the draws keep ")
     assert verdict.reasons[0] in run.diagnosis.warnings
     assert verdict.reasons[0] not in model_fit(run).reasons
+    assert "as the mean of 40 tests, outside the 99 % interval" in model_fit(run).reasons[0]
 
 
 def test_the_pages_have_it(traces, problem, tmp_path):
