@@ -73,10 +73,11 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
     per_cent = f"{100 * INTERVAL:g}"
     columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean", "noisy_sd")
     tests = measured_tests(trace)
-    how = "" if tests is None else f" as {measurement_in_words(tests)}"
     found = []
-    for mode, measured, low, high, mean, sd in zip(table.index, *(table[c] for c in columns), strict=True):
+    rows = zip(table.index, *(table[c] for c in columns), strict=True)
+    for k, (mode, measured, low, high, mean, sd) in enumerate(rows):
         if not low <= measured <= high:
+            how = "" if tests is None else f" as {measurement_in_words(tests[:, [k]])}"
             _, from_hz, to_hz, mean_hz = apart(measured, low, high, mean, sd=sd)
             found.append(
                 f"mode {mode} was measured at {given(measured)} Hz{how}, outside the {share(INTERVAL)} interval "

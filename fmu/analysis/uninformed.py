@@ -67,9 +67,9 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
         for row in _eliminated(left):
             directions.append(np.zeros(n))
             directions[-1][rest] = row / np.linalg.norm(row)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = found.prior_sd / found.theta
-    return [_named(direction, found.names, direction * relative) for direction in directions]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that is 0 has no relative change
+        relative = [direction * found.prior_sd / found.theta for direction in directions]
+    return [_named(direction, found.names, change) for direction, change in zip(directions, relative, strict=True)]
 
 
 def doubts(found: Identifiability) -> list[str]:

@@ -190,10 +190,16 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
         return np.asarray((column - narrow["mean"]) / narrow["noisy_sd"])
 
     tests = measured_tests(trace)
-    new = "new measurements" if tests is None else f"new measurements ({measurement_in_words(tests)})"
+    new = "of new measurements, noise included" if tests is None else f"for {measurement_in_words(tests)}"
     for table, ends, width, alpha, words in (
-        (wide, ("noisy_eti99_lb", "noisy_eti99_ub"), 5.0, 0.25, f"99 % of {new}, noise included"),
-        (narrow, ("noisy_eti90_lb", "noisy_eti90_ub"), 5.0, 0.45, "90 % of them"),
+        (wide, ("noisy_eti99_lb", "noisy_eti99_ub"), 5.0, 0.25, f"99 % {new}"),
+        (
+            narrow,
+            ("noisy_eti90_lb", "noisy_eti90_ub"),
+            5.0,
+            0.45,
+            f"90 % {new}" if tests is not None else "90 % of them",
+        ),
         (narrow, ("eti90_lb", "eti90_ub"), 14.0, 0.8, "90 % of the model's frequencies, without noise"),
     ):
         low, high = (scaled(table[end]) for end in ends)

@@ -1,0 +1,132 @@
+"""Pages on repeated tests and on parameters that the data did not update: each is told for what it is."""
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis.prediction import predict_frequencies
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import Normal
+from fmu.posterior.problem import UpdatingProblem
+from fmu.report import plots
+from fmu.report.check_page import check_page
+from fmu.report.document import Items, Table
+from fmu.report.html import write_pages
+from fmu.report.run import runs_of
+from fmu.report.sections import prediction, updating
+from fmu.report.sections.verdicts import model_fit, updated
+from tests.linear import LinearModel
+
+N = 40
+
+
+class Deaf(LinearModel):
+    """A third parameter that no frequency depends on."""
+
+    n_parameters = 3
+
+    def frequencies(self, theta):
+        return super().frequencies(theta[:, :2])
+
+    def frequencies_and_gradient(self, theta):
+        f, slopes = super().frequencies_and_gradient(theta[:, :2])
+        return f, np.concatenate([slopes, np.zeros((len(theta), 3, 1))], axis=2)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    rng = np.random.default_rng(1)
+    tests = np.array([101.0, 99.5, 102.0]) + 0.5 * rng.standard_normal((N, 3))
+    tests[:, 1] += 0.05 * np.arange(N)
+    tests[3, 0] = np.nan
+    parameters = [Parameter(name, start=0.0, lower=-8.0, upper=8.0, prior=Normal(1.0)) for name in ("a", "b", "c")]
+    data = ModalData.from_tests(tests, labels=("W1", "W2", "T1"))
+    return UpdatingProblem(Deaf(), data, parameters, name="tests")
+
+
+@pytest.fixture(scope="module")
+def traces(problem):
+    return {"hmc": fmu.sample(problem, "hmc", draws=500, warmup=200, chains=4)}
+
+
+@pytest.fixture(scope="module")
+def run(traces):
+    return runs_of(traces)["hmc"]
+
+
+def test_both_intervals_are_predicted(run, problem):
+    """s/√n about the model's frequency for the mean of the tests, s for one more."""
+    table = predict_frequencies(run.trace)
+    single = (table["test_eti90_ub"] - table["test_eti90_lb"]).to_numpy() / (2 * 1.645)
+    s = np.nanstd(problem.data.tests.frequencies_hz, axis=0, ddof=1)
+    np.testing.assert_allclose(single, np.hypot(s, table["sd"]), rtol=0.15)
+    np.testing.assert_allclose(table["noisy_sd"], np.hypot(problem.data.sd_hz, table["sd"]), rtol=0.1)
+    made = problem.data.tests.frequencies_hz[:, 2]
+    inside = (made > table["test_eti90_lb"]["T1"]) & (made < table["test_eti90_ub"]["T1"])
+    assert inside.mean() > 0.8
+    assert fmu.expectation(run.trace, "one_more_test").value == pytest.approx(table["mean"], abs=0.1)
+
+
+def test_the_trace_keeps_the_tests(run, problem, tmp_path):
+    kept = fmu.load_trace(fmu.save_trace(run.trace, tmp_path / "trace.nc"))
+    np.testing.assert_array_equal(kept["observed_data"]["tests"], problem.data.tests.frequencies_hz)
+
+
+def test_tables_say_which_is_which(run, problem):
+    (table,) = (part for part in updating.frequencies(run).parts if isinstance(part, Table))
+    assert table.header[-2:] == ("90 %, mean of tests, Hz", "90 %, one more test, Hz")
+    assert f"the mean of {N - 1} to {N} tests; and where one more test would" in table.caption
+    section = prediction.predictive(run)
+    _, singles = (part for part in section.parts if isinstance(part, Table))
+    rows = [dict(zip(singles.header, row, strict=True)) for row in singles.rows]
+    assert [row["tests"] for row in rows] == [str(N - 1), str(N), str(N)]
+    tests = problem.data.tests.frequencies_hz
+    low, high = (run.prediction[f"test_eti90_{end}"].to_numpy() for end in ("lb", "ub"))
+    inside = np.sum((tests >= low) & (tests <= high), axis=0)
+    assert [row["tests made in it"] for row in rows] == [
+        f"{inside[0]} of {N - 1}",
+        *(f"{k} of {N}" for k in inside[1:]),
+    ]
+    assert inside[2] > 0.8 * N
+    (items,) = (part for part in section.parts if isinstance(part, Items))
+    assert items.items[0].startswith("Mode W2: ")
+    assert not any("W1" in item for item in items.items)
+
+
+def test_figures_say_which_is_which(run):
+    words = [text.get_text() for text in plots.plot_predictive_check(run.trace).figure.legends[0].get_texts()]
+    assert f"99 % for the mean of {N - 1} to {N} tests" in words
+    assert {"90 % of one more test", "the tests"} <= set(words)
+    words = [text.get_text() for text in plots.plot_frequency_updates(run.trace).figure.legends[0].get_texts()]
+    assert f"after: mean, 90 % interval for the mean of {N - 1} to {N} tests" in words
+    assert "the same for one more test" in words
+
+
+def test_what_was_not_updated_is_not_among_what_was(run):
+    first, second = (part for part in updating.parameters(run).parts if isinstance(part, Table))
+    assert [row[0] for row in first.rows] == ["a", "b"]
+    assert [(row[0], row[-1]) for row in second.rows] == [("c", "the prior")]
+    verdict = updated(run)
+    assert (verdict.answer, verdict.is_good) == ("2 of 3", False)
+    assert verdict.reasons[0].startswith("c was not updated by the data: the draws keep ")
+    assert verdict.reasons[0] in run.diagnosis.warnings
+    assert verdict.reasons[0] not in model_fit(run).reasons
+    assert "as the mean of 40 tests, outside the 99 % interval" in model_fit(run).reasons[0]
+
+
+def test_the_pages_have_it(traces, problem, tmp_path):
+    index = write_pages(traces, tmp_path / "report")
+    for page in (index, index.parent / "hmc.html"):
+        text = page.read_text(encoding="utf-8")
+        assert "Did the data update the parameters?" in text
+        assert "c was not updated by the data" in text
+    found = fmu.check(problem, draws=20)
+    verdicts = {verdict.question: verdict for verdict in check_page(found).verdicts}
+    assert verdicts["Are the tests independent?"].is_good is False
+    told = verdicts["What can the data tell?"]
+    assert told.is_good is False
+    assert told.reasons[0].startswith(
+        "The measured modes add nothing to what the prior says of c: the data leave 100 %"
+    )
+    assert told.reasons[0] in str(found)
