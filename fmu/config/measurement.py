@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from fmu.config.fields import Name, NumberOrNumbers, Positive, SensorTable, Table
-from fmu.config.measured_files import FileName, OmaTable, UffTable, broken
+from fmu.config.fields import FileName, Name, NumberOrNumbers, Positive, SensorTable, Table
+from fmu.config.measured_files import OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built
-from fmu.formats.modes import ModesError
+from fmu.formats.modes import MOST_MODES, ModesError
 from fmu.formats.modes_csv import read_frequencies, read_shapes
 from fmu.posterior.correlated import checked_covariance
 from fmu.posterior.measurement import ModalData
@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A frequency, or nan where a test missed the mode."""
+MOST_SENSORS = 10_000
 _SOURCES = ("frequencies", "tests", "file", "uff", "oma")
 _WITH_SHAPES = ("uff", "oma")
 _TRUST = ("sd", "beta", "covariance")
@@ -48,9 +49,11 @@ class MeasurementTable(Table):
     tells the error. ``shapes`` are a row a mode at the ``sensors``, or in a table, ``shapes_file``.
     """
 
-    frequencies: Annotated[list[Positive], Field(min_length=1)] | None = None
+    frequencies: Annotated[list[Positive], Field(min_length=1, max_length=MOST_MODES)] | None = None
     """Natural frequencies, Hz."""
-    tests: Annotated[list[list[Missed]], Field(min_length=2)] | None = None
+    tests: Annotated[list[Annotated[list[Missed], Field(max_length=MOST_MODES)]], Field(min_length=2)] | None = (
+        None
+    )
     """Frequencies of repeated tests, Hz: a row a test, nan where it missed a mode."""
     scatter: Literal["each", "pooled", "joint"] = "each"
     """What the scatter of the tests tells: a deviation each mode, one for all, or a covariance."""
@@ -72,7 +75,7 @@ class MeasurementTable(Table):
     """Of the elastic modes before updating that the sensors see, from 1, for pairing by shape without shapes."""
     labels: list[Name] = []
     """Names of the modes."""
-    sensors: list[SensorTable] = []
+    sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
     """Place and direction: x, y, z, rx, ry, rz; with a minus before it if it counts the other way."""
     shapes: list[list[float]] | None = None
     """A row a mode, a number a sensor, in any scale."""

@@ -8,8 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.formats.shown import shown
+
 FloatArray = NDArray[np.float64]
 
+MOST_NUMBERS = 2**24
+"""Of one kind, for all points that the function is called for at once."""
 _PARTS = ("frequencies", "shapes", "gradient")
 
 
@@ -69,7 +73,9 @@ def _parts(given: Any) -> list[Any]:
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in _PARTS]
         if unknown or "frequencies" not in given:
-            raise AnswerError(f"must return frequencies, and may return shapes and gradient (got {list(given)})")
+            raise AnswerError(
+                f"must return frequencies, and may return shapes and gradient (got {shown(list(given))})"
+            )
         return [given.get(part) for part in _PARTS]
     if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
         if len(given) > len(_PARTS):
@@ -82,4 +88,6 @@ def _real(name: str, given: ArrayLike) -> FloatArray:
     array = np.asarray(given)
     if array.dtype.kind not in "fiu":
         raise AnswerError(f"{name}: must be real numbers (got {type(given).__name__} of {array.dtype})")
+    if array.size > MOST_NUMBERS:
+        raise AnswerError(f"{name}: must be at most {MOST_NUMBERS} numbers (got {array.size})")
     return array.astype(float)

@@ -33,6 +33,7 @@ from fmu.engines.engine import MOST_DEATHS, Engine, LostTaskError
 from fmu.fem.answers import Answer as Answer
 from fmu.fem.answers import AnswerError as AnswerError
 from fmu.fem.answers import checked
+from fmu.formats.shown import in_words, one_line
 
 FloatArray = NDArray[np.float64]
 
@@ -117,7 +118,9 @@ class BlackBoxModel:
         if self.batched and len(theta) > 1:
             try:
                 return list(self._called(theta))
-            except (Exception, SystemExit):  # which of the points is at fault shows one at a time
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # which of the points is at fault shows one at a time
                 return [answer for point in theta for answer in self.answers(point[None])]
         found: list[Answer | None] = []
         for point, (answer, reason) in zip(theta, self._tried(theta), strict=True):
@@ -153,7 +156,9 @@ class BlackBoxModel:
         """Return what the function gives at one theta (n_parameters,), or None and why it failed."""
         try:
             return self._called(theta[None])[0], ""
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and others of the user's own among them
             return None, _in_words(error)
 
     def at(self, theta: FloatArray) -> Answer:
@@ -166,7 +171,9 @@ class BlackBoxModel:
         """
         try:
             return self._called(np.asarray(theta, dtype=float)[None])[0]
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise ValueError(
                 f"must work at the start {np.asarray(theta).tolist()} ({_in_words(error)})"
             ) from error
@@ -189,7 +196,7 @@ class BlackBoxModel:
         try:
             with open(inspect.getsourcefile(inspect.unwrap(self.function)) or "", "rb") as file:
                 digest = hashlib.sha256(file.read()).hexdigest()
-        except (TypeError, OSError):  # of a notebook, or no Python function
+        except Exception:  # of a notebook, or no Python function: its attributes may be of any kind
             digest = ""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
 
@@ -228,10 +235,7 @@ def _try_there(model: BlackBoxModel, theta: FloatArray, _: object) -> tuple[Answ
 
 def _in_words(error: BaseException) -> str:
     """Return an exception in one line; of what is wrong with an answer the text alone, which says it all."""
-    text = " ".join(str(error).split())
-    if isinstance(error, AnswerError):
-        return text
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
 
 
 def _name_of(function: Any) -> str:

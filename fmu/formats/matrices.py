@@ -30,6 +30,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrix_files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError, checked
 
 Triangle = bool | Literal["lower", "upper"]
@@ -82,10 +83,11 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
     suffix = _suffix(path)
     if suffix not in READERS:
         raise ValueError(f"must end in {', '.join(READERS)} (got {path.name!r})")
-    if not path.is_file():
-        raise ValueError(f"must be a file (got {str(path)!r})")
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"must have at most {LARGEST_FILE} bytes (got {path.stat().st_size})")
+    why = why_no_file(path)
+    if why:
+        raise ValueError(f"must be a file ({why})")
+    if too_large(path, LARGEST_FILE):
+        raise ValueError(too_large(path, LARGEST_FILE))
     if variable is not None and suffix not in SEVERAL:
         raise ValueError(f"variable: a {suffix} file has one matrix, without a name (got {variable!r})")
     try:

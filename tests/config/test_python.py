@@ -169,8 +169,8 @@ BROKEN = [
     ("storeys:modes", "storeys.floors:modes", "model.function: must be in a module"),
     ("storeys:modes", "storeys:shapes", "model.function: must be in "),
     ("storeys:modes", "storeys:two", "model.function: must be a function (got storeys:two, of type int)"),
-    ("storeys:modes", "storeys", "model.function: must match pattern"),
-    ("storeys:modes", "../storeys:modes", "model.function: must match pattern"),
+    ("storeys:modes", "storeys", 'model.function: must be "module:function"'),
+    ("storeys:modes", "../storeys:modes", 'model.function: must be "module:function"'),
     (
         "storeys:modes",
         "broken:modes",

@@ -240,7 +240,7 @@ ANNOUNCED = [
     ),
     ("entries", "coordinate real general\n2 2 900000000\n1 1 1.0\n", "must have the 900000000 entries"),
     ("size", "coordinate real general\n900000000 900000000 1\n1 1 1.0\n", "must have at most 1048576 degrees"),
-    ("array", "array real general\n900000 900000\n1.0\n", "must hold at most 1073741824 bytes"),
+    ("array", "array real general\n900000 900000\n1.0\n", "must have the 810000000000 entries"),
 ]
 
 
@@ -255,15 +255,18 @@ def test_sizes_are_looked_at_before_reading(tmp_path, monkeypatch):
     big = np.zeros((500, 500))
     savemat(tmp_path / "k.mat", {"K": big}, do_compression=True)
     np.savez_compressed(tmp_path / "k.npz", K=big)
-    (tmp_path / "k.mtx.gz").write_bytes(gzip.compress(b" " * 2_000_000))
+    head = b"%%MatrixMarket matrix array real general\n500 500\n"
+    (tmp_path / "k.mtx.gz").write_bytes(gzip.compress(head + b"0\n" * 250_000))
     with h5py.File(tmp_path / "k.h5", "w") as file:
         file.create_dataset("K", data=big, compression="gzip")
     write_matrix(tmp_path / "k.csv", big)
-    monkeypatch.setattr(matrix_files, "LARGEST_FILE", 100_000)
-    monkeypatch.setattr("fmu.formats.matrices.LARGEST_FILE", 100_000)
+    monkeypatch.setattr(matrix_files, "MOST_ENTRIES", 200_000)
     for suffix in (".mat", ".npz", ".mtx.gz", ".h5", ".csv"):
-        with pytest.raises(ValueError, match="at most 100000 bytes"):
+        with pytest.raises(ValueError, match=r"at most 200000 entries, both triangles counted \(got 250000\)"):
             read_matrix(tmp_path / f"k{suffix}")
+    monkeypatch.setattr("fmu.formats.matrices.LARGEST_FILE", 100_000)
+    with pytest.raises(ValueError, match="at most 100000 bytes"):
+        read_matrix(tmp_path / "k.csv")
 
 
 def test_not_there_or_not_known(tmp_path):
