@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -45,6 +46,9 @@ def checked(given: Any, n_parameters: int, n_points: int | None = None) -> list[
     AnswerError
         If it is not what it should be.
     """
+    if inspect.iscoroutine(given):
+        given.close()  # which keeps Python from complaining that nobody waited for it
+        raise AnswerError("must return numbers (got a coroutine: the function must not be async)")
     lead = () if n_points is None else (n_points,)
     parts = _parts(given)
     frequencies = _real("frequencies", parts[0])
@@ -87,7 +91,8 @@ def _parts(given: Any) -> list[Any]:
 def _real(name: str, given: ArrayLike) -> FloatArray:
     array = np.asarray(given)
     if array.dtype.kind not in "fiu":
-        raise AnswerError(f"{name}: must be real numbers (got {type(given).__name__} of {array.dtype})")
+        what = "nothing" if given is None else f"{type(given).__name__} of {array.dtype}"
+        raise AnswerError(f"{name}: must be real numbers (got {what})")
     if array.size > MOST_NUMBERS:
         raise AnswerError(f"{name}: must be at most {MOST_NUMBERS} numbers (got {array.size})")
     return array.astype(float)

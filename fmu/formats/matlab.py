@@ -21,6 +21,7 @@ _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _SPARSE, _FULL = 5, range(6, 16)
 _COMPLEX = 0x0800
+_NO_PART = (0, memoryview(b""))
 _HEAD = 4096
 """Bytes that flags, dimensions and name are within."""
 
@@ -102,9 +103,9 @@ def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, 
         if compressed:
             head = zlib.decompressobj().decompress(head, _HEAD)[8:]
         parts = _parts(memoryview(head), order, cut=True)
-        flags, shape = (_numbers(*next(parts, (0, b"")), order).tolist() for _ in range(2))
+        flags, shape = (_numbers(*next(parts, _NO_PART), order).tolist() for _ in range(2))
         if (flags[0] & 0xFF == _SPARSE or flags[0] & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0:
-            name = bytes(next(parts, (0, b""))[1]).decode("ascii")
+            name = bytes(next(parts, _NO_PART)[1]).decode("ascii")
             yield name, _Variable(flags[0], tuple(shape), at + 8, size, compressed)
         at += 8 + size
     raise RefusedError(f"must hold at most {MOST_NAMES} variables")

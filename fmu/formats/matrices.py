@@ -97,7 +97,8 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
     except RefusedError as refused:
         raise ValueError(str(refused)) from None
     except Exception as error:  # whatever a broken file makes the readers raise
-        raise ValueError(f"must hold a matrix ({path.name}: {error})") from error
+        why = error if isinstance(error, ValueError | OSError | EOFError) else "it is not as such a file has to be"
+        raise ValueError(f"must hold a matrix ({path.name}: {why})") from error
     matrix, dofs = found if isinstance(found, Labelled) else Labelled(found, None)
     return Labelled(symmetric_matrix(matrix, triangle), dofs)
 

@@ -119,7 +119,8 @@ def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
     numbered = enumerate(io.StringIO(text, newline=None), 1)
     lines = ((i, line) for i, line in numbered if line.strip() and line.strip()[0] != "#")
     found: list[str] = []
-    header, rows = [], []
+    header: list[str] = []
+    rows: list[_Row] = []
     separator = ","
     for number, line in lines:
         if not header:

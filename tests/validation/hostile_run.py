@@ -31,7 +31,7 @@ LONGEST_MESSAGE = 20_000
 BAD_INPUT = 2
 MACHINE_WORDS = re.compile(
     r"Traceback|<class|object at 0x|NoneType|subscriptable|has no attribute|unexpected keyword|numpy\.|ufunc|unpack|"
-    r"site-packages|pydantic|\[type=|concatenation axis|broadcast|Warning:|Exception ignored|datetime\.|match pattern"
+    r"site-packages|pydantic|\[type=|concatenation axis|broadcast|\.py:\d+: \w+Warning|Exception ignored|datetime\.|match pattern"
 )
 """What a message in plain words does not have."""
 
@@ -61,14 +61,13 @@ class Verdict:
     message: str
 
 
-def checked(name: str, path: Path) -> Verdict:
+def checked(name: str, path: Path, most_mib: float = MOST_MIB) -> Verdict:
     """Check a file in this process, as the command line does."""
     from click.testing import CliRunner
 
     from fmu import cli
 
     _forget_peak()
-    signal.setitimer(signal.ITIMER_PROF, MOST_S)  # whose signal ends the process
     began = time.process_time()
     code, crash = None, ""
     try:
@@ -80,9 +79,8 @@ def checked(name: str, path: Path) -> Verdict:
     except BaseException as error:  # of a user's function; only another signal to stop is not its own
         text, crash = "", "".join(traceback.format_exception(error))
     taken_s, peak = time.process_time() - began, _peak_mib()
-    signal.setitimer(signal.ITIMER_PROF, 0.0)
     fault = f"traceback: {crash.strip().splitlines()[-1][:200]}" if crash else ""
-    fault = fault or wrong(code, text, taken_s, peak) or (_start(path) if code == 0 else "")
+    fault = fault or wrong(code, text, taken_s, peak, most_mib) or (_start(path) if code == 0 else "")
     gc.collect()
     return Verdict(name, code, fault, taken_s, peak, text[-600:] if not crash else crash[-1500:])
 
@@ -103,7 +101,7 @@ def checked_alone(name: str, path: Path) -> Verdict:
     return Verdict(name, code, wrong(code, text, taken_s, peak), taken_s, peak, text[-600:])
 
 
-def wrong(code: int | None, text: str, taken_s: float, peak_mib: float) -> str:
+def wrong(code: int | None, text: str, taken_s: float, peak_mib: float, most_mib: float = MOST_MIB) -> str:
     """Say what is wrong with how a check ended, if anything is."""
     if code == -signal.SIGXCPU:
         return f"late: no end within {MOST_S:g} s"
@@ -113,7 +111,7 @@ def wrong(code: int | None, text: str, taken_s: float, peak_mib: float) -> str:
         return f"traceback: {text.strip().splitlines()[-1][:200]}"
     if code not in (0, BAD_INPUT):
         return f"exit code {code}"
-    if peak_mib > MOST_MIB:
+    if peak_mib > most_mib:
         return f"memory: {peak_mib:.0f} MiB"
     if code == BAD_INPUT:
         if taken_s > SOON_S:
@@ -236,9 +234,12 @@ def checked_in(which: str, made: Path, seed: int) -> Verdict:
     folder = Path(tempfile.mkdtemp(prefix="hostile-"))
     try:
         hostile.write(folder)
-        check = checked_alone if hostile.name.startswith("huge") else checked
-        return check(hostile.name, folder / PROBLEM)
+        if hostile.name.startswith("huge"):
+            return checked_alone(hostile.name, folder / PROBLEM)
+        signal.setitimer(signal.ITIMER_PROF, MOST_S)  # whose signal ends the process
+        return checked(hostile.name, folder / PROBLEM)
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         shutil.rmtree(folder, ignore_errors=True)
 
 
