@@ -24,6 +24,8 @@ K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) −
 from __future__ import annotations
 
 import warnings
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -96,9 +98,12 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
             found = READERS[suffix](path, variable)
     except RefusedError as refused:
         raise ValueError(str(refused)) from None
+    except MemoryError:
+        raise
     except Exception as error:  # whatever a broken file makes the readers raise
-        why = error if isinstance(error, ValueError | OSError | EOFError) else "it is not as such a file has to be"
-        raise ValueError(f"must hold a matrix ({path.name}: {why})") from error
+        is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
+        text = str(error) if is_told else "it is not as such a file has to be"
+        raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
     matrix, dofs = found if isinstance(found, Labelled) else Labelled(found, None)
     return Labelled(symmetric_matrix(matrix, triangle), dofs)
 

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -267,6 +268,52 @@ def test_sizes_are_looked_at_before_reading(tmp_path, monkeypatch):
     monkeypatch.setattr("fmu.formats.matrices.LARGEST_FILE", 100_000)
     with pytest.raises(ValueError, match="at most 100000 bytes"):
         read_matrix(tmp_path / "k.csv")
+
+
+HOLES = {
+    "nothing.mtx": b"",
+    "announced.mtx": b"%%MatrixMarket matrix coordinate real general\n9999 9999 9999999\n1 1 1.0\n",
+    "abaqus.mtx": b"*MATRIX\n1,1,1,1,1.0\n",
+    "row.csv": b"1,0\n",
+    "nothing.csv": b"",
+    "nothing.mat": b"MATLAB 5.0".ljust(124) + b"\x00\x01IM",
+    "nothing.hb": b"",
+    "nothing.npz": b"PK\x03\x04",
+}
+
+
+@pytest.mark.parametrize("name", HOLES)
+def test_a_gigabyte_of_nothing_takes_no_memory(tmp_path, name):
+    """A sparse file; its text would take four times its size, and its numbers more."""
+    with (tmp_path / name).open("wb") as file:
+        file.write(HOLES[name])
+        file.truncate(2**30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"must hold a matrix .*(NUL|80 characters|unknown type 0|zip)"):
+            read_matrix(tmp_path / name)
+        assert tracemalloc.get_traced_memory()[1] < 100e6 + 8 * 3 * 9_999_999 * (name == "announced.mtx")
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_matrix_in_several_parts_is_the_same(tmp_path, monkeypatch):
+    big = sp.csr_array(sp.diags_array([np.arange(1.0, 301.0), -np.ones(299), -np.ones(299)], offsets=[0, 1, -1]))
+    labels = "".join(f"{i + 1},1, {j + 1},1, {float(big[i, j])!r}\n" for i, j in zip(*big.nonzero(), strict=True))
+    (tmp_path / "abaqus.mtx").write_text(f"*MATRIX\n{labels}")
+    write_matrix(tmp_path / "k.mtx", big)
+    write_matrix(tmp_path / "k.csv", big)
+    monkeypatch.setattr("fmu.formats.text.BLOCK", 5000)
+    for name in ("abaqus.mtx", "k.mtx", "k.csv"):
+        assert_array_equal(read_matrix(tmp_path / name).toarray(), big.toarray())
+
+
+def test_numbers_of_another_file_are_not_read(tmp_path):
+    (tmp_path / "secret.bin").write_bytes(np.eye(2).tobytes())
+    with h5py.File(tmp_path / "k.h5", "w") as file:
+        file.create_dataset("K", (2, 2), "f8", external=[(str(tmp_path / "secret.bin"), 0, 32)])
+    with pytest.raises(ValueError, match=r"must hold its numbers itself \(/K is kept in other files\)"):
+        read_matrix(tmp_path / "k.h5")
 
 
 def test_not_there_or_not_known(tmp_path):

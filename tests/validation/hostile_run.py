@@ -31,7 +31,7 @@ LONGEST_MESSAGE = 20_000
 BAD_INPUT = 2
 MACHINE_WORDS = re.compile(
     r"Traceback|<class|object at 0x|NoneType|subscriptable|has no attribute|unexpected keyword|numpy\.|ufunc|unpack|"
-    r"site-packages|pydantic|\[type=|concatenation axis|broadcast|\.py:\d+: \w+Warning|Exception ignored|datetime\.|match pattern"
+    r"site-packages|pydantic|\[type=|concatenation axis|broadcast|fmu/\S+\.py:\d+: \w+Warning|Exception ignored|datetime\.|match pattern"
 )
 """What a message in plain words does not have."""
 
@@ -117,7 +117,7 @@ def wrong(code: int | None, text: str, taken_s: float, peak_mib: float, most_mib
         if taken_s > SOON_S:
             return f"late: {taken_s:.1f} s"
         return unclear(text)
-    found = re.search(r"[^\n]*Warning:[^\n]*", text)
+    found = re.search(r"[^\n]*fmu/\S+\.py:\d+: \w+Warning:[^\n]*", text)
     return f"message: {found.group()[:200]}" if found else ""
 
 
