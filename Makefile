@@ -59,6 +59,7 @@ validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update G
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m tests.validation.workers results
 	.venv/bin/python -m tests.validation.scale results
+	.venv/bin/python -m tests.validation.hostile results
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
 	.venv/bin/python -m tests.validation.mutants results/mutants.md

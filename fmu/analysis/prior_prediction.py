@@ -46,19 +46,25 @@ class PriorPrediction:
     failed: int
 
     @property
+    def _drawn(self) -> FloatArray:
+        """The frequencies; NaN where the model failed at all draws but one, and there is no deviation."""
+        too_few = len(self.frequencies) < 2
+        return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
+
+    @property
     def mean(self) -> FloatArray:
         """Mean prediction, shape (n_modes,)."""
-        return np.asarray(self.frequencies.mean(axis=0))
+        return np.asarray(self._drawn.mean(axis=0))
 
     @property
     def sd(self) -> FloatArray:
         """Standard deviation of a predicted measurement, noise included, shape (n_modes,)."""
-        return np.asarray(np.hypot(self.frequencies.std(axis=0, ddof=1), np.nan_to_num(self.noise_sd)))
+        return np.asarray(np.hypot(self._drawn.std(axis=0, ddof=1), np.nan_to_num(self.noise_sd)))
 
     @property
     def interval(self) -> FloatArray:
         """Ends of the 90 % interval of the model's frequencies, shape (2, n_modes)."""
-        return np.asarray(np.quantile(self.frequencies, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
+        return np.asarray(np.quantile(self._drawn, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
 
     @property
     def distance(self) -> FloatArray:
@@ -68,7 +74,7 @@ class PriorPrediction:
     @property
     def is_far(self) -> NDArray[np.bool_]:
         """Which measured frequencies the prior hardly expects, shape (n_modes,)."""
-        return np.asarray(~(np.abs(self.distance) <= FAR))
+        return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
     def sentences(self) -> list[str]:
         """Say in words which measured frequencies the prior does not expect."""

@@ -29,6 +29,8 @@ class Commands(click.Group):
             _stop(
                 str(error.args[0]) if hasattr(error, "mistakes") else str(error), *getattr(error, "mistakes", ())
             )
+        except MemoryError as error:
+            _stop(f"the model needs more memory than there is ({error or 'no more is known'})")
         except RuntimeError as error:
             from fmu.engines.engine import LostTaskError
             from fmu.samplers.run import TooManyFailuresError
@@ -40,8 +42,10 @@ class Commands(click.Group):
 
 
 def _stop(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
-    """Print one line, and one more for each mistake in a file."""
-    for line in (f"Error: {message}", *(f"  {mistake}" for mistake in mistakes)):
-        indent = "  " if line.startswith("  ") else ""
-        click.echo(indent + " ".join(line.split()), err=True)
+    """Print one line, and one more for each of the first mistakes in a file."""
+    from fmu.formats.shown import one_line, told
+
+    click.echo(f"Error: {one_line(message)}", err=True)
+    for line in told(mistakes):
+        click.echo(f"  {line}", err=True)
     sys.exit(code)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
-from fmu.config.mistakes import Mistake, got, of_validation
+from fmu.config.mistakes import Mistake, got, of_validation, place
+from fmu.formats.files import why_no_file
 from fmu.numbers import significant
 
 if TYPE_CHECKING:
@@ -18,10 +20,16 @@ if TYPE_CHECKING:
     from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
 
-LARGEST_FILE = 2**23
+LARGEST_FILE = 2**21
 """Bytes of a TOML file; large matrices are in files of their own, which are read a hundred times faster."""
+DEEPEST_KEY, DEEPEST = 6, 12
+"""Parts of a dotted key, and tables and lists within each other; no problem has more than half of these."""
 LARGEST_NUMBER = 1e60
 """In SI units: of numbers beyond it, and of their reciprocals, products overflow and tell nothing."""
+_PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
+_KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
+_LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{8 * DEEPEST_KEY},}}+)")
+"""What looks like a key but does not end like one, as in a text or a comment, may have more parts."""
 
 
 def load(
@@ -60,16 +68,14 @@ def read(path: Path) -> ProblemFile:
 
     from fmu.config.problem import ProblemFile
 
-    if not path.is_file():
-        why = f"{path} is a directory" if path.is_dir() else f"no such file: {path}"
+    why = why_no_file(path)
+    if why:
         raise FileNotFoundError(f"path: must be a TOML file ({why})")
-    if path.stat().st_size > LARGEST_FILE:
-        raise ConfigurationError(path.name, [Mistake("", f"must have at most {LARGEST_FILE} bytes")])
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # of TOML, of its encoding, of a number with thousands of digits
-        raise ConfigurationError(path.name, [Mistake("", f"is no TOML: {error}")]) from error
-    beyond = list(_out_of_size(content, ()))
+        content = _parsed(path)
+    except ValueError as error:
+        raise ConfigurationError(path.name, [Mistake("", str(error))]) from error
+    beyond = list(_out_of_size(content))
     if beyond:
         raise ConfigurationError(path.name, beyond)
     try:
@@ -78,14 +84,49 @@ def read(path: Path) -> ProblemFile:
         raise ConfigurationError(path.name, of_validation(error)) from error
 
 
-def _out_of_size(value: Any, where: tuple[int | str, ...]) -> Iterator[Mistake]:
-    """Give the finite numbers that nothing in SI units is as large or as small as."""
-    if isinstance(value, dict | list):
-        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _out_of_size(inner, (*where, key))
-    elif isinstance(value, float | int) and _is_out_of_size(value):
-        rule = f"must be 0, or from {significant(1 / LARGEST_NUMBER)} to {significant(LARGEST_NUMBER)} in size"
-        yield Mistake(".".join(map(str, where)), got(rule, value))
+def _parsed(path: Path) -> dict[str, Any]:
+    """Return what is in a TOML file; ValueError with what is wrong with it.
+
+    Dotted keys are looked at first: the parser's memory grows with the square of their length.
+    """
+    with path.open("rb") as file:
+        raw = file.read(LARGEST_FILE + 1)
+    if len(raw) > LARGEST_FILE:
+        raise ValueError(f"must have at most {LARGEST_FILE} bytes")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"is no TOML: it must be text in UTF-8 (byte {error.start + 1} is not)") from error
+    if "\0" in text:
+        raise ValueError("is no TOML: it must be text in UTF-8 (it has NUL characters, as UTF-16 has)")
+    deep = _LONG_KEY.search(text)
+    if deep is not None:
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ValueError(f"line {line}: a key must have at most {DEEPEST_KEY} parts with dots between them")
+    try:
+        return tomllib.loads(text.replace("\r\n", "\n"))
+    except RecursionError:
+        raise ValueError(f"must not be nested more than {DEEPEST} tables and lists deep") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"is no TOML: {error}") from error
+    except ValueError as error:  # of a number with thousands of digits, or a date that is none
+        raise ValueError(f"is no TOML: it has a number or a date that cannot be read ({error})") from error
+
+
+def _out_of_size(content: Any) -> Iterator[Mistake]:
+    """Give what is nested too deeply, and finite numbers larger or smaller than anything in SI units."""
+    ahead: list[tuple[tuple[int | str, ...], Any]] = [((), content)]
+    while ahead:
+        where, value = ahead.pop()
+        if isinstance(value, dict | list):
+            if len(where) > DEEPEST:
+                yield Mistake(place(where), f"must not be nested more than {DEEPEST} tables and lists deep")
+                continue
+            items = list(value.items() if isinstance(value, dict) else enumerate(value))
+            ahead += [((*where, key), inner) for key, inner in reversed(items)]
+        elif isinstance(value, float | int) and _is_out_of_size(value):
+            rule = f"must be 0, or from {significant(1 / LARGEST_NUMBER)} to {significant(LARGEST_NUMBER)} in size"
+            yield Mistake(place(where), got(rule, value))
 
 
 def _is_out_of_size(value: float) -> bool:

@@ -11,6 +11,7 @@ from pydantic import Field, Tag
 from fmu.config.fields import Name, Number, Numbers, ParameterName, Positive, Table, by_kind
 from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
+from fmu.formats.shown import names_shown
 from fmu.posterior.errors import ErrorModel, FrequencyErrors, MACErrors, ShapeErrors
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
@@ -105,7 +106,7 @@ def built_noise(
             noise[table.name] = table.build()
         except ValueError as error:
             found.append(Mistake(f"noise.{i}", str(error).removeprefix(f"{table.name}.")))
-    known = ", ".join(table.name for table in tables) or "none that there is"
+    known = names_shown([table.name for table in tables]) or "none that there is"
     for i, model in enumerate(errors):
         for key in ("sd", "discrepancy"):
             name = getattr(model, key, None)

@@ -22,6 +22,8 @@ def _of_parameter(name: str) -> str:
 
 ParameterName = Annotated[Name, AfterValidator(_of_parameter)]
 """Kept apart from what else a trace has names for."""
+FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, pattern=r"^[^\x00-\x1f]+$")]
+"""From the folder of the TOML file."""
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -19,6 +19,7 @@ from fmu.config.targets import target_mistakes
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass
 from fmu.fem.separable import RigidArm
 from fmu.fem.stability import require_stable
+from fmu.formats.shown import names_shown
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
@@ -206,4 +207,4 @@ class _Mesh:
 
 
 def _unknown(name: str, known: Any) -> str:
-    return got(f"must be one of {', '.join(known)}", name)
+    return got(f"must be one of {names_shown(known)}", name)

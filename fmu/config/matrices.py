@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 import scipy.sparse as sp
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
-from fmu.config.fields import Name, SensorTable, Table
+from fmu.config.fields import FileName, Name, SensorTable, Table
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built, without_targets
 from fmu.fem.separable import SeparableModel, selection
@@ -22,6 +22,7 @@ from fmu.fem.terms import Term
 from fmu.formats.abaqus import HELD
 from fmu.formats.matrices import read_labelled, symmetric_matrix
 from fmu.formats.matrix_files import Labelled
+from fmu.formats.shown import names_shown
 from fmu.numbers import given, significant
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
-FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, pattern=r"^[^\x00-\x1f]+$")]
-"""From the folder of the TOML file."""
+
+MOST_TERMS = 1000
 
 
 class TermTable(Table):
@@ -76,8 +77,8 @@ class MatricesTable(Table):
     """K(theta) and M(theta) as sums of matrices; ``free = true`` if nothing holds the structure, on purpose."""
 
     type: Literal["matrices"]
-    stiffness: Annotated[list[TermTable], Field(min_length=1)]
-    mass: Annotated[list[TermTable], Field(min_length=1)]
+    stiffness: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
+    mass: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
     dofs: list[SensorTable] | None = None
     free: bool = False
 
@@ -88,7 +89,7 @@ class MatricesTable(Table):
         for where, term in self._terms():
             used |= set(term.powers)
             found += [
-                Mistake(f"{where}.powers", got(f"must name one of {', '.join(names)}", name))
+                Mistake(f"{where}.powers", got(f"must name one of {names_shown(names)}", name))
                 for name in term.powers
                 if name not in names
             ]

@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from fmu.config.fields import Table
+from fmu.config.fields import FileName, Table
 from fmu.config.mistakes import BrokenError, Mistake
 from fmu.formats.modes import LEAST_MPC, Modes, ModesError
 from fmu.formats.pyoma import load_pyoma, pyoma_modes
 from fmu.formats.uff import read_uff
 
-FileName = Annotated[str, StringConstraints(min_length=1)]
 NodeNumber = Annotated[str, StringConstraints(pattern=r"^\d{1,9}$")]
 
 

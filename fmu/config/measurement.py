@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
-from fmu.config.fields import Name, NumberOrNumbers, Positive, SensorTable, Table
-from fmu.config.measured_files import FileName, OmaTable, UffTable, broken
+from fmu.config.fields import FileName, Name, NumberOrNumbers, Positive, SensorTable, Table
+from fmu.config.measured_files import OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model import Built
-from fmu.formats.modes import ModesError
+from fmu.formats.modes import MOST_MODES, ModesError
 from fmu.formats.modes_csv import read_frequencies, read_shapes, read_tests
 from fmu.posterior.correlated import checked_covariance
 from fmu.posterior.measurement import ModalData
@@ -23,6 +23,8 @@ FloatArray = NDArray[np.float64]
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A frequency, or nan where a test missed the mode."""
+Test = Annotated[list[Missed], Field(max_length=MOST_MODES)]
+MOST_SENSORS = 10_000
 _SOURCES = ("frequencies", "tests", "tests_file", "file", "uff", "oma")
 _TESTS = ("tests", "tests_file")
 _SHAPES = ("shapes", "shapes_file", "test_shapes")
@@ -52,9 +54,9 @@ class MeasurementTable(Table):
     test, ``test_shapes``.
     """
 
-    frequencies: Annotated[list[Positive], Field(min_length=1)] | None = None
+    frequencies: Annotated[list[Positive], Field(min_length=1, max_length=MOST_MODES)] | None = None
     """Natural frequencies, Hz."""
-    tests: Annotated[list[list[Missed]], Field(min_length=2)] | None = None
+    tests: Annotated[list[Test], Field(min_length=2)] | None = None
     """Frequencies of repeated tests, Hz: a row a test, in order of time, nan where it missed a mode."""
     tests_file: FileName | None = None
     """A CSV table of repeated tests, from the folder of this file: a row a test in order of time, a column a mode
@@ -79,7 +81,7 @@ class MeasurementTable(Table):
     """Of the elastic modes before updating that the sensors see, from 1, for pairing by shape without shapes."""
     labels: list[Name] = []
     """Names of the modes."""
-    sensors: list[SensorTable] = []
+    sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
     """Place and direction: x, y, z, rx, ry, rz; with a minus before it if it counts the other way."""
     shapes: list[list[float]] | None = None
     """A row a mode, a number a sensor, in any scale."""

@@ -7,12 +7,19 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-_SHOWN = 60
+from fmu.formats.shown import shown, told
+
+_NAME = r"[^\W\d]\w*"
+FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
+"""The pattern of ``module:function``."""
+LONGEST_KEY = 40
 _PATTERNS = {
     r"^[^/\x00-\x1f]+$": "must have no slash, line break or other control character",
     r"^[^\x00-\x1f]+$": "must have no line break or other control character",
+    r"^\d{1,9}$": "must be the number of a node, of at most 9 digits",
+    FUNCTION: 'must be "module:function", as in "storeys:modes"',
 }
-"""What the patterns of names mean."""
+"""What the patterns of texts mean."""
 
 
 class Mistake(NamedTuple):
@@ -50,13 +57,19 @@ class ConfigurationError(ValueError):
         super().__init__(f"{source}: {n} mistake{'s' if n > 1 else ''}")
 
     def __str__(self) -> str:
-        return "\n".join([f"{super().__str__()}:", *(f"  {mistake}" for mistake in self.mistakes)])
+        return "\n".join([f"{super().__str__()}:", *(f"  {line}" for line in told(self.mistakes))])
 
 
 def got(rule: str, value: Any) -> str:
     """Return a rule with the value received, cut short if it is long."""
-    text = repr(value)
-    return f"{rule} (got {text if len(text) <= _SHOWN else text[:_SHOWN] + ' …'})"
+    return f"{rule} (got {shown(value)})"
+
+
+def place(parts: Sequence[int | str]) -> str:
+    """Return where something is in the file, long keys cut short."""
+    return ".".join(
+        str(part) if len(str(part)) <= LONGEST_KEY else f"{str(part)[:LONGEST_KEY]}…" for part in parts
+    )
 
 
 def of_validation(error: ValidationError) -> list[Mistake]:
@@ -65,7 +78,7 @@ def of_validation(error: ValidationError) -> list[Mistake]:
 
 
 def _of_one(error: dict[str, Any]) -> Mistake:
-    where = ".".join(str(part) for part in _in_the_file(error["loc"]))
+    where = place(_in_the_file(error["loc"]))
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
         return Mistake(where, "is no known key")
@@ -98,11 +111,11 @@ def _of_tag(where: str, error: dict[str, Any]) -> Mistake:
     return Mistake(where, got(f"must be one of {known}", context["tag"]))
 
 
-def _in_the_file(place: tuple[int | str, ...]) -> list[int | str]:
+def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
     """Return a place without the kinds of values and tables, which pydantic puts after keys that have several."""
-    parts = [part for part in place if not str(part).startswith("<")]
-    where = parts[1:2]
-    several = (["model"], ["parameters", *where, "prior"], ["noise", *where, "prior"], ["error", *where])
+    parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
+    number = parts[1:2]
+    several = (["model"], ["parameters", *number, "prior"], ["noise", *number, "prior"], ["error", *number])
     for parent in several:
         kind = len(parent)
         if parts[:kind] == parent:

@@ -11,20 +11,20 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
 from fmu.config.fields import Table
-from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
 from fmu.config.model import Built, without_targets
 from fmu.fem.black_box import BlackBoxModel
+from fmu.formats.shown import in_words
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
 
-_NAME = r"[^\W\d]\w*"
-_PLACE = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
 WHERE = "model.function"
 
 
@@ -36,7 +36,7 @@ class PythonTable(Table):
     """
 
     type: Literal["python"]
-    function: Annotated[str, StringConstraints(max_length=500, pattern=_PLACE)]
+    function: Annotated[str, StringConstraints(max_length=500, pattern=FUNCTION)]
     batched: bool = False
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
 
@@ -111,18 +111,20 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
             rule = got("must be in a module beside the file or installed", name)
             raise BrokenError([Mistake(WHERE, rule)]) from error
         raise _not_importable(name, error) from error
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # GeneratorExit and others of the user's own among them
         raise _not_importable(name, error) from error
     if function is None:
-        raise BrokenError([Mistake(WHERE, got(f"must be in {getattr(module, '__file__', name)}", attribute))])
+        raise BrokenError([Mistake(WHERE, got(f"must be in the module {name}", attribute))])
     if not callable(function):
         raise BrokenError([Mistake(WHERE, f"must be a function (got {place}, of type {type(function).__name__})")])
     return Imported(function, place, folder.resolve()) if beside else function
 
 
 def _not_importable(name: str, error: BaseException) -> BrokenError:
-    text = " ".join(f"{type(error).__name__}: {error}".split())
-    return BrokenError([Mistake(WHERE, f"must be in a module that can be imported ({name}: {text})")])
+    rule = f"must be in a module that can be imported ({name}: {in_words(error)})"
+    return BrokenError([Mistake(WHERE, rule)])
 
 
 def _is_beside(name: str, folder: Path) -> bool:
@@ -135,7 +137,9 @@ def _importing_from(folder: Path, name: str) -> Iterator[None]:
     """Put a folder first on the path; afterwards forget what was imported from it, and leave no bytecode there."""
 
     def of_folder(module: Any) -> bool:
-        file = getattr(module, "__file__", None)
+        if not issubclass(type(module), ModuleType):  # anything may be put among the modules
+            return False
+        file = object.__getattribute__(module, "__dict__").get("__file__")
         return isinstance(file, str) and Path(file).resolve().is_relative_to(folder)
 
     top = name.partition(".")[0]

@@ -9,6 +9,7 @@ from fmu.config.fields import Name, Table
 from fmu.config.joints import Direction, MassTable, SpringTable
 from fmu.config.mistakes import Mistake, got
 from fmu.fem.updates import PROPERTIES
+from fmu.formats.shown import names_shown
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
@@ -63,7 +64,7 @@ def target_mistakes(
         for name in table.things(groups):
             where = f"parameters.{i}.{key}"
             if name not in known[key]:
-                found.append(Mistake(where, got(f"must be among {', '.join(known[key])}", name)))
+                found.append(Mistake(where, got(f"must be among {names_shown(known[key])}", name)))
                 continue
             directions: Sequence[str] = table.directions
             if key == "springs":

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.formats.shown import shown
+
 FloatArray = NDArray[np.float64]
 
+MOST_NUMBERS = 2**24
+"""Of one kind, for all points that the function is called for at once."""
 _PARTS = ("frequencies", "shapes", "gradient")
 
 
@@ -41,6 +46,9 @@ def checked(given: Any, n_parameters: int, n_points: int | None = None) -> list[
     AnswerError
         If it is not what it should be.
     """
+    if inspect.iscoroutine(given):
+        given.close()  # which keeps Python from complaining that nobody waited for it
+        raise AnswerError("must return numbers (got a coroutine: the function must not be async)")
     lead = () if n_points is None else (n_points,)
     parts = _parts(given)
     frequencies = _real("frequencies", parts[0])
@@ -69,7 +77,9 @@ def _parts(given: Any) -> list[Any]:
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in _PARTS]
         if unknown or "frequencies" not in given:
-            raise AnswerError(f"must return frequencies, and may return shapes and gradient (got {list(given)})")
+            raise AnswerError(
+                f"must return frequencies, and may return shapes and gradient (got {shown(list(given))})"
+            )
         return [given.get(part) for part in _PARTS]
     if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
         if len(given) > len(_PARTS):
@@ -81,5 +91,8 @@ def _parts(given: Any) -> list[Any]:
 def _real(name: str, given: ArrayLike) -> FloatArray:
     array = np.asarray(given)
     if array.dtype.kind not in "fiu":
-        raise AnswerError(f"{name}: must be real numbers (got {type(given).__name__} of {array.dtype})")
+        what = "nothing" if given is None else f"{type(given).__name__} of {array.dtype}"
+        raise AnswerError(f"{name}: must be real numbers (got {what})")
+    if array.size > MOST_NUMBERS:
+        raise AnswerError(f"{name}: must be at most {MOST_NUMBERS} numbers (got {array.size})")
     return array.astype(float)

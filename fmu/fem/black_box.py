@@ -33,6 +33,7 @@ from fmu.engines.engine import MOST_DEATHS, Engine, LostTaskError
 from fmu.fem.answers import Answer as Answer
 from fmu.fem.answers import AnswerError as AnswerError
 from fmu.fem.answers import checked
+from fmu.formats.shown import in_words, one_line
 from fmu.progress.phases import solved
 
 FloatArray = NDArray[np.float64]
@@ -120,7 +121,9 @@ class BlackBoxModel:
                 answers: list[Answer | None] = list(self._called(theta))
                 solved(len(theta))
                 return answers
-            except (Exception, SystemExit):  # which of the points is at fault shows one at a time
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # which of the points is at fault shows one at a time
                 return [answer for point in theta for answer in self.answers(point[None])]
         found: list[Answer | None] = []
         for point, (answer, reason) in zip(theta, self._tried(theta), strict=True):
@@ -157,7 +160,9 @@ class BlackBoxModel:
         """Return what the function gives at one theta (n_parameters,), or None and why it failed."""
         try:
             return self._called(theta[None])[0], ""
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and others of the user's own among them
             return None, _in_words(error)
 
     def at(self, theta: FloatArray) -> Answer:
@@ -170,7 +175,9 @@ class BlackBoxModel:
         """
         try:
             return self._called(np.asarray(theta, dtype=float)[None])[0]
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise ValueError(
                 f"must work at the start {np.asarray(theta).tolist()} ({_in_words(error)})"
             ) from error
@@ -193,7 +200,7 @@ class BlackBoxModel:
         try:
             with open(inspect.getsourcefile(inspect.unwrap(self.function)) or "", "rb") as file:
                 digest = hashlib.sha256(file.read()).hexdigest()
-        except (TypeError, OSError):  # of a notebook, or no Python function
+        except Exception:  # of a notebook, or no Python function: its attributes may be of any kind
             digest = ""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
 
@@ -232,10 +239,7 @@ def _try_there(model: BlackBoxModel, theta: FloatArray, _: object) -> tuple[Answ
 
 def _in_words(error: BaseException) -> str:
     """Return an exception in one line; of what is wrong with an answer the text alone, which says it all."""
-    text = " ".join(str(error).split())
-    if isinstance(error, AnswerError):
-        return text
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
 
 
 def _name_of(function: Any) -> str:

@@ -7,16 +7,21 @@ reads the unsymmetric kind only, and no right-hand sides.
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any, BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrix_files import checked
+from fmu.formats.matrix_files import checked, entries_within, rows_within
+
+LONGEST_LINE = 4096
+"""Bytes; the format has 80."""
 
 
-def parse(text: str) -> Any:
-    """Return the real assembled matrix in the text of a file, right-hand sides left out.
+def parse(file: BinaryIO) -> Any:
+    """Return the real assembled matrix of a file, right-hand sides left out.
 
     Returns
     -------
@@ -27,25 +32,27 @@ def parse(text: str) -> Any:
     ------
     ValueError
         If the matrix is of another kind, or the text does not have the numbers that it announces.
+    RefusedError
+        If it announces more than a model can have.
     """
-    lines = text.splitlines()
-    if len(lines) < 4:
-        raise ValueError(f"the header must have four lines (got {len(lines)})")
-    counts = [int(lines[1][at : at + 14]) for at in (14, 28, 42)]
-    right_hand_sides = int(lines[1][56:70].strip() or 0)
+    lines = list(_lines(file, 4))
+    counts = [_count(lines[1], at) for at in (14, 28, 42)]
+    right_hand_sides = _count(lines[1], 56) if lines[1][56:70].strip() else 0
     kind = lines[2][:3].upper()
     if kind not in ("RSA", "RUA"):
         raise ValueError(f"must be real and assembled, RSA or RUA (got {kind!r})")
-    n_rows, n_columns, n_entries = (int(lines[2][at : at + 14]) for at in (14, 28, 42))
+    n_rows, n_columns, n_entries = (_count(lines[2], at) for at in (14, 28, 42))
+    rows_within(max(n_rows, n_columns))
+    entries_within(n_entries * (2 if kind == "RSA" else 1))
     formats = lines[3][:16], lines[3][16:32], lines[3][32:52]
-    at = 5 if right_hand_sides > 0 else 4
-    parts = []
-    for count, fortran, expected in zip(counts, formats, (n_columns + 1, n_entries, n_entries), strict=True):
-        parts.append(_numbers(lines[at : at + count], fortran, expected))
-        at += count
-    starts, rows, values = parts
+    if right_hand_sides > 0:
+        list(_lines(file, 1))
+    starts, rows, values = (
+        _numbers(file, count, fortran, expected)
+        for count, fortran, expected in zip(counts, formats, (n_columns + 1, n_entries, n_entries), strict=True)
+    )
     matrix = sp.csc_array(
-        (values.astype(float), rows.astype(np.int64) - 1, starts.astype(np.int64) - 1), shape=(n_rows, n_columns)
+        (values, rows.astype(np.int64) - 1, starts.astype(np.int64) - 1), shape=(n_rows, n_columns)
     )
     checked(matrix)
     if kind == "RSA":
@@ -53,20 +60,40 @@ def parse(text: str) -> Any:
     return sp.csc_array(matrix)
 
 
-def _numbers(lines: list[str], fortran: str, expected: int) -> Any:
+def _lines(file: BinaryIO, count: int) -> Iterator[str]:
+    for i in range(count):
+        line = file.readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE or b"\0" in line:
+            raise ValueError("it is no text of lines of 80 characters")
+        if not line:
+            raise ValueError(f"it is cut short (it lacks {count - i} lines)")
+        yield line.decode("latin-1").rstrip("\r\n")
+
+
+def _count(line: str, at: int) -> int:
+    """Return a count of the header, in its 14 columns."""
+    word = line[at : at + 14].strip()
+    if not word.isdecimal():
+        raise ValueError(f"its header must have counts (got {word!r})")
+    return int(word)
+
+
+def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Any:
     """Return the numbers on lines of fixed columns, as of ``(10I8)`` or ``(1P,3D26.18)``.
 
     Where blanks part as many as are expected, columns do not matter: SciPy writes wider ones than it announces.
     """
+    if n_lines > expected:
+        raise ValueError(f"it announces {n_lines} lines for {expected} numbers")
     width = re.search(r"[IEDFG](\d+)", fortran.upper())
-    if width is None:
-        raise ValueError(f"unknown number format {fortran.strip()!r}")
-    step = int(width.group(1))
+    step = int(width.group(1)) if width is not None else 0
     if step < 1:
         raise ValueError(f"unknown number format {fortran.strip()!r}")
-    words = " ".join(lines).split()
-    if len(words) != expected:
-        words = [line[at : at + step] for line in lines for at in range(0, len(line.rstrip()), step)]
-    if len(words) < expected:
-        raise ValueError(f"must have {expected} numbers in the format {fortran.strip()} (got {len(words)})")
-    return np.array([float(word.upper().replace("D", "E")) for word in words[:expected]])
+    lines = list(_lines(file, n_lines))
+    words: Iterator[str] = (word for line in lines for word in line.split())
+    if sum(len(line.split()) for line in lines) != expected:
+        words = (line[at : at + step] for line in lines for at in range(0, len(line.rstrip()), step))
+    found = np.fromiter((float(w.upper().replace("D", "E")) for w in islice(words, expected)), float)
+    if len(found) < expected:
+        raise ValueError(f"must have {expected} numbers in the format {fortran.strip()} (got {len(found)})")
+    return found

@@ -9,13 +9,14 @@ A file broken on purpose can take the HDF5 library down, and the process with it
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrix_files import chosen, fitting
+from fmu.formats.matrix_files import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
 
 _COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
 _FORMAT = ("format", "encoding-type", "h5sparse_format")
@@ -39,18 +40,22 @@ def read(path: Path, variable: str | None) -> Any:
 
     with h5py.File(path, "r") as file:
         found: dict[str, Any] = {"/": file} if _is_sparse(file) else {}
+        seen = 0
 
-        def look(name: str, member: Any) -> None:
+        def look(name: str, member: Any) -> bool | None:
+            nonlocal seen
+            seen += 1
             inside = name.rpartition("/")[0] in found or "/" in found or name.startswith("#")
             if not inside and (_is_sparse(member) if isinstance(member, h5py.Group) else _is_dense(member)):
                 found[name] = member
+            return True if seen > MOST_NAMES else None  # which ends the visit
 
-        file.visititems(look)
+        if file.visititems(look):
+            raise RefusedError(f"must hold at most {MOST_NAMES} groups and datasets")
         member = found[chosen(list(found), variable)]
         if isinstance(member, h5py.Group):
             return _sparse(member)
-        fitting(member.nbytes)
-        matrix = np.asarray(member)
+        matrix = _numbers(member)
         return matrix.T if "MATLAB_class" in member.attrs else matrix
 
 
@@ -74,16 +79,44 @@ def _is_dense(dataset: Any) -> bool:
     return dataset.ndim == 2 and dataset.dtype.kind in "fiubc" and max(dataset.shape) > 1
 
 
+def _part(group: Any, name: str) -> Any:
+    """Return a part of a sparse matrix; links to other places are not followed."""
+    import h5py
+
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink) or not isinstance(group[name], h5py.Dataset):
+        raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
+    return _numbers(group[name])
+
+
+def _numbers(dataset: Any) -> Any:
+    """Return what a dataset holds, once it is known to be numbers of this file, and few enough.
+
+    A dataset may lie in other files, and its chunks may be larger than itself: each is read as a whole.
+    """
+    if dataset.dtype.kind not in "fiubc":
+        raise RefusedError(f"must have numbers in {dataset.name} (got {dataset.dtype})")
+    if dataset.external or dataset.is_virtual:
+        raise RefusedError(f"must hold its numbers itself ({dataset.name} is kept in other files)")
+    entries_within(dataset.size)
+    fitting(dataset.nbytes)
+    fitting(math.prod(dataset.chunks or ()) * dataset.dtype.itemsize)
+    return np.asarray(dataset)
+
+
 def _sparse(group: Any) -> Any:
-    fitting(sum(group[name].nbytes for name in group))
-    arrays = {name: np.asarray(group[name]) for name in group}
+    wanted = ("data", "shape", "ir", "jc", "row", "col", "indices", "indptr")
+    arrays = {name: _part(group, name) for name in wanted if group.get(name, getlink=True) is not None}
     if "MATLAB_sparse" in group.attrs:
-        n_rows = int(group.attrs["MATLAB_sparse"])
+        if "jc" not in arrays:
+            raise RefusedError(f"must have the pointers of a sparse matrix in {group.name}/jc")
+        n_rows = int(np.ravel(group.attrs["MATLAB_sparse"])[0])
         data = arrays.get("data", np.zeros(0))
         return sp.csc_array((data, arrays.get("ir", np.zeros(0, int)), arrays["jc"]),
                             shape=(n_rows, len(arrays["jc"]) - 1))  # fmt: skip
     shape = arrays.get("shape", group.attrs.get("shape"))
     size = None if shape is None else tuple(int(n) for n in np.ravel(shape))
+    if size is not None and (len(size) != 2 or not 0 < min(size) <= max(size) <= MOST_DOFS):
+        raise RefusedError(f"must have a shape of two numbers from 1 to {MOST_DOFS} (got {size[:9]})")
     if "row" in arrays:
         return sp.coo_array((arrays["data"], (arrays["row"], arrays["col"])), shape=size)
     said = next((str(group.attrs[name]) for name in _FORMAT if name in group.attrs), "csr")

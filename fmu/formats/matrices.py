@@ -24,12 +24,15 @@ K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) −
 from __future__ import annotations
 
 import warnings
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrix_files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError, checked
 from fmu.numbers import significant
 
@@ -83,10 +86,11 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
     suffix = _suffix(path)
     if suffix not in READERS:
         raise ValueError(f"must end in {', '.join(READERS)} (got {path.name!r})")
-    if not path.is_file():
-        raise ValueError(f"must be a file (got {str(path)!r})")
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"must have at most {LARGEST_FILE} bytes (got {path.stat().st_size})")
+    why = why_no_file(path)
+    if why:
+        raise ValueError(f"must be a file ({why})")
+    if too_large(path, LARGEST_FILE):
+        raise ValueError(too_large(path, LARGEST_FILE))
     if variable is not None and suffix not in SEVERAL:
         raise ValueError(f"variable: a {suffix} file has one matrix, without a name (got {variable!r})")
     try:
@@ -95,8 +99,12 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
             found = READERS[suffix](path, variable)
     except RefusedError as refused:
         raise ValueError(str(refused)) from None
+    except MemoryError:
+        raise
     except Exception as error:  # whatever a broken file makes the readers raise
-        raise ValueError(f"must hold a matrix ({path.name}: {error})") from error
+        is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
+        text = str(error) if is_told else "it is not as such a file has to be"
+        raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
     matrix, dofs = found if isinstance(found, Labelled) else Labelled(found, None)
     return Labelled(symmetric_matrix(matrix, triangle), dofs)
 

@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.formats.files import too_large, why_no_file
+from fmu.formats.shown import told
 from fmu.numbers import apart, given
 
 FloatArray = NDArray[np.float64]
 
 LARGEST_FILE = 2**26
 """Bytes of a file with modes; more is refused before it is read."""
+MOST_MODES = 1000
+"""Far beyond what a test identifies."""
 LEAST_MPC = 0.8
 """Modal phase collinearity below which a complex shape is not taken for a real one, unless asked for."""
 
@@ -31,7 +35,7 @@ class ModesError(ValueError):
 
     def __init__(self, source: str, mistakes: Sequence[str]) -> None:
         self.mistakes = tuple(mistakes)
-        super().__init__(f"{source}: " + "; ".join(self.mistakes))
+        super().__init__(f"{source}: " + "; ".join(told(self.mistakes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +121,10 @@ def checked_file(path: Path) -> Path:
     ModesError
         If it is larger than `LARGEST_FILE`.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"path: must be a file (no such file: {path})")
-    if path.stat().st_size > LARGEST_FILE:
-        raise ModesError(path.name, [f"must have at most {LARGEST_FILE} bytes (got {path.stat().st_size})"])
+    why = why_no_file(path)
+    if why:
+        raise FileNotFoundError(f"path: must be a file ({why})")
+    large = too_large(path, LARGEST_FILE)
+    if large:
+        raise ModesError(path.name, [large])
     return path

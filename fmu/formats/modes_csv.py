@@ -26,6 +26,7 @@ Between values there may be commas, semicolons or tabs, as in the first line; li
 from __future__ import annotations
 
 import csv
+import io
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -33,10 +34,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.formats.modes import Modes, ModesError, checked_file
+from fmu.formats.modes import MOST_MODES, Modes, ModesError, checked_file
+from fmu.formats.shown import shown
 
 FloatArray = NDArray[np.float64]
 
+MOST_ROWS = 10_000
+"""Modes, or sensors."""
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
 _TEST = "test"
 _MISSED = ("", "nan")
@@ -73,10 +77,11 @@ def read_frequencies(path: Path) -> tuple[Modes, tuple[int, ...]]:
     sd = [_number(row, "sd", found, positive=True) for row in rows] if "sd" in header else None
     numbers = [_whole(row, "number", found) for row in rows] if "number" in header else []
     labels = [row.values["mode"] for row in rows]
+    first = {label: i for i, label in reversed(list(enumerate(labels)))}
     found += [
-        f"line {row.line}, column mode: must be a name of its own (got {label!r})"
+        f"line {row.line}, column mode: must be a name of its own (got {shown(label)})"
         for i, (row, label) in enumerate(zip(rows, labels, strict=True))
-        if not label or label in labels[:i]
+        if not label or first[label] < i
     ]
     if found:
         raise ModesError(path.name, found)
@@ -104,7 +109,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
         if not _DIRECTION.fullmatch(row.values["direction"]):
             found.append(
                 f"line {row.line}, column direction: must be x, y, z, rx, ry or rz, or that with a minus before "
-                f"it (got {row.values['direction']!r})"
+                f"it (got {shown(row.values['direction'])})"
             )
     shapes = [[_number(row, label, found) for label in labels] for row in rows]
     if found:
@@ -153,29 +158,53 @@ def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
         text = checked_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise ModesError(path.name, ["must be text in UTF-8"]) from None
-    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip() and line.strip()[0] != "#"]
-    if len(lines) < 2:
-        raise ModesError(path.name, ["must have a line of column names and a line of values at least"])
-    separator = max(",;\t", key=lines[0][1].count)
-    cells = [[cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])] for _, line in lines]
-    header = cells[0]
-    if len(set(header)) < len(header):
-        raise ModesError(path.name, [f"line {lines[0][0]}: column names must be distinct (got {header})"])
-    found = [
-        f"line {number}: must have {len(header)} values, one a column (got {len(row)})"
-        for (number, _), row in zip(lines[1:], cells[1:], strict=True)
-        if len(row) != len(header)
-    ]
+    numbered = enumerate(io.StringIO(text, newline=None), 1)
+    lines = ((i, line) for i, line in numbered if line.strip() and line.strip()[0] != "#")
+    found: list[str] = []
+    header: list[str] = []
+    rows: list[_Row] = []
+    separator = ","
+    for number, line in lines:
+        if not header:
+            separator = max(",;\t", key=line.count)
+        try:
+            cells = _cells(line, separator)
+        except ValueError as error:
+            found.append(f"line {number}: {error}")
+            continue
+        if not header:
+            header = cells
+            if len(set(header)) < len(header):
+                raise ModesError(
+                    path.name, [f"line {number}: column names must be distinct (got {shown(header)})"]
+                )
+        elif len(cells) != len(header):
+            found.append(f"line {number}: must have {len(header)} values, one a column (got {len(cells)})")
+        elif len(rows) == MOST_ROWS:
+            found.append(f"line {number}: must not be there: a table has at most {MOST_ROWS} rows")
+            break
+        else:
+            rows.append(_Row(number, dict(zip(header, cells, strict=True))))
+    if not found and not rows:
+        found = ["must have a line of column names and a line of values at least"]
     if found:
         raise ModesError(path.name, found)
-    return (
-        header,
-        [
-            _Row(number, dict(zip(header, row, strict=True)))
-            for (number, _), row in zip(lines[1:], cells[1:], strict=True)
-        ],
-        found,
-    )
+    return header, rows, found
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the values in a line; ValueError with what is wrong with it."""
+    if line.count(separator) > MOST_MODES + 1:
+        raise ValueError(f"must have at most {MOST_MODES + 2} columns (got {line.count(separator) + 1})")
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
+    except csv.Error as error:
+        raise ValueError(
+            f"must have closed quotes, and values of at most {csv.field_size_limit()} characters ({error})"
+        ) from None
+    if "\0" in line:
+        raise ValueError("must have no NUL character")
+    return cells
 
 
 def _number(row: _Row, column: str, found: list[str], *, positive: bool = False) -> float:
@@ -187,7 +216,7 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False)
         value = np.nan
     if not np.isfinite(value) or (positive and value <= 0):
         rule = "a positive number" if positive else "a number"
-        found.append(f"line {row.line}, column {column}: must be {rule} (got {text!r})")
+        found.append(f"line {row.line}, column {column}: must be {rule} (got {shown(text)})")
         return np.nan
     return value
 
@@ -195,6 +224,6 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False)
 def _whole(row: _Row, column: str, found: list[str]) -> int:
     text = row.values[column]
     if not re.fullmatch(r"[1-9]\d{0,8}", text):
-        found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {text!r})")
+        found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {shown(text)})")
         return 0
     return int(text)

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.formats.modes import LARGEST_FILE, LEAST_MPC, Modes, ModesError, checked_file, real_shapes
+from fmu.formats.modes import LEAST_MPC, MOST_MODES, Modes, ModesError, checked_file, real_shapes
+from fmu.formats.shown import in_words, shown
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Xi")
 
@@ -55,6 +56,8 @@ def pyoma_modes(
         raise ModesError(source, ["must have frequencies Fn and shapes Phi (got none: was mpe called?)"])
     frequencies = np.asarray(given["Fn"], dtype=float).reshape(-1)
     phi = np.asarray(given["Phi"], dtype=complex)
+    if len(frequencies) > MOST_MODES:
+        raise ModesError(source, [f"Fn: must be at most {MOST_MODES} frequencies (got {len(frequencies)})"])
     found = []
     if phi.shape != (len(sensors), len(frequencies)):
         expected = (len(sensors), len(frequencies))
@@ -63,7 +66,7 @@ def pyoma_modes(
         )
     chosen = list(range(1, len(frequencies) + 1)) if modes is None else [int(number) for number in modes]
     if not chosen or any(not 1 <= number <= len(frequencies) for number in chosen):
-        found.append(f"modes: must lie in 1..{len(frequencies)} (got {chosen})")
+        found.append(f"modes: must lie in 1..{len(frequencies)} (got {shown(chosen)})")
     sd = None
     if given["Fn_std"] is not None and given["setups_used"] is None:
         sd = np.array(given["Fn_std"], dtype=float).reshape(-1)
@@ -115,17 +118,32 @@ def load_pyoma(path: Path) -> dict[str, Any]:
     ModesError
         If it is no such file.
     """
-    import zipfile
+    from fmu.formats.matrix_files import RefusedError, zipped
 
     checked_file(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(info.file_size for info in archive.infolist()) > LARGEST_FILE:
-                raise ValueError(f"it holds more than {LARGEST_FILE} bytes")
+        shapes = zipped(path)
         with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in _KEPT if name in file.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise ModesError(path.name, [f"must be a file of fmu.formats.pyoma.save_pyoma ({error})"]) from error
+            found = {name: file[name] for name in _KEPT if name in shapes}
+    except RefusedError as refused:
+        raise ModesError(path.name, [str(refused)]) from None
+    except Exception as error:  # whatever a broken file makes zipfile and NumPy raise
+        raise ModesError(
+            path.name, [f"must be a file of fmu.formats.pyoma.save_pyoma ({in_words(error)})"]
+        ) from error
+    wrong = [
+        f"{name}: must be numbers (got {part.dtype})"
+        for name, part in found.items()
+        if part.dtype.kind not in "fiuc"
+    ]
+    wrong += [
+        f"{name}: must be real numbers (got complex ones)"
+        for name in ("Fn", "Fn_std")
+        if name in found and found[name].dtype.kind == "c"
+    ]
+    if wrong:
+        raise ModesError(path.name, wrong)
+    return found
 
 
 def _attribute(result: Any, name: str) -> Any:

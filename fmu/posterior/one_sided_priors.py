@@ -144,7 +144,8 @@ class LogNormal(QuantilePrior):
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
         """Return the quantiles `p` of the distribution truncated to the bounds."""
-        return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
+        with np.errstate(over="ignore"):
+            return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""

@@ -1,105 +1,117 @@
-"""Files changed at random: a problem or a configuration error, soon, and nothing else."""
+"""A sample of the hostile files of the validation: refused in plain words, soon, or checked; nothing else."""
 
 import re
-import signal
-from contextlib import contextmanager, suppress
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from fmu.config import ConfigurationError, load
-from fmu.config.template import files, template, write_template
+from tests.validation import hostile_matrices, hostile_measured
+from tests.validation.hostile_beside import crafted
+from tests.validation.hostile_files import PROBLEM, bases, problem_file, put
+from tests.validation.hostile_functions import FUNCTIONS
+from tests.validation.hostile_run import checked, unclear, wrong
 
-NASTY = st.sampled_from(
-    ['""', "0", "-1", "1e400", "1e308", "1e-308", "nan", "inf", "-inf", "true", "[]", "{}", '"x"', "[[]]", "[0.0]",
-     "1979-05-27", '"\\u0000"', '"<b>&"', "9" * 5000, "99999999", '"../../x.mtx"', "[" * 500 + "]" * 500]
+EVERY = 89
+ANY_MEMORY = float("inf")
+MATRICES = (
+    "absurd size.mtx", "size of 5000 digits.mtx", "long banner.mtx", "many comments.mtx", "cut short.mtx.gz",
+    "absurd shape.npy", "twenty thousand arrays.npz", "unknown element.mat", "packed bomb.mat", "of text.h5",
+    "in another file.h5", "with a chunk of gigabytes.h5", "whose parts are links.h5", "absurd counts.hb",
+    "one row.csv", "blank lines.csv", "stars.abaqus.mtx",
 )  # fmt: skip
-LONGEST_S = 20.0
-KINDS = ("frame", "matrices", "python")
-FEW = {"max_examples": 40, "deadline": None, "suppress_health_check": [HealthCheck.function_scoped_fixture]}
 
 
-@contextmanager
-def soon():
-    """Stop what hangs."""
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return tmp_path_factory.mktemp("made")
 
-    def stop(*_):
-        raise TimeoutError(f"more than {LONGEST_S} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+def fault(hostile, folder):
+    hostile.write(folder)
+    return checked(hostile.name, folder / PROBLEM, ANY_MEMORY).fault
+
+
+def test_the_bases_are_right(made, tmp_path):
+    for name, base in bases(made).items():
+        (tmp_path / name).mkdir()
+        load(put(tmp_path / name, base, base.text.encode()))
+
+
+@pytest.mark.parametrize("number", range(0, 2000, EVERY))
+def test_problem_files(made, tmp_path, number):
+    assert fault(problem_file(number, made), tmp_path) == ""
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions(made, tmp_path, name):
+    """Whatever a user's function raises or answers, the file is refused in words, or the point has failed."""
+    base = bases(made)["python"]
+    path = put(tmp_path, base._replace(beside={"storeys.py": FUNCTIONS[name]}), base.text.encode())
+    said = complaint(path)
+    if said:
+        assert re.search(r"model\.function|measurement|shapes|frequencies", said)
+    else:
+        problem = load(path)
+        problem.log_prob(problem.start * 1.01)
+
+
+@pytest.mark.parametrize("name", [*hostile_measured.tables(), *hostile_measured.operational()])
+def test_measured_modes(made, tmp_path, name):
+    hostile = next(one for one in crafted(made) if one.name in (f"table: {name}", f"operational: {name}"))
+    hostile.write(tmp_path)
+    complaint(tmp_path / PROBLEM)
+
+
+def test_universal_files(made, tmp_path):
+    pytest.importorskip("pyuff")
+    for hostile in crafted(made):
+        if hostile.name.startswith("universal file"):
+            hostile.write(tmp_path)
+            complaint(tmp_path / PROBLEM)
+
+
+@pytest.mark.parametrize("name", MATRICES)
+def test_matrices(made, tmp_path, name):
+    hostile = next(one for one in crafted(made) if one.name == f"matrix: {name}")
+    hostile.write(tmp_path)
+    assert "model.stiffness.1.file: " in complaint(tmp_path / PROBLEM)
+
+
+def complaint(path):
+    """Return what is wrong with a file, in plain words; empty if it is a problem after all."""
+    said = ""
     try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-
-
-@pytest.fixture(scope="module", params=KINDS)
-def start(request, tmp_path_factory):
-    """Return a template's folder, its file's name and its text, without a reduced model: that takes seconds."""
-    folder = tmp_path_factory.mktemp(request.param)
-    write_template(request.param, folder)
-    text = template(request.param).replace("#: reduction = true ", "reduction = false #", 1)
-    few = re.sub(r"elements = \d+", "elements = 2", re.sub(r"(?m)^#: .*\n", "", text))
-    return folder, files(request.param)[0], few
-
-
-def loads_or_complains(folder, name, text):
-    """Say whether a text is a problem."""
-    (folder / name).write_text(text, encoding="utf-8")
-    with soon(), suppress(ConfigurationError):
-        load(folder / name)
-        return True
-    return False
-
-
-def values(text):
-    return [m.span(1) for m in re.finditer(r"(?m)^[^#\n]*?= ([^#\n]+?) *(?:#.*)?$", text)]
-
-
-def test_it_loads_as_it_is(start):
-    assert loads_or_complains(*start)
-
-
-@settings(**FEW)
-@given(data=st.data())
-def test_a_value_is_replaced(start, data):
-    folder, name, text = start
-    first, last = data.draw(st.sampled_from(values(text)))
-    loads_or_complains(folder, name, text[:first] + data.draw(NASTY) + text[last:])
-
-
-@settings(**FEW)
-@given(data=st.data())
-def test_two_values_are_swapped(start, data):
-    folder, name, text = start
-    places = values(text)
-    (a, b), (c, d) = sorted(data.draw(st.lists(st.sampled_from(places), min_size=2, max_size=2, unique=True)))
-    loads_or_complains(folder, name, text[:a] + text[c:d] + text[b:c] + text[a:b] + text[d:])
-
-
-@settings(**FEW)
-@given(data=st.data())
-def test_lines_are_lost_or_come_twice(start, data):
-    folder, name, text = start
-    lines = text.splitlines(keepends=True)
-    for _ in range(data.draw(st.integers(1, 3))):
-        k, n = data.draw(st.integers(0, len(lines) - 1)), data.draw(st.integers(1, 8))
-        copies = data.draw(st.sampled_from([0, 2]))
-        lines[k : k + n] = lines[k : k + n] * copies
-    loads_or_complains(folder, name, "".join(lines))
-
-
-@settings(**FEW)
-@given(data=st.data())
-def test_a_matrix_file_is_changed(tmp_path_factory, data):
-    folder = tmp_path_factory.mktemp("matrices")
-    path = write_template("matrices", folder)
-    file = folder / data.draw(st.sampled_from(files("matrices")[1:]))
-    content = file.read_bytes()
-    k, n = data.draw(st.integers(0, len(content))), data.draw(st.integers(0, 40))
-    file.write_bytes(content[:k] + data.draw(st.binary(max_size=20)) + content[k + n :])
-    with soon(), suppress(ConfigurationError):
         load(path)
+    except ConfigurationError as error:
+        said = str(error)
+    assert not said or unclear(f"Error: {said}") == ""
+    return said
+
+
+def test_every_matrix_that_is_changed_at_random_was_right(tmp_path):
+    from fmu.formats.matrices import read_matrix
+
+    for kind in hostile_matrices.KINDS:
+        path = tmp_path / f"K{kind[kind.index('.') :] if not kind.startswith('abaqus') else '.mtx'}"
+        path.write_bytes(hostile_matrices.right(kind, tmp_path / "right.bin"))
+        assert abs(read_matrix(path) - hostile_matrices.K).max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("code", "text", "taken_s", "peak_mib", "expected"),
+    [
+        (2, "Error: x.toml: 1 mistake:\n  name: is missing\n", 0.1, 200.0, ""),
+        (0, "fine", 100.0, 200.0, ""),
+        (1, "Traceback (most recent call last):\nKeyError: 3", 0.1, 200.0, "traceback: KeyError: 3"),
+        (1, "Error: x", 0.1, 200.0, "exit code 1"),
+        (-11, "", 0.1, 200.0, "died of signal 11"),
+        (2, "Error: x", 5.1, 200.0, "late: 5.1 s"),
+        (2, "Error: x", 0.1, 1025.0, "memory: 1025 MiB"),
+        (2, "Error: \n", 0.1, 200.0, "message: there is none"),
+        (2, "Error: " + "x" * 20_000, 0.1, 200.0, "message: 20007 characters"),
+        (2, "Error: 'NoneType' object", 0.1, 200.0, "message: Error: 'NoneType' object"),
+        (2, "Error: a\x1b[31m", 0.1, 200.0, "message: has the character '\\x1b'"),
+    ],
+)
+def test_what_is_a_fault(code, text, taken_s, peak_mib, expected):
+    assert wrong(code, text, taken_s, peak_mib) == expected

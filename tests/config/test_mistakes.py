@@ -1,12 +1,15 @@
 """Broken files: every mistake at once, each with its place, the rule and the value received."""
 
+import os
 import re
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from click.testing import CliRunner
 from scipy.io import mmwrite
 
+from fmu import cli
 from fmu.config import ConfigurationError, load
 
 FRAME = [
@@ -206,6 +209,99 @@ def test_mistakes_between_tables_come_together_too(frame_text, tmp_path):
 def test_too_many_parameters(frame_text, tmp_path):
     many = "".join(f'[[parameters]]\nname = "p{i}"\nstart = 1.0\n' for i in range(300))
     assert "parameters: must have at most 200 items (got " in complaint(tmp_path, frame_text + many)
+
+
+def test_a_hundred_thousand_mistakes_are_few_lines(frame_text, tmp_path):
+    """All of them are kept, and the first ones are told."""
+    many = "".join(f"unknown{i} = {i}\n" for i in range(100_000))
+    (tmp_path / "portal.toml").write_text(many + frame_text)
+    with pytest.raises(ConfigurationError) as caught:
+        load(tmp_path / "portal.toml")
+    assert len(caught.value.mistakes) == 100_000
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 22
+    assert lines[0] == "portal.toml: 100000 mistakes:"
+    assert lines[-1] == "  … and 99 980 more"
+    result = CliRunner().invoke(cli.main, ["check", str(tmp_path / "portal.toml")], prog_name="fmu")
+    assert result.exit_code == 2
+    assert result.output.splitlines()[1:] == lines[1:]
+
+
+def test_a_list_of_what_is_known_is_cut_short(frame_text, tmp_path):
+    """Each mistake has one: their length must not grow with their number."""
+    many = "".join(f"q{i} = [0.0, 0.0, {i}.0]\n" for i in range(5000))
+    text = broken(frame_text, "[model.points]\n", f"[model.points]\n{many}").replace(
+        'from = "left"', 'from = "lift"'
+    )
+    found = complaint(tmp_path, text)
+    assert "model.members.0.from: must be one of q0, q1, q2, " in found
+    assert "q11, … (5004 in all) (got 'lift')" in found
+    assert max(map(len, found.splitlines())) < 300
+
+
+@pytest.mark.parametrize("deep", [7, 1000, 100_000])
+@pytest.mark.parametrize("form", ["{} = 1\n", "[{}]\n", "[[{}]]\n", "x = {{ y = 1, {} = 1 }}\n", "{}\n"])
+def test_a_dotted_key_is_looked_at_before_the_parser_is(frame_text, tmp_path, form, deep):
+    """The parser takes gigabytes for 50 000 parts, and what comes after it overflows the stack at 1000."""
+    if form == "{}\n" and deep < 48:
+        return
+    text = form.format(".".join(["a"] * deep)) + frame_text
+    assert "line 1: a key must have at most 6 parts with dots between them" in complaint(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["see a.b.c.d.e.f.g, h.i.j.k.l.m.n.o", "[a.b.c.d.e.f.g.h.i", "1.2.3.4.5.6.7.8"])
+def test_dots_in_a_text_are_no_key(frame_text, tmp_path, text):
+    (tmp_path / "portal.toml").write_text(f'# {text}, {text}\ndescription = "{text}"\n{frame_text}')
+    load(tmp_path / "portal.toml")
+
+
+@pytest.mark.parametrize("nested", ["[" * 13 + "]" * 13, "[" * 400 + "]" * 400, "[" * 9000 + "]" * 9000])
+def test_lists_that_are_nested_too_deeply(frame_text, tmp_path, nested):
+    found = complaint(tmp_path, f"x = {nested}\n{frame_text}")
+    assert "must not be nested more than 12 tables and lists deep" in found
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("0x" + "f" * 5000, "(got a whole number of 6021 digits)"),
+        ("1979-05-27", "must be a valid number (got 1979-05-27)"),
+        ('"' + "x" * 100_000 + '"', "(got '" + "x" * 60 + "' …)"),
+        ("true", "must be a valid number (got true)"),
+        ('"\\u001b[31m"', "(got '\\x1b[31m')"),
+    ],
+)
+def test_values_are_shown_short_and_as_the_file_has_them(frame_text, tmp_path, value, told):
+    assert told in complaint(tmp_path, broken(frame_text, "E = 2.1e11", f"E = {value}"))
+
+
+def test_what_moves_the_cursor_is_escaped(frame_text, tmp_path):
+    found = complaint(tmp_path, f'"\\u001b[2J\\u202e" = 1\n{frame_text}')
+    assert "\\x1b[2J\\u202e: is no known key" in found
+
+
+def test_a_text_of_a_spreadsheet_is_read(frame_text, tmp_path):
+    """With a byte order mark and carriage returns, as Windows writes them."""
+    (tmp_path / "portal.toml").write_bytes(b"\xef\xbb\xbf" + frame_text.replace("\n", "\r\n").encode())
+    load(tmp_path / "portal.toml")
+    (tmp_path / "portal.toml").write_bytes(frame_text.encode("utf-16"))
+    with pytest.raises(ConfigurationError, match="must be text in UTF-8"):
+        load(tmp_path / "portal.toml")
+
+
+def test_what_is_no_regular_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    (tmp_path / "zero.toml").symlink_to("/dev/zero")
+    for name, why in (
+        ("pipe", "is a pipe"),
+        ("zero", "is a pipe, a socket or a device"),
+        ("loop", "symbolic links"),
+    ):
+        with pytest.raises(FileNotFoundError, match=rf"path: must be a TOML file \(.*{name}\.toml.* .*{why}"):
+            load(tmp_path / f"{name}.toml")
+    with pytest.raises(FileNotFoundError, match="file name too long"):
+        load(tmp_path / ("x" * 5000 + ".toml"))
 
 
 def test_no_file(tmp_path):

@@ -169,8 +169,8 @@ BROKEN = [
     ("storeys:modes", "storeys.floors:modes", "model.function: must be in a module"),
     ("storeys:modes", "storeys:shapes", "model.function: must be in "),
     ("storeys:modes", "storeys:two", "model.function: must be a function (got storeys:two, of type int)"),
-    ("storeys:modes", "storeys", "model.function: must match pattern"),
-    ("storeys:modes", "../storeys:modes", "model.function: must match pattern"),
+    ("storeys:modes", "storeys", 'model.function: must be "module:function"'),
+    ("storeys:modes", "../storeys:modes", 'model.function: must be "module:function"'),
     (
         "storeys:modes",
         "broken:modes",
@@ -287,3 +287,15 @@ def test_a_run_with_a_report(folder, tmp_path, monkeypatch):
     trace = fmu.load_trace("runs/two-shape/hmc.nc")
     stats = trace["sample_stats"]
     assert int(stats["n_solves"].sum()) == 5 * int(stats["n_gradients"].sum())
+
+
+def test_a_function_that_works_at_the_start_alone_is_checked(tmp_path, monkeypatch):
+    """The prior predicts nothing where the model fails at all draws from it, and that is what is said."""
+    monkeypatch.chdir(tmp_path)
+    body = "    if theta[0] != 2.9e7: raise GeneratorExit\n    return [4.1, 10.9]\n"
+    (tmp_path / "storeys.py").write_text(f"def modes(theta):\n{body}")
+    text = re.sub(r"(?m)^s(hapes|ensors) = .*\n", "", TOML)
+    (tmp_path / "two.toml").write_text(text)
+    result = CliRunner().invoke(cli.main, ["check", "two.toml", "--draws", "5"], prog_name="fmu")
+    assert result.exit_code == 0, result.output
+    assert "At 5 of 5 draws from the prior the model failed." in result.output

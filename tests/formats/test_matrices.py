@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -240,7 +241,7 @@ ANNOUNCED = [
     ),
     ("entries", "coordinate real general\n2 2 900000000\n1 1 1.0\n", "must have the 900000000 entries"),
     ("size", "coordinate real general\n900000000 900000000 1\n1 1 1.0\n", "must have at most 1048576 degrees"),
-    ("array", "array real general\n900000 900000\n1.0\n", "must hold at most 1073741824 bytes"),
+    ("array", "array real general\n900000 900000\n1.0\n", "must have the 810000000000 entries"),
 ]
 
 
@@ -255,15 +256,64 @@ def test_sizes_are_looked_at_before_reading(tmp_path, monkeypatch):
     big = np.zeros((500, 500))
     savemat(tmp_path / "k.mat", {"K": big}, do_compression=True)
     np.savez_compressed(tmp_path / "k.npz", K=big)
-    (tmp_path / "k.mtx.gz").write_bytes(gzip.compress(b" " * 2_000_000))
+    head = b"%%MatrixMarket matrix array real general\n500 500\n"
+    (tmp_path / "k.mtx.gz").write_bytes(gzip.compress(head + b"0\n" * 250_000))
     with h5py.File(tmp_path / "k.h5", "w") as file:
         file.create_dataset("K", data=big, compression="gzip")
     write_matrix(tmp_path / "k.csv", big)
-    monkeypatch.setattr(matrix_files, "LARGEST_FILE", 100_000)
-    monkeypatch.setattr("fmu.formats.matrices.LARGEST_FILE", 100_000)
+    monkeypatch.setattr(matrix_files, "MOST_ENTRIES", 200_000)
     for suffix in (".mat", ".npz", ".mtx.gz", ".h5", ".csv"):
-        with pytest.raises(ValueError, match="at most 100000 bytes"):
+        with pytest.raises(ValueError, match=r"at most 200000 entries, both triangles counted \(got 250000\)"):
             read_matrix(tmp_path / f"k{suffix}")
+    monkeypatch.setattr("fmu.formats.matrices.LARGEST_FILE", 100_000)
+    with pytest.raises(ValueError, match="at most 100000 bytes"):
+        read_matrix(tmp_path / "k.csv")
+
+
+HOLES = {
+    "nothing.mtx": b"",
+    "announced.mtx": b"%%MatrixMarket matrix coordinate real general\n9999 9999 9999999\n1 1 1.0\n",
+    "abaqus.mtx": b"*MATRIX\n1,1,1,1,1.0\n",
+    "row.csv": b"1,0\n",
+    "nothing.csv": b"",
+    "nothing.mat": b"MATLAB 5.0".ljust(124) + b"\x00\x01IM",
+    "nothing.hb": b"",
+    "nothing.npz": b"PK\x03\x04",
+}
+
+
+@pytest.mark.parametrize("name", HOLES)
+def test_a_gigabyte_of_nothing_takes_no_memory(tmp_path, name):
+    """A sparse file; its text would take four times its size, and its numbers more."""
+    with (tmp_path / name).open("wb") as file:
+        file.write(HOLES[name])
+        file.truncate(2**30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"must hold a matrix .*(NUL|80 characters|unknown type 0|zip)"):
+            read_matrix(tmp_path / name)
+        assert tracemalloc.get_traced_memory()[1] < 100e6 + 8 * 3 * 9_999_999 * (name == "announced.mtx")
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_matrix_in_several_parts_is_the_same(tmp_path, monkeypatch):
+    big = sp.csr_array(sp.diags_array([np.arange(1.0, 301.0), -np.ones(299), -np.ones(299)], offsets=[0, 1, -1]))
+    labels = "".join(f"{i + 1},1, {j + 1},1, {float(big[i, j])!r}\n" for i, j in zip(*big.nonzero(), strict=True))
+    (tmp_path / "abaqus.mtx").write_text(f"*MATRIX\n{labels}")
+    write_matrix(tmp_path / "k.mtx", big)
+    write_matrix(tmp_path / "k.csv", big)
+    monkeypatch.setattr("fmu.formats.text.BLOCK", 5000)
+    for name in ("abaqus.mtx", "k.mtx", "k.csv"):
+        assert_array_equal(read_matrix(tmp_path / name).toarray(), big.toarray())
+
+
+def test_numbers_of_another_file_are_not_read(tmp_path):
+    (tmp_path / "secret.bin").write_bytes(np.eye(2).tobytes())
+    with h5py.File(tmp_path / "k.h5", "w") as file:
+        file.create_dataset("K", (2, 2), "f8", external=[(str(tmp_path / "secret.bin"), 0, 32)])
+    with pytest.raises(ValueError, match=r"must hold its numbers itself \(/K is kept in other files\)"):
+        read_matrix(tmp_path / "k.h5")
 
 
 def test_not_there_or_not_known(tmp_path):

@@ -129,7 +129,7 @@ def test_a_node_that_stands_still_in_a_mode_may_be_left_out_there(tmp_path):
 @pytest.mark.parametrize(
     ("sets", "options", "message"),
     [
-        ([a_set(spec_data_type=3)], {}, r"shapes must be of displacement, .* \(got type 3\)"),
+        ([a_set(spec_data_type=3)], {}, r"dataset 1: shapes must be of displacement, .* \(got type 3\)"),
         ([a_set(), a_set()], {}, r"must have each mode once \(got the numbers \[1, 1\]\)"),
         ([a_set()], {"modes": [2]}, r"modes: must be some of \[1\] \(got \[2\]\)"),
         ([a_set()], {"modes": []}, r"modes: must be some of \[1\] \(got \[\]\)"),

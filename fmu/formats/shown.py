@@ -1,0 +1,88 @@
+"""Values, names and errors as a message shows them: short, in one line, and without what a terminal would obey."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Collection, Sequence
+from itertools import islice
+from reprlib import Repr
+from typing import Any
+
+MOST = 60
+"""Characters of a value."""
+MOST_NAMES = 12
+"""Names in a list of what is known."""
+MOST_OF_A_LINE = 1000
+MOST_TOLD = 20
+"""Mistakes that are told one by one."""
+_DIGITS_A_BIT = 0.30103
+
+
+class _Shown(Repr):
+    """Like `repr`, but of long things the beginning only, at a cost that does not grow; dates as in TOML."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxother = 4, MOST
+        self.maxlist = self.maxtuple = self.maxdict = self.maxset = 20
+
+    def repr1(self, x: Any, level: int) -> str:
+        if isinstance(x, datetime.date | datetime.time):
+            return x.isoformat()
+        return super().repr1(x, level)
+
+    def repr_str(self, x: str, level: int) -> str:
+        return repr(x) if len(x) <= MOST else f"{x[:MOST]!r} …"
+
+    def repr_int(self, x: int, level: int) -> str:
+        bits = x.bit_length()
+        return repr(x) if bits <= 4 * MOST else f"a whole number of {round(bits * _DIGITS_A_BIT)} digits"
+
+    def repr_bool(self, x: bool, level: int) -> str:
+        return "true" if x else "false"
+
+
+_SHOWN = _Shown()
+
+
+def shown(value: Any) -> str:
+    """Return a value as text, at most `MOST` characters of it."""
+    text = _SHOWN.repr(value)
+    return text if len(text) <= MOST + 2 or text.endswith(" …") else f"{text[:MOST]} …"
+
+
+def names_shown(names: Collection[object]) -> str:
+    """Return names with commas between them, the first few if they are many."""
+    first = ", ".join(_cut(str(name), MOST) for name in islice(names, MOST_NAMES))
+    return first if len(names) <= MOST_NAMES else f"{first}, … ({len(names)} in all)"
+
+
+def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
+    """Return a text in one line of printable characters; others, which could move a cursor, are escaped."""
+    line = " ".join(_cut(text, 4 * most).split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    return _cut(line, most)
+
+
+def told(mistakes: Sequence[object]) -> list[str]:
+    """Return a line for each of the first mistakes, and one that says how many more there are."""
+    lines = [one_line(str(mistake)) for mistake in mistakes[:MOST_TOLD]]
+    more = len(mistakes) - MOST_TOLD
+    return [*lines, f"… and {more:,} more".replace(",", " ")] if more > 0 else lines
+
+
+def in_words(error: BaseException) -> str:
+    """Return the type and the text of an error in one line; its text may be one that cannot be had."""
+    name = type(error).__name__ or "an error"
+    try:
+        text = one_line(str(error), 500)
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
+        return f"{name}, whose text cannot be shown"
+    return f"{name}: {text}" if text else name
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[:most]} …"

@@ -1,0 +1,100 @@
+"""Two thousand problem files changed at random, and some five hundred broken files that problems name.
+
+    python -m tests.validation.hostile OUT_DIRECTORY
+
+Each is checked as ``fmu check`` does. Exit code 1 if any ends in a traceback, a crash, a message that does not say
+what is wrong, or takes too much time or memory.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from fmu.report.markdown import table
+from tests.validation.hostile_beside import count
+from tests.validation.hostile_files import SEED
+from tests.validation.hostile_run import BAD_INPUT, MOST_MIB, SOON_S, Verdict, verdicts
+
+PROBLEMS = 2000
+FAULTS = {
+    "traceback": "traceback", "died": "crash", "late": "too late", "memory": "too much memory",
+    "message": "poor message", "exit": "other exit code", "start": "no finite start",
+}  # fmt: skip
+"""What a fault begins with -> what the page calls it."""
+
+
+def kind(verdict: Verdict) -> str:
+    """Return how a file was changed, or what it is."""
+    first, _, rest = verdict.name.partition(": ")
+    if verdict.name.startswith("huge"):
+        return "huge matrix"
+    return first if first in ("matrix", "table", "universal file", "operational", "function") else rest
+
+
+def page(problems: Sequence[Verdict], beside: Sequence[Verdict]) -> str:
+    """Return what was found as Markdown."""
+    everything = [*problems, *beside]
+    wrong = [verdict for verdict in everything if verdict.fault]
+    refused = [verdict for verdict in everything if verdict.code == BAD_INPUT]
+    slowest, largest = max(refused, key=_time), max(everything, key=lambda verdict: verdict.peak_mib)
+    faults = "".join(f"- {verdict.name}: {verdict.fault}\n" for verdict in wrong)
+    return f"""# Hostile files
+
+Written by `python -m tests.validation.hostile results` (seed {SEED}). {len(problems)} problem files, made from all
+templates, their options and the built-in cases by changing structure, types, values, bytes, references
+and size; and {len(beside)} broken files of matrices, measured modes and Python that a problem file names.
+Each is given to `fmu check`; the huge ones to a process of their own.
+
+**{len(wrong)} of {len(everything)} did what they should not.** A file must be refused with exit code {BAD_INPUT}
+and a message in plain words, within {SOON_S:g} s of processor time; or it is checked, and then the
+log-probability at the start must be finite. No process may take more than {MOST_MIB / 1024:g} GiB.
+
+{faults}
+- slowest refusal: {slowest.processor_s:.1f} s of processor time ({slowest.name})
+- largest memory: {largest.peak_mib:.0f} MiB ({largest.name})
+
+## Problem files
+
+{_table(problems)}
+## Files that a problem names
+
+{_table(beside)}
+The processor time of a refusal is that of the command without the start of Python, some 0.4 s, but for huge files.
+"""
+
+
+def _time(verdict: Verdict) -> float:
+    return verdict.processor_s
+
+
+def _table(found: Sequence[Verdict]) -> str:
+    rows = []
+    for name in sorted({kind(verdict) for verdict in found}):
+        mine = [verdict for verdict in found if kind(verdict) == name]
+        faults = Counter(verdict.fault.partition(" ")[0].rstrip(":") for verdict in mine if verdict.fault)
+        refused = [verdict for verdict in mine if verdict.code == BAD_INPUT]
+        rows.append([
+            name, f"{len(mine)}", f"{len(refused)}", f"{sum(verdict.code == 0 for verdict in mine)}",
+            f"{max(map(_time, refused), default=0.0):.1f}", f"{max(verdict.peak_mib for verdict in mine):.0f}",
+            ", ".join(f"{n} {FAULTS.get(what, what)}" for what, n in faults.items()) or "none",
+        ])  # fmt: skip
+    head = ["kind", "files", "refused", "checked", "slowest refusal, s", "peak, MiB", "faults"]
+    return table(head, rows, words=(0, 6))
+
+
+def main(out: Path) -> int:
+    """Check all and write the page; 1 if anything is wrong."""
+    with tempfile.TemporaryDirectory() as made:
+        n = count(Path(made))
+    problems = list(verdicts([f"problem {i}" for i in range(PROBLEMS)], SEED))
+    beside = list(verdicts([f"beside {i}" for i in range(n)], SEED))
+    (out / "hostile.md").write_text(page(problems, beside), encoding="utf-8")
+    return int(any(verdict.fault for verdict in [*problems, *beside]))
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))
