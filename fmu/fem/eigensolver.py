@@ -2,8 +2,8 @@
 
 A dense solver that makes M the unit matrix errs in every λ by rounding of the highest one, 1e-16 λ_max: where
 stiff joints and fine meshes make λ_max 1e16 times as large as λ_1, that is all of λ_1. Here K is made the unit
-matrix, and the largest μ = 1/λ of M φ = μ K φ are found. They err by rounding of μ_1, that of the lowest mode. M may
-then be singular: degrees of freedom without mass have μ = 0, and follow as in statics.
+matrix, and the largest μ = 1/λ of M φ = μ K φ are found. They err by rounding of μ_1, that of the lowest mode. M
+may be singular: degrees of freedom without mass have μ = 0, and follow as in statics.
 
 A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, by its
 eigenvalues at a unit diagonal. They have λ = 0 exactly. The elastic modes are M-orthogonal to them, so that with
