@@ -40,6 +40,8 @@ class Check:
         None where errors are not those of modes, or the gradient is not finite.
     prior : PriorPrediction
         What the prior predicts for the measurement.
+    rounding : str
+        What is doubtful of the digits that the matrices have; empty if nothing is.
     drawing : str
         The structure as SVG; empty where there is none to draw.
     colours : tuple of (str or None)
@@ -55,6 +57,7 @@ class Check:
     gradient: GradientCheck
     identifiability: Identifiability | None
     prior: PriorPrediction
+    rounding: str = ""
     drawing: str = ""
     colours: tuple[str | None, ...] = ()
     shapes: xr.Dataset | None = None
@@ -62,7 +65,7 @@ class Check:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What to look into before sampling, a sentence each; empty if there is nothing."""
-        found = list(self.modes.doubts)
+        found = [*self.modes.doubts, *filter(None, [self.rounding])]
         if not self.gradient.agrees:
             found.append(self.gradient.sentence())
         if self.prior.failed or self.prior.is_far.any():
@@ -71,7 +74,8 @@ class Check:
 
     def sentences(self) -> list[str]:
         """Say in words: the model, the pairing, the gradient, what the data tell, what the prior expects."""
-        said = [*self.model, *self.modes.notes, *self.modes.doubts, self.gradient.sentence()]
+        said = [*self.model, *self.modes.notes, *self.modes.doubts, *filter(None, [self.rounding])]
+        said.append(self.gradient.sentence())
         if self.identifiability is not None:
             said += self.identifiability.sentences()
         return said + self.prior.sentences()
@@ -166,7 +170,15 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         gradient=gradient,
         identifiability=identifiability(problem) if informed else None,
         prior=prior_prediction(problem, draws, seed),
+        rounding=_digits(problem),
         drawing=drawing,
         colours=tuple(colours),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
     )
+
+
+def _digits(problem: UpdatingProblem) -> str:
+    from fmu.posterior.rounding import WARN, rounding
+
+    found = rounding(problem)
+    return "" if found is None or found.of_sd.max() <= WARN else found.sentence()

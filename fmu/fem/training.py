@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
 EXACT_LIMIT = 20
+# The lowest over the highest λ of a basis that is kept whole: a solver then leaves nine digits.
+_HIGHEST = 1e-7
 _ROUNDS = 12
 # From this round on a basis is made twice as good at the points it knows: with many parameters fresh ones always
 # lie a little further out, and the same miss would repeat itself round after round.
@@ -213,7 +215,10 @@ class Training:
         block = self._block(b)
         centre = 0.5 * (self.lower + self.upper)
         if block.n_modes == block.size <= EXACT_LIMIT:
-            return block.modes(centre[None], block.size)[1][0]
+            lam, shapes = block.modes(centre[None], block.size)
+            # with modes so high the reduced solver would leave the low ones few digits
+            if not lam[0, -1] * _HIGHEST > lam[0, lam[0] > 0.0].min(initial=np.inf):
+                return shapes[0]
         wanted = self.snapshots[b].lowest(needed)
         basis = proper_orthogonal_basis(block, wanted, centre)
 

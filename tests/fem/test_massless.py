@@ -147,9 +147,7 @@ def test_too_few_modes_of_finite_frequency():
     few = np.zeros(model.n_dof)
     few[[5, 30]] = 100.0
     light = SeparableModel(model.K_terms, [Term(sp.diags_array(few), (0, 0, 1))], model.dofs, model.geometry)
-    with pytest.raises(
-        ValueError, match=r"^mass: the 3 measured modes .* finite frequency: the mass matrix gives 2;"
-    ):
+    with pytest.raises(ValueError, match=r"^mass: the 3 measured modes .*: the mass matrix gives 2;"):
         paired(light, 3)
     assert paired(light, 2).frequencies(START[None]).shape == (1, 2)
 
