@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test lint notebooks notebooks-save bench validate mutants clean-environment
+.PHONY: help paper test test-kernels lint notebooks notebooks-save bench validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -23,6 +23,23 @@ paper: $(READY)  ## Run both experiments of the paper with every sampler, into r
 
 test: $(READY)  ## Run the whole test suite, a worker a core
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --dist=loadscope
+
+# Kernels of OpenBLAS that other processors take; those of AVX-512 are illegal instructions on most.
+KERNELS := Haswell Prescott $(shell grep -qw avx512f /proc/cpuinfo 2>/dev/null && echo SkylakeX)
+# What rounding decides: eigenvalues, null spaces, reduced models and what is compared with them.
+NUMERICAL := tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_structure.py tests/fem/test_frame.py \
+  tests/fem/test_frame_stability.py tests/fem/test_frame_verification.py tests/fem/test_reduction.py \
+  tests/fem/test_reduced_basis.py tests/fem/test_observed.py tests/fem/test_pairing.py tests/posterior/test_rounding.py \
+  tests/analysis/test_check.py tests/cases/test_garteur.py
+
+test-kernels: $(READY)  ## Run the numerical tests as other processors would compute
+	@set -e; for kernel in $(KERNELS); do \
+	  echo "Kernels of $$kernel"; \
+	  if OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.kernels; then \
+	    OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto \
+	      --dist=loadscope --quiet $(NUMERICAL); \
+	  fi; \
+	done
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

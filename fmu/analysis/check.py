@@ -46,6 +46,8 @@ class Check:
         None where errors are not those of modes, or the gradient is not finite.
     prior : PriorPrediction
         What the prior predicts for the measurement.
+    rounding : str
+        What is doubtful of the digits that the matrices have; empty if nothing is.
     drawing : str
         The structure as SVG; empty where there is none to draw.
     colours : tuple of (str or None)
@@ -65,6 +67,7 @@ class Check:
     gradient: GradientCheck
     identifiability: Identifiability | None
     prior: PriorPrediction
+    rounding: str = ""
     drawing: str = ""
     colours: tuple[str | None, ...] = ()
     measurement: str = "a measurement"
@@ -74,7 +77,7 @@ class Check:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What to look into before sampling, a sentence each; empty if there is nothing."""
-        found = [*self.modes.doubts, *self.tests]
+        found = [*self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
         if self.identifiability is not None:
             found += doubts_of_information(self.identifiability)
         if not self.gradient.agrees:
@@ -85,7 +88,8 @@ class Check:
 
     def sentences(self) -> list[str]:
         """Say in words: the model, the pairing, the gradient, what the data tell, what the prior expects."""
-        said = [*self.model, *self.modes.notes, *self.modes.doubts, *self.tests, self.gradient.sentence()]
+        said = [*self.model, *self.modes.notes, *self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
+        said.append(self.gradient.sentence())
         if self.identifiability is not None:
             said += self.identifiability.sentences() + doubts_of_information(self.identifiability)
         return said + self.prior.sentences()
@@ -205,9 +209,17 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         gradient=gradient,
         identifiability=identifiability(problem) if informed else None,
         prior=prior_prediction(problem, draws, seed),
+        rounding=_digits(problem),
         drawing=drawing,
         colours=tuple(colours),
         measurement=measurement_in_words(None if tests is None else np.asarray(tests.frequencies_hz)),
         tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
     )
+
+
+def _digits(problem: UpdatingProblem) -> str:
+    from fmu.posterior.rounding import WARN, rounding
+
+    found = rounding(problem)
+    return "" if found is None or found.of_sd.max() <= WARN else found.sentence()

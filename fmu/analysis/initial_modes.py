@@ -17,7 +17,7 @@ from fmu.analysis.pairing_doubts import (
     unlike,
     unmeasured,
 )
-from fmu.fem.modal import RIGID, frequency_hz, mac
+from fmu.fem.modal import frequency_hz, is_rigid, mac
 from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.pairing import IndexPairing, assign
 from fmu.fem.separable import selection
@@ -182,7 +182,7 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]
     """Return the lowest modes, up to two beyond the last that is paired, and the columns of the paired ones."""
     pairs = model.full_modes(point[None])
     wanted = list(zip(pairs.block[0].tolist(), pairs.rank[0].tolist(), strict=True))
-    total = sum(block.size for block in model.full.blocks)
+    total = model.full.n_modes
     count = min(total, 2 * model.n_modes + _BEYOND)
     while True:
         with single_thread():
@@ -215,7 +215,7 @@ def _seen(
     """Say which modes move a sensor, by the rule of `fmu.fem.pairing.reference_modes`."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)
-    elastic = eigenvalues > RIGID * eigenvalues[-1]
+    elastic = ~is_rigid(eigenvalues)
     largest = np.max(np.abs(rows @ shapes), initial=0.0)
     return np.asarray(elastic & (np.max(seen, axis=0, initial=0.0) > _SEEN * largest))
 

@@ -12,14 +12,15 @@ import click
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Show what is said about checkpoints and reduced models as notes on standard error; others as ever."""
+    """Show warnings of checkpoints, reduced models and rounding as notes on standard error; others as ever."""
     from fmu.checkpoints.store import CheckpointWarning, OtherArithmeticWarning
     from fmu.posterior.focus import ReductionWarning
+    from fmu.posterior.rounding import RoundingWarning
 
     show = warnings.showwarning
 
     def as_note(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, CheckpointWarning | OtherArithmeticWarning | ReductionWarning):
+        if issubclass(category, CheckpointWarning | OtherArithmeticWarning | ReductionWarning | RoundingWarning):
             click.echo(f"Note: {message}", err=True)
         else:
             show(message, category, *where, **more)

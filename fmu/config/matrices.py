@@ -212,11 +212,6 @@ class MatricesTable(Table):
     def _in_words(self, error: str) -> str:
         """Return what is wrong with a model in the words of the file, with what to do about it."""
         text = error.replace("K_terms", "stiffness").replace("M_terms", "mass") + ", at the start"
-        if "mass matrix must be positive definite (it has none" in text:
-            text += (
-                "; what has no mass, as many programs export rotations, has to be condensed by the program that "
-                "exports (condensing K(θ) afterwards gives no sum of terms), or given a small mass"
-            )
         if "can move without strain" in text and not self.free:
             text += "; free = true if nothing holds it on purpose"
         return text

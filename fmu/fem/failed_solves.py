@@ -8,11 +8,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fmu.fem.modal import DENSE_LIMIT, NEGATIVE, FullBlock, SingularMassError, eigen, symmetric_factor
+from fmu.fem.eigensolver import eigen
+from fmu.fem.modal import NEGATIVE, FullBlock
 from fmu.fem.model import ModalModel
+from fmu.fem.null_space import SingularMassError
 from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.structure import PairedStructure
 from fmu.fem.terms import coefficients, weighted_sum
@@ -69,31 +70,19 @@ def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int
     try:
         lam, _ = eigen(K, M, count)
     except SingularMassError as error:
-        if is_positive_definite(M):
-            return f"the eigenvalue solver did not converge ({error})", None
         mass = M.diagonal()
         least = int(np.argmin(mass))
-        if mass[least] > 0.0:
-            return "M is not positive definite", None
-        return f"M is not positive definite: its diagonal is {significant(mass[least])}", int(block.dofs[least])
+        if mass[least] < 0.0:
+            return f"M is not positive semidefinite: its diagonal is {significant(mass[least])}", int(
+                block.dofs[least]
+            )
+        said = str(error)
+        return (
+            f"the eigenvalue solver did not converge ({said})" if said.startswith("eigenproblem") else said
+        ), None
     if not np.all(np.isfinite(lam)):
         return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
     # beside the largest of those solved for, as in frequency_hz
     if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
         return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
     return None
-
-
-def is_positive_definite(matrix: Any) -> bool:
-    """Say whether a finite sparse symmetric matrix is positive definite."""
-    if matrix.shape[0] <= DENSE_LIMIT:
-        try:
-            np.linalg.cholesky(matrix.toarray())
-        except np.linalg.LinAlgError:
-            return False
-        return True
-    try:
-        # by Sylvester's law of inertia
-        return bool(np.all(symmetric_factor(sp.csc_array(matrix)).U.diagonal() > 0.0))
-    except RuntimeError:  # it is singular
-        return False

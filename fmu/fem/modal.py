@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
-import scipy.sparse.linalg as ssl
 from numpy.typing import NDArray
 
+from fmu.fem.eigensolver import eigen
+from fmu.fem.null_space import SingularMassError, rank
 from fmu.fem.separable import SeparableModel
 from fmu.fem.shape_derivatives import by_bordered_system
 from fmu.fem.shape_maps import Mapped, Picked
@@ -19,17 +19,17 @@ from fmu.fem.terms import CoefficientMap, Term, coefficient_gradients, weighted_
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
-DENSE_LIMIT = 400
-# An eigenvalue this small beside the highest of interest is zero but for rounding: a rigid-body mode.
+# An eigenvalue this small beside the highest of interest is that of a rigid-body mode. Where K is singular to the
+# last digit it is 0 exactly (`fmu.fem.eigensolver`); matrices exported with ten digits leave more.
 RIGID = 1e-9
 # Below zero by more than this, beside the largest of a set of eigenvalues, is no rounding. The set is that of the
 # measured modes, far below the highest of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
 
 
-class SingularMassError(ValueError):
-    """The mass matrix is not positive definite, or the eigensolver failed."""
+def is_rigid(eigenvalues: FloatArray) -> NDArray[np.bool_]:
+    """Say which of the lowest modes of a structure, shape (..., m), move it as a rigid body."""
+    return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
@@ -57,68 +57,6 @@ def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         return eigenvalue_gradient / (8.0 * np.pi**2 * frequency[..., None])
-
-
-def eigen(K: Any, M: Any, count: int, definite: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest modes of K φ = λ M φ.
-
-    Parameters
-    ----------
-    K, M : sparse arrays, shape (n_dof, n_dof)
-        Symmetric; M positive definite. K may be singular (a free structure).
-    count : int
-        How many modes.
-    definite : bool
-        Whether M is known to be positive definite; to find that out costs a factorisation of a large sparse M.
-
-    Returns
-    -------
-    eigenvalues : ndarray, shape (count,), (rad/s)², ascending
-    shapes : ndarray, shape (n_dof, count), with φᵀ M φ = 1
-
-    Raises
-    ------
-    ValueError
-        If the structure has fewer than `count` modes.
-    SingularMassError
-        If the solver fails, as it does when M is not positive definite.
-    """
-    n = K.shape[0]
-    if not 1 <= count <= n:
-        raise ValueError(f"count: must lie in 1..{n}, the degrees of freedom (got {count})")
-    try:
-        if n <= DENSE_LIMIT or count >= n - 1:
-            lam, phi = sl.eigh(_dense(K), _dense(M), subset_by_index=[0, count - 1], check_finite=False)
-        else:
-            if not definite and not np.all(symmetric_factor(M).U.diagonal() > 0.0):
-                # by Sylvester's law of inertia; Lanczos itself does not notice
-                raise SingularMassError(f"eigenproblem of {n} DOF: the mass matrix is not positive definite")
-            lam, phi = _lanczos(K, M, count)
-    except (np.linalg.LinAlgError, RuntimeError) as error:
-        raise SingularMassError(f"eigenproblem of {n} DOF: {error}") from error
-    if len(lam) < count:  # what LAPACK does on overflow, without a word
-        raise SingularMassError(f"eigenproblem of {n} DOF: {len(lam)} of {count} eigenvalues found")
-    return lam, phi
-
-
-def _lanczos(K: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
-    # A shift slightly below zero keeps K − σM regular when K has rigid-body modes; the start vector is fixed so
-    # that a repeated solve repeats its bits; the shifted matrix is definite, so that no pivoting is needed.
-    n = K.shape[0]
-    shift = -1e-6 * K.diagonal().sum() / M.diagonal().sum()
-    factor = symmetric_factor(K - shift * M)
-    inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
-    start = np.random.default_rng(0).standard_normal(n)
-    lam, phi = ssl.eigsh(K, count, M, sigma=shift, OPinv=inverse, v0=start, tol=1e-12)
-    order = np.argsort(lam)
-    return lam[order], phi[:, order]
-
-
-def symmetric_factor(matrix: Any) -> Any:
-    """Return the sparse LU factors of a symmetric matrix without pivoting: the diagonal of U has its inertia."""
-    return ssl.splu(
-        sp.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
 
 
 def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
@@ -165,6 +103,11 @@ class FullBlock:
     model : SeparableModel
     dofs : ndarray of int
         The block's degrees of freedom in the model, one of ``model.blocks``.
+
+    Attributes
+    ----------
+    n_modes : int
+        How many modes have a finite frequency: fewer than `size` where degrees of freedom have no mass.
     """
 
     def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
@@ -174,7 +117,8 @@ class FullBlock:
         self.M_terms = _restricted(model.M_terms, dofs)
         self._K_map = CoefficientMap(self.K_terms)
         self._M_map = CoefficientMap(self.M_terms)
-        self.size = self.trusted = len(dofs)
+        self.size = len(dofs)
+        self.n_modes = self.trusted = _finite_modes(self.M_terms)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
@@ -183,15 +127,18 @@ class FullBlock:
         """
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
-        constant_mass, definite = all(term.constant for term in self.M_terms), False
+        if count == 0:
+            return lam, phi
+        constant_mass, finite = all(term.constant for term in self.M_terms), None
         K_weights, M_weights = self._K_map(theta), self._M_map(theta)
         for i in range(len(theta)):
             K, M = weighted_sum(self.K_terms, K_weights[i]), weighted_sum(self.M_terms, M_weights[i])
             if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
                 continue
             try:
-                lam[i], phi[i] = eigen(K, M, count, definite)
-                definite = constant_mass
+                if finite is None or not constant_mass:
+                    finite = rank(M)
+                lam[i], phi[i] = eigen(K, M, count, finite)
             except SingularMassError:
                 continue
         return lam, phi
@@ -258,6 +205,16 @@ class FullBlock:
         return Mapped(rows.toarray()), reference
 
 
+def _finite_modes(M_terms: tuple[Term, ...]) -> int:
+    """Return how many modes of finite frequency a structure has, the rank of M where no term vanishes."""
+    total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
+    try:
+        return rank(total)
+    except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
+        empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
+        return int(np.sum(~empty))
+
+
 def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:
     """Return φᵀ K_k φ, shape (n, n_terms, m), for shapes (n, size, m)."""
     return np.stack(
@@ -272,7 +229,3 @@ def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
         restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
     nonzero = tuple(t for t in restricted if abs(t.matrix).max() > 0.0)
     return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), terms[0].powers),)
-
-
-def _dense(matrix: Any) -> FloatArray:
-    return matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix)

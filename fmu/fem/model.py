@@ -42,6 +42,7 @@ class Block(Protocol):
 
     dofs: IntArray
     size: int
+    n_modes: int
     trusted: int
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
@@ -125,6 +126,11 @@ class BlockModel:
         """Return the unreduced blocks of `model`."""
         return cls(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
 
+    @property
+    def n_modes(self) -> int:
+        """How many modes have a finite frequency."""
+        return sum(block.n_modes for block in self.blocks)
+
     def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> Modes:
         """Return the lowest `count` modes of the whole structure, ascending over the blocks.
 
@@ -136,7 +142,7 @@ class BlockModel:
         ValueError
             If the structure has fewer modes.
         """
-        available = sum(min(count, block.size) for block in self.blocks)
+        available = sum(min(count, block.n_modes) for block in self.blocks)
         if not 1 <= count <= available:
             raise ValueError(f"count: must lie in 1..{available}, the modes of the structure (got {count})")
         values, slopes = [], []
@@ -154,7 +160,7 @@ class BlockModel:
         lowest = merged[row, order]
         known = ~np.isnan(merged).any(axis=1)  # sorted last, NaN would let the others move up
         for block, lam in zip(self.blocks, values, strict=True):
-            if lam.shape[1] < min(count, block.size):
+            if lam.shape[1] < min(count, block.n_modes):
                 known &= lowest[:, -1] < lam[:, -1]
         if np.count_nonzero(known) < len(known):
             lowest[~known] = np.nan

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from fmu.fem.modal import RIGID
+from fmu.fem.modal import is_rigid
 from fmu.fem.model import Block, BlockModel, Modes
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +63,7 @@ class IndexPairing:
 
     def counts(self, model: BlockModel) -> dict[int, int]:
         """Return how many of the lowest modes of which blocks may be among those paired."""
-        return {b: min(max(self.numbers), block.size) for b, block in enumerate(model.blocks)}
+        return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
 
     def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
         picked = np.array(self.numbers) - 1
@@ -168,7 +168,7 @@ class ShapePairing:
 
     def offered(self, model: BlockModel, b: int) -> int:
         """Return how many modes block `b` offers as candidates."""
-        return min(self.shapes.shape[1] + self.margin, model.blocks[b].size)
+        return min(self.shapes.shape[1] + self.margin, model.blocks[b].n_modes)
 
     def counts(self, model: BlockModel) -> dict[int, int]:
         """Return how many of the lowest modes of which blocks may be among those paired."""
@@ -180,7 +180,7 @@ class ShapePairing:
         for b, block in enumerate(model.blocks):
             seen = self.rows[:, block.dofs]
             inside = np.flatnonzero(np.diff(seen.indptr))
-            if np.any(self.shapes[inside]):
+            if block.n_modes and np.any(self.shapes[inside]):
                 observed[b] = block.observe(seen[inside], self.shapes[inside])
         return observed
 
@@ -253,7 +253,7 @@ def reference_modes(
         If the sensors see fewer modes.
     """
     picked = counterparts or tuple(range(1, n_modes + 1))
-    n_total = sum(block.size for block in model.blocks)
+    n_total = model.n_modes
     count = min(4 * max(picked), n_total)
     while True:
         shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
@@ -269,9 +269,9 @@ def reference_modes(
 
 def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int) -> int:
     """Return how many rigid-body modes lie below the elastic ones at theta (n_parameters,)."""
-    count = min(n_modes + 7, sum(block.size for block in model.blocks))  # six at most, and one that is elastic
+    count = min(n_modes + 7, model.n_modes)  # six at most, and one that is elastic
     lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
-    return int(np.sum(lam <= RIGID * lam[-1]))
+    return int(np.sum(is_rigid(lam)))
 
 
 def assign(mac: FloatArray) -> IntArray:
@@ -312,6 +312,6 @@ def _visible_modes(
         shape[model.blocks[b].dofs] = solved[int(b)][:, r]
     compared, seen = shapes @ rows.T, shapes @ sensors.T
     # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
-    elastic = spectrum.eigenvalues[0] > RIGID * spectrum.eigenvalues[0, -1]
+    elastic = ~is_rigid(spectrum.eigenvalues[0])
     visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
     return compared[elastic & visible], spectrum.rank[0][elastic & visible]

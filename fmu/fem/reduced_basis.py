@@ -21,7 +21,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from fmu.fem.modal import FullBlock, Seen
-from fmu.fem.shape_derivatives import by_all_modes
+from fmu.fem.shape_derivatives import by_all_modes, by_bordered_matrices
 from fmu.fem.shape_maps import Mapped
 from fmu.fem.terms import CoefficientMap, Term
 
@@ -31,6 +31,8 @@ FloatArray = NDArray[np.float64]
 _LARGE, _FEW = 2000, 0.125
 # From this size on, the few lowest modes of a reduced matrix are cheaper than all of them.
 _PARTIAL = 128
+# Of the highest ν: what is smaller belongs to no mode of finite frequency.
+_FINITE = 1e-14
 
 
 class ReducedBlock:
@@ -44,8 +46,17 @@ class ReducedBlock:
     trusted : int
         How many of the lowest modes the basis was trained for.
 
+    Attributes
+    ----------
+    n_modes : int
+        How many modes of finite frequency it may have.
+
     Notes
     -----
+    Where degrees of freedom have no mass, the reduced M may be singular as well, and the inverse problem
+    M x = ν (K + s M) x is solved, λ = 1/ν − s (as in `fmu.fem.eigensolver`), with s = tr K/tr M, which makes it
+    definite for a free structure too.
+
     Every step is done theta by theta inside NumPy's loops, elementwise or in one small LAPACK or BLAS call a
     theta, so that a result does not depend, in any bit, on what else is in the batch.
     """
@@ -55,6 +66,8 @@ class ReducedBlock:
         self.basis = basis
         self.size = basis.shape[1]
         self.trusted = trusted
+        self.n_modes = min(block.n_modes, self.size)
+        self.massless = block.n_modes < block.size
         self.n_parameters = block.n_parameters
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
         self._K_map = CoefficientMap(block.K_terms)
@@ -74,11 +87,14 @@ class ReducedBlock:
         """Return the block reduced by the first `size` vectors of its basis alone."""
         leading = copy.copy(self)
         leading.basis, leading.size = self.basis[:, :size], size
+        leading.n_modes = min(self.n_modes, size)
         leading._set_terms(self._K[:, :size, :size].copy(), self._M[:, :size, :size].copy())
         return leading
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
         """Return the lowest eigenvalues, shape (n, count); NaN where the solver fails."""
+        if self.massless:
+            return self.modes(theta, count)[0]
         A = _assemble(self._K, self._K_map(theta))
         if not self.constant_mass:
             A = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))[0]
@@ -87,6 +103,10 @@ class ReducedBlock:
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
         A = _assemble(self._K, self._K_map(theta))
+        if self.massless:
+            M = _assemble(self._M, self._M_map(theta))
+            lam, phi = _row_by_row(_inverted, A, M)
+            return lam[:, :count], phi[:, :, :count]
         few = self.size >= _PARTIAL and 4 * count <= self.size
         solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
         if self.constant_mass:
@@ -104,8 +124,8 @@ class ReducedBlock:
         return gradient
 
     def needed(self, count: int, gradient: bool) -> int:
-        """Return how many modes `seen` takes: for the derivatives all of them."""
-        return self.size if gradient else count
+        """Return how many modes `seen` takes: for the derivatives all of them, where all are finite."""
+        return self.size if gradient and not self.massless else count
 
     def seen(
         self,
@@ -130,16 +150,34 @@ class ReducedBlock:
         lam, phi = solved or self.modes(theta, self.needed(count, gradient))
         if not gradient:
             return Seen(lam[:, :count], sensors @ phi[:, :, :count])
+        if self.massless:
+            lam, phi = lam[:, :count], phi[:, :, :count]
+            slopes = self._bordered_slopes(theta, lam, phi)
+            lam_slopes = self.eigenvalue_gradient(theta, lam, phi)
+            return Seen(lam, sensors @ phi, lam_slopes, _seen_slopes(sensors, slopes))
         dK, dM = (
             self._slopes(theta, coefficient, matrices, phi, count)
             for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
         )
         i = np.arange(count)
         slopes = by_all_modes(lam, phi, dK, dM, count)
-        n, r, _, p = slopes.shape
-        seen = (sensors @ slopes.reshape(n, r, -1)).reshape(n, len(sensors), count, p)
         lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
-        return Seen(lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, seen)
+        return Seen(lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, _seen_slopes(sensors, slopes))
+
+    def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return ∂φ, shape (n, r, m, n_parameters), a mode at a time; NaN where its eigenvalue is repeated."""
+        K, M = _assemble(self._K, self._K_map(theta)), _assemble(self._M, self._M_map(theta))
+        n, r, count = phi.shape
+        dK, dM = (
+            coefficient.contract(theta, (rows @ phi).reshape(n, -1, r * count)).reshape(n, r, count, -1)
+            for coefficient, rows in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
+        )
+
+        slopes = np.empty((n, r, count, self.n_parameters))
+        for k in range(count):
+            mode = lam[:, k], phi[:, :, k], dK[:, :, k], dM[:, :, k]
+            slopes[:, :, k] = _row_by_row(_bordered, K, M, *mode)[0]
+        return slopes
 
     def _slopes(
         self, theta: FloatArray, coefficient: CoefficientMap, rows: FloatArray, phi: FloatArray, count: int
@@ -193,6 +231,25 @@ def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return L⁻¹ K L⁻ᵀ and L⁻¹, with M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
+
+
+def _inverted(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return λ (n, r) and M-normalised shapes (n, r, r), where M may be singular; NaN beyond its rank."""
+    shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])
+    C, inverse = _whitened(M, K + shift[:, None, None] * M)
+    nu, y = np.linalg.eigh(C)
+    nu, y = nu[:, None, ::-1], y[:, :, ::-1]
+    nu = np.where(nu > _FINITE * nu[:, :, :1], nu, np.nan)
+    return 1.0 / nu[:, 0] - shift[:, None], np.swapaxes(inverse, 1, 2) @ (y / np.sqrt(nu))
+
+
+def _bordered(*parts: FloatArray) -> tuple[FloatArray]:
+    return (by_bordered_matrices(*parts),)
+
+
+def _seen_slopes(sensors: FloatArray, slopes: FloatArray) -> FloatArray:
+    n, r, count, p = slopes.shape
+    return (sensors @ slopes.reshape(n, r, -1)).reshape(n, len(sensors), count, p)
 
 
 def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ import scipy.sparse.linalg as ssl
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
-from fmu.fem.modal import eigen
+from fmu.fem.eigensolver import eigen
 from fmu.fem.separable import SeparableModel
 
 FloatArray = NDArray[np.float64]

@@ -4,8 +4,9 @@ For a simple eigenvalue of K φ = λ M φ with φᵀMφ = 1,
 
     (K − λM) ∂φ − ∂λ Mφ = −(∂K − λ ∂M) φ,      φᵀM ∂φ = −½ φᵀ ∂M φ.
 
-Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 1968); where they are not, the
-two lines together are one regular system for ∂φ and ∂λ, which Nelson (1976, *AIAA Journal* 14, 1201–1205)
+Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 1968); where they are not, or where
+some have no finite λ, as M is singular, the two lines together are one regular system for ∂φ and ∂λ, which Nelson
+(1976, *AIAA Journal* 14, 1201–1205)
 arrives at by fixing one component. Shapes of repeated eigenvalues have no derivative: any rotation of them is as
 good. Between eigenvalues closer than `REPEATED` the rotation is left out; near them it is large, as it truly is:
 the closer two modes are, the faster their shapes turn into each other. For two eigenvalues λ that are δλ apart
@@ -83,3 +84,34 @@ def by_bordered_system(
     except RuntimeError:
         solution = np.full((len(phi) + 1, dK_phi.shape[1]), np.nan)
     return solution[:-1], scale * solution[-1]
+
+
+def by_bordered_matrices(
+    K: FloatArray, M: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+) -> FloatArray:
+    """Return ∂φ of one mode of each of many small matrices, shape (n, r, n_parameters).
+
+    Parameters
+    ----------
+    K, M : ndarray, shape (n, r, r)
+    lam : ndarray, shape (n,)
+    phi : ndarray, shape (n, r)
+    dK_phi, dM_phi : ndarray, shape (n, r, n_parameters)
+
+    Raises
+    ------
+    LinAlgError
+        Where a system is singular: the eigenvalue is repeated.
+    """
+    n, r = phi.shape
+    M_phi = (M @ phi[..., None])[..., 0]
+    diagonal = np.max(np.abs(np.diagonal(K, axis1=1, axis2=2)), axis=1)
+    scale = (diagonal / np.max(np.abs(M_phi), axis=1))[:, None]
+    system = np.zeros((n, r + 1, r + 1))
+    system[:, :r, :r] = K - lam[:, None, None] * M
+    system[:, :r, r] = -scale * M_phi
+    system[:, r, :r] = scale * M_phi
+    load = np.empty((n, r + 1, dK_phi.shape[2]))
+    load[:, :r] = lam[:, None, None] * dM_phi - dK_phi
+    load[:, r] = -0.5 * scale * np.sum(phi[..., None] * dM_phi, axis=1)
+    return np.asarray(np.linalg.solve(system, load)[:, :r])

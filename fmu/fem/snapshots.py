@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.modal import RIGID, FullBlock, frequency_hz
+from fmu.fem.modal import RIGID, FullBlock, frequency_hz, is_rigid
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.terms import coefficients, weighted_sum
 
@@ -35,7 +35,7 @@ class Snapshots:
     @classmethod
     def solve(cls, block: FullBlock, theta: FloatArray, count: int) -> Snapshots:
         """Solve the full block at every theta."""
-        return cls(theta, *block.modes(theta, min(count, block.size)))
+        return cls(theta, *block.modes(theta, min(count, block.n_modes)))
 
     @classmethod
     def joined(cls, parts: Sequence[Snapshots]) -> Snapshots:
@@ -67,7 +67,7 @@ class Snapshots:
         """Return |f_reduced − f| / f, shape (n, m); for a rigid-body mode 0 or infinity: is it one there too."""
         exact, reduced = self.eigenvalues, block.eigenvalues(self.theta, self.eigenvalues.shape[1])
         top = exact[:, -1:]
-        rigid = exact <= RIGID * top
+        rigid = is_rigid(exact)
         error = np.where(reduced <= 10.0 * RIGID * top, 0.0, np.inf)
         f, f_reduced = frequency_hz(exact), frequency_hz(reduced)
         return np.divide(np.abs(f_reduced - f), f, out=error, where=~rigid)
@@ -76,7 +76,8 @@ class Snapshots:
 def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: FloatArray) -> FloatArray:
     """Return the POD of mode shapes, shape (size, r_max), strongest direction first.
 
-    Orthonormal in the block's mass matrix at `centre` (n_parameters,).
+    Orthonormal in the block's mass matrix at `centre` (n_parameters,); where degrees of freedom have no mass, in
+    M + K/λ with the highest λ of the snapshots, as M does not see how they follow.
 
     Notes
     -----
@@ -86,6 +87,8 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
     """
     M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
     lam = snapshots.eigenvalues
+    if block.n_modes < block.size:
+        M = M + weighted_sum(block.K_terms, coefficients(block.K_terms, centre[None])[0]) / np.max(lam)
     floor = 1e-6 * lam[:, -1:]
     # without any stiffness every vector is a mode, and none worth a place
     weight = np.divide(1.0, np.sqrt(np.maximum(lam, floor)), out=np.zeros_like(lam), where=floor > 0.0)

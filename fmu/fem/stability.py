@@ -1,4 +1,4 @@
-"""Whether a structure holds together: motions without strain, and mass everywhere."""
+"""Whether a structure holds together: motions without strain, and what mass they move."""
 
 from __future__ import annotations
 
@@ -7,22 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.fem.modal import DENSE_LIMIT, eigen, symmetric_factor
 from fmu.fem.motion import rigid_in_words, rigid_motions, what_moves
+from fmu.fem.null_space import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
 from fmu.fem.separable import SeparableModel
 
 FloatArray = NDArray[np.float64]
-
-# Of a matrix scaled to a unit diagonal: a smaller eigenvalue cannot be told from zero. Rounding in assembled beams
-# stays below 1e-15; a cantilever of 1000 elements has 5e-13.
-ZERO = 2e-14
-# Of the same: further below zero is no rounding, not even of matrices exported with ten digits.
-NEGATIVE = 1e-8
-_AT_ONCE = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +58,10 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
         raise ValueError("the stiffness matrix must be finite")
     zero, negative = [np.zeros((model.n_dof, 0))], [np.zeros((model.n_dof, 0))]
     for dofs in model.blocks:
-        lam, shapes = _lowest(K[dofs][:, dofs])
+        S, scale = unit_diagonal(K[dofs][:, dofs])
+        lam, vectors = lowest(S)
         full = np.zeros((model.n_dof, len(lam)))
-        full[dofs] = shapes
+        full[dofs] = scale[:, None] * vectors
         zero.append(full[:, (lam < ZERO) & (lam > -NEGATIVE)])
         negative.append(full[:, lam <= -NEGATIVE])
     found = np.concatenate(zero, axis=1)
@@ -78,7 +71,7 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
 def require_stable(
     model: SeparableModel, theta: ArrayLike, free: bool = False, label: Callable[[Any], str] = str
 ) -> None:
-    """Raise ValueError if the structure can move without strain, or a part of it has no mass.
+    """Raise ValueError if the structure can move without strain, or its mass is negative or missing.
 
     Parameters
     ----------
@@ -102,6 +95,12 @@ def require_stable(
     if motions.negative.shape[1]:
         moving = what_moves(model, motions.negative, label)
         raise ValueError(f"the stiffness matrix must not be negative for any motion (it is where {moving})")
+    loose = _without_mass(model, theta, motions.shapes)
+    if loose.shape[1]:
+        raise ValueError(
+            "the structure is a mechanism: what has neither stiffness nor mass can move "
+            f"({what_moves(model, loose, label)})"
+        )
     rigid = np.zeros((6, 0)) if motions.rigid is None else motions.rigid
     allowed = 0 if not free else 6 if motions.rigid is None else rigid.shape[1]
     if motions.count <= allowed:
@@ -114,51 +113,32 @@ def require_stable(
     raise ValueError(f"the structure is a mechanism: it can move without strain {ways} ({'; '.join(words)})")
 
 
-def _lowest(matrix: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues near and below zero of a symmetric matrix scaled to a unit diagonal, and one more.
-
-    With the motions that belong to them, in the matrix's own units, of size one in the scaled ones.
-    """
-    S, scale = _scaled(matrix)
-    n = S.shape[0]
-    if n <= DENSE_LIMIT:
-        lam, shapes = sl.eigh(S.toarray(), check_finite=False)
-    else:
-        # pivots tell the signs (Sylvester); Lanczos would not see what lies far below zero
-        unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
-        while np.any(symmetric_factor(S + shift * unit).U.diagonal() <= 0.0):
-            shift *= 10.0
-        if shift > NEGATIVE:
-            lam, shapes = eigen(S + shift * unit, unit, 1, definite=True)
-            return lam - shift, scale[:, None] * shapes
-        count = _AT_ONCE
-        lam, shapes = eigen(S, unit, count, definite=True)
-        while lam[-1] < ZERO and count < n:
-            count = min(2 * count, n)
-            lam, shapes = eigen(S, unit, count, definite=True)
-    return lam, scale[:, None] * shapes
-
-
-def _scaled(matrix: Any) -> tuple[Any, FloatArray]:
-    diagonal = np.abs(matrix.diagonal())
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    return sp.csr_array(sp.diags_array(scale) @ matrix @ sp.diags_array(scale)), scale
-
-
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:
+    """Raise ValueError if a mass is negative, or there is none at all; degrees of freedom may have none."""
     M = sp.csr_array(model.M(theta))
     if not np.all(np.isfinite(M.data)):
         raise ValueError("the mass matrix must be finite")
-    rule = "the mass matrix must be positive definite"
-    none = np.flatnonzero(M.diagonal() <= 0.0)
-    if len(none):
-        bare = np.zeros((model.n_dof, len(none)))
-        bare[none, np.arange(len(none))] = 1.0
-        raise ValueError(f"{rule} (it has none where {what_moves(model, bare, label)})")
+    if M.nnz == 0 or abs(M).max() == 0.0:
+        raise ValueError("the mass matrix must have entries (all of it is zero)")
+    negative = [np.zeros((model.n_dof, 0))]
     for dofs in model.blocks:
-        lam, shapes = _lowest(M[dofs][:, dofs])
-        wrong = lam < ZERO
-        if np.any(wrong):
-            full = np.zeros((model.n_dof, int(np.sum(wrong))))
-            full[dofs] = shapes[:, wrong]
-            raise ValueError(f"{rule} (it is not where {what_moves(model, full, label)})")
+        S, scale = unit_diagonal(M[dofs][:, dofs])
+        lam, vectors = lowest(S)
+        full = np.zeros((model.n_dof, int(np.sum(lam <= -NEGATIVE))))
+        full[dofs] = scale[:, None] * vectors[:, lam <= -NEGATIVE]
+        negative.append(full)
+    found = np.concatenate(negative, axis=1)
+    if found.shape[1]:
+        moving = what_moves(model, found, label)
+        raise ValueError(f"the mass matrix must not be negative for any motion (it is where {moving})")
+
+
+def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:
+    """Return the motions among those without strain, (n_dof, n), that move no mass."""
+    if not motions.shape[1]:
+        return motions
+    _, scale = unit_diagonal(sp.csr_array(model.K(theta)))
+    N = np.linalg.qr(motions / scale[:, None])[0]
+    M = scaled(model.M(theta), scale)
+    energy, turned = np.linalg.eigh(N.T @ (M @ N))
+    return np.asarray(scale[:, None] * (N @ turned[:, energy <= ZERO * M.diagonal().max()]))

@@ -93,10 +93,17 @@ class PairedStructure:
         self.confirmed = True
         self.full_solves = 0
         self.rule: IndexPairing | ShapePairing
+        if self.full.n_modes < self.n_modes:
+            raise ValueError(
+                f"mass: the {self.n_modes} measured modes need as many of finite frequency: the mass matrix gives "
+                f"{self.full.n_modes}; give mass to more degrees of freedom"
+            )
         if pairing == "index":
             self.rule = IndexPairing(numbers)
-            if max(numbers) > model.n_dof:
-                raise ValueError(f"numbers: must lie in 1..{model.n_dof}, the modes of the model (got {numbers})")
+            if max(numbers) > self.full.n_modes:
+                raise ValueError(
+                    f"numbers: must lie in 1..{self.full.n_modes}, the modes of the model (got {numbers})"
+                )
         elif shapes is not None:
             with single_thread():
                 rigid = count_rigid(self.full, reference, self.n_modes)
@@ -200,7 +207,9 @@ class PairedStructure:
             NaN where a solve failed, and for modes that the reduced model was not trained for.
         block, rank : ndarray of int, shape (n_candidates,)
         """
-        counts = {b: min(count + 1, self.full.blocks[b].size) for b, count in self.rule.counts(self.full).items()}
+        counts = {
+            b: min(count + 1, self.full.blocks[b].n_modes) for b, count in self.rule.counts(self.full).items()
+        }
         found = np.full((len(theta), sum(counts.values())), np.nan)
         within = self.within(theta)
         solved(len(theta))

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from fmu.engines.engine import Engine, InProcess
-from fmu.fem.modal import DENSE_LIMIT, FullBlock
+from fmu.fem.modal import FullBlock
 from fmu.fem.model import Block, BlockModel
+from fmu.fem.null_space import DENSE_LIMIT
 from fmu.fem.pairing import IndexPairing, Pairing, RankPairing, ShapePairing
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.snapshots import AT_ONCE, LARGE, MANY_SHAPES, Snapshots, proper_orthogonal_basis, smallest_basis
@@ -22,6 +23,8 @@ FloatArray = NDArray[np.float64]
 
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
 EXACT_LIMIT = 20
+# The lowest over the highest λ of a basis that is kept whole: a solver then leaves nine digits.
+_HIGHEST = 1e-7
 _ROUNDS = 12
 # From this round on a basis is made twice as good at the points it knows: with many parameters fresh ones always
 # lie a little further out, and the same miss would repeat itself round after round.
@@ -36,7 +39,7 @@ def affordable(n_dof: int) -> int:
 
     A reduced solve takes about 60 ns · r², more from r = 1000 on, and a sparse full one about 30 µs a degree of
     freedom (results/scale.md): at 12 √n the first is a third of the second. Dense blocks, up to
-    `fmu.fem.modal.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
+    `fmu.fem.null_space.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
@@ -184,7 +187,9 @@ class Training:
         highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.rule.numbers) - 1]
         # one mode more than was ever among the lowest: it shows that none is missing
         counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
-        return self.rule, {b: min(c, snapshots[b].eigenvalues.shape[1]) for b, c in enumerate(counts)}
+        return self.rule, {
+            b: min(c, snapshots[b].eigenvalues.shape[1]) for b, c in zip(sorted(snapshots), counts, strict=True)
+        }
 
     def _constant(self, snapshots: dict[int, Snapshots]) -> RankPairing | None:
         """Return the rule's assignment as fixed ranks if it is the same at every theta; a few theta at a time."""
@@ -210,8 +215,11 @@ class Training:
     def _compressed(self, b: int, needed: int, tolerance: float) -> FloatArray:
         block = self._block(b)
         centre = 0.5 * (self.lower + self.upper)
-        if block.size <= EXACT_LIMIT:
-            return block.modes(centre[None], block.size)[1][0]
+        if block.n_modes == block.size <= EXACT_LIMIT:
+            lam, shapes = block.modes(centre[None], block.size)
+            # with modes so high the reduced solver would leave the low ones few digits
+            if not lam[0, -1] * _HIGHEST > lam[0, lam[0] > 0.0].min(initial=np.inf):
+                return shapes[0]
         wanted = self.snapshots[b].lowest(needed)
         basis = proper_orthogonal_basis(block, wanted, centre)
 

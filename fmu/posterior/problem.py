@@ -23,6 +23,7 @@ from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.residual import ModalResidual
+from fmu.posterior.rounding import require_digits
 
 FloatArray = NDArray[np.float64]
 
@@ -83,7 +84,13 @@ class UpdatingProblem:
     Raises
     ------
     ValueError
-        If the model does not fit the parameters or the data, or two parameters share a name.
+        If the model does not fit the parameters or the data, two parameters share a name, or rounding in the
+        matrices is larger than the errors of the measurement (`fmu.posterior.rounding`).
+
+    Warns
+    -----
+    RoundingWarning
+        If that rounding counts beside the errors.
 
     Notes
     -----
@@ -136,6 +143,7 @@ class UpdatingProblem:
         if self.promised is not None and isinstance(self.model, PairedStructure):
             reduce_model(self, self.model, self.promised, engine)
             self._failed = FailureRecord()  # what failed on the way is nobody's evaluation
+        require_digits(self)
 
     def __repr__(self) -> str:
         return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"

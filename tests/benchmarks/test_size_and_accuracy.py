@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fmu.fem.modal import eigen, frequency_gradient, frequency_hz
+from fmu.fem.eigensolver import eigen
+from fmu.fem.modal import frequency_gradient, frequency_hz
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.reduction import craig_bampton, guyan
 from fmu.posterior.focus import plausible_points

@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fmu.config import ConfigurationError, load
+from fmu.fem.eigensolver import eigen
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
-from fmu.fem.modal import eigen, frequency_hz
+from fmu.fem.modal import frequency_hz
 from fmu.fem.separable import RigidArm
 
 HALL = """\

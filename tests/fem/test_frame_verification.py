@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from fmu.fem.eigensolver import eigen
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, PointMass, Section
-from fmu.fem.modal import eigen, frequency_hz
+from fmu.fem.modal import frequency_hz
 from fmu.fem.separable import RigidArm
 from tests.fem.exact_frame import Member, frequencies
 

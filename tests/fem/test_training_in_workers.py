@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 import fmu
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modal import DENSE_LIMIT
+from fmu.fem.null_space import DENSE_LIMIT
 from fmu.fem.structure import PairedStructure
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fmu
+from fmu.fem.eigensolver import eigen
 from fmu.fem.frame import DIRECTIONS, ElementGroup, Material, Section
-from fmu.fem.modal import eigen, frequency_hz
+from fmu.fem.modal import frequency_hz
 from fmu.posterior.priors import Normal
 
 FloatArray = NDArray[np.float64]

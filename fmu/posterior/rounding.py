@@ -1,0 +1,163 @@
+"""Whether the digits of the matrices are enough for the errors of the measurement.
+
+An entry of K is rounded to one part in 10¹⁶ of itself. Where stiff parts hardly strain, as a rigid link or a
+spring of 1e16 N/m beside others of 1e5 N/m, their energy in a mode is a small difference of large numbers,
+φᵀKφ = Σ K_ij φ_i φ_j, and so is λ:
+
+    δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,
+
+with u = 1.1e-16, for rounding that is independent from entry to entry (first-order perturbation, Stewart & Sun
+1990, *Matrix Perturbation Theory*, section VI.2). A reduced model adds the rounding of its own highest eigenvalue.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from fmu.fem.observed import Observed
+from fmu.fem.reduced_basis import ReducedBlock
+from fmu.fem.structure import PairedStructure
+from fmu.fem.terms import Term, coefficients
+from fmu.posterior.joint import JointLikelihood
+from fmu.posterior.likelihood import FrequencyLikelihood
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+UNIT = 2.0**-53
+WARN, REFUSE = 0.05, 1.0
+"""Expected error of a frequency by rounding, in standard deviations of its measurement."""
+# Solvers, and the sums that make an entry, err by a few roundings: with this factor the error expected is two to
+# thirty times the one found against extended precision.
+_ROUNDINGS = 4.0
+
+
+class RoundingWarning(UserWarning):
+    """The matrices have too few digits for the errors of the measurement."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rounding:
+    """What rounding does to the frequencies at the start.
+
+    Attributes
+    ----------
+    relative : ndarray, shape (n_modes,)
+        Expected error of each frequency, relative to it.
+    of_sd : ndarray, shape (n_modes,)
+        The same in standard deviations of its measurement.
+    mode : str
+        The measured mode that it does most to.
+    where : str
+        The degree of freedom whose stiffness does it.
+    stiffness : float
+        That stiffness.
+    """
+
+    relative: FloatArray
+    of_sd: FloatArray
+    mode: str
+    where: str
+    stiffness: float
+
+    def sentence(self) -> str:
+        """Say how large the error is, where it comes from, and what to do."""
+        k = int(np.argmax(self.of_sd))
+        return (
+            f"rounding: the frequency of mode {self.mode} should be good to {WARN:g} of the standard deviation of "
+            f"its measurement (got {self.of_sd[k]:.2g}, {self.relative[k]:.1g} of the frequency, as the stiffness "
+            f"at {self.where} is {self.stiffness:.3g}); where a part is meant to be rigid, make it 1e3 to 1e6 "
+            "times as stiff as its neighbours, or tie its ends"
+        )
+
+
+def rounding(problem: UpdatingProblem) -> Rounding | None:
+    """Return what rounding does to a problem's frequencies at the start; None where the model has no matrices.
+
+    None too where its errors are not those of modes, or a solve fails at the start.
+    """
+    model, likelihood = problem.model, problem.likelihood
+    if not isinstance(model, PairedStructure) or not isinstance(likelihood, FrequencyLikelihood | JointLikelihood):
+        return None
+    theta = problem.start[: model.n_parameters]
+    shapes = model.full_shapes(theta)
+    modes = model.full_modes(theta[None])
+    lam = modes.eigenvalues[0]
+    if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(lam))):
+        return None
+    lam = np.maximum(lam, 0.0)
+    K, M = (_sizes(terms, theta) for terms in (model.structure.K_terms, model.structure.M_terms))
+    stiff, heavy = _energies(K, shapes), _energies(M, shapes)
+    error = np.sqrt(stiff.sum(axis=0)) + lam * np.sqrt(heavy.sum(axis=0)) + _reduced(model, modes.block[0], theta)
+    frequencies = np.sqrt(lam) / (2.0 * np.pi)
+    off = np.sqrt(lam + _ROUNDINGS * UNIT * error) / (2.0 * np.pi) - frequencies
+    relative = np.divide(off, frequencies, out=np.full_like(off, np.inf), where=frequencies > 0.0)
+    of_sd = _in_sd(problem, frequencies, off)
+    worst = int(np.argmax(of_sd))
+    dof = int(np.argmax(stiff[:, worst]))
+    node, direction = model.structure.dofs[dof]
+    where = f"node {node} {direction}"
+    return Rounding(relative, of_sd, str(problem.data.labels[worst]), where, float(K.diagonal()[dof]))
+
+
+def require_digits(problem: UpdatingProblem) -> None:
+    """Raise ValueError where rounding is larger than the errors of the measurement, and warn where it counts.
+
+    Warns
+    -----
+    RoundingWarning
+    """
+    found = rounding(problem)
+    if found is None or np.max(found.of_sd) <= WARN:
+        return
+    if np.max(found.of_sd) > REFUSE:
+        raise ValueError(found.sentence())
+    warnings.warn(found.sentence(), RoundingWarning, stacklevel=3)
+
+
+def _sizes(terms: Sequence[Term], theta: FloatArray) -> Any:
+    weights = np.abs(coefficients(terms, theta[None])[0])
+    return sp.csr_array(sum(weight * abs(term.matrix) for weight, term in zip(weights, terms, strict=True)))
+
+
+def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
+    """Return Σ_j (|A|_ij φ_i φ_j)² of every degree of freedom i and mode, shape (n_dof, n_modes)."""
+    squares = sp.csr_array((sizes.data**2, sizes.indices, sizes.indptr), shape=sizes.shape)
+    return np.asarray(shapes**2 * (squares @ shapes**2))
+
+
+def _reduced(model: PairedStructure, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
+    """Return the highest eigenvalue of the reduced block that answers for each mode, 0 where the full one does."""
+    if model.reduced is None:
+        return np.zeros(len(owners))
+    highest = {}
+    for b in set(owners.tolist()):
+        block = model.reduced.blocks[b]
+        if isinstance(block, ReducedBlock) and not block.massless:
+            highest[b] = float(np.max(block.eigenvalues(theta[None], block.size)))
+    return np.array([highest.get(b, 0.0) for b in owners.tolist()])
+
+
+def _in_sd(problem: UpdatingProblem, frequencies: FloatArray, error: FloatArray) -> FloatArray:
+    """Return the errors of frequencies (n_modes,), Hz, in standard deviations of the measurement."""
+    likelihood = problem.likelihood
+    if isinstance(likelihood, FrequencyLikelihood):
+        return np.asarray(np.linalg.norm(likelihood.error.whitened(np.diag(error)[None])[0], axis=0))
+    assert isinstance(likelihood, JointLikelihood)  # narrowed for the type checker
+    seen = Observed(frequencies[None], np.empty((1, 0, len(frequencies))))
+    noise = problem.start[None, likelihood.n_structural :]
+    squares = np.zeros(len(frequencies))
+    for term in likelihood.terms_of:
+        if not term.needs_shapes:
+            slopes = term.residuals(seen, noise).by_frequency
+            squares += 0.0 if slopes is None else np.sum(slopes[0] ** 2, axis=-1)
+    return np.asarray(np.sqrt(squares) * error)

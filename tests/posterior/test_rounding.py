@@ -1,0 +1,155 @@
+"""Rounding in the matrices: no word, a warning and a refusal, against frequencies with sixty digits."""
+
+import warnings
+from decimal import Decimal, localcontext
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.fem.separable import SeparableModel
+from fmu.posterior import rounding as module
+from fmu.posterior.focus import ReductionWarning
+from fmu.posterior.measurement import ModalData
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.rounding import RoundingWarning, rounding
+
+N, SOFT, MASS = 6, 1e5, 10.0
+
+
+def springs(stiff, theta):
+    """Return the springs of a chain from the ground, N/m: the first is uncertain, the third is all but rigid."""
+    return [theta, SOFT, stiff, SOFT, SOFT, SOFT]
+
+
+def chain(stiff):
+    K = np.zeros((N, N))
+    for i, k in enumerate(springs(stiff, 0.0)[1:]):
+        K[i : i + 2, i : i + 2] += np.array([[k, -k], [-k, k]])
+    first = np.zeros((N, N))
+    first[0, 0] = 1.0
+    return SeparableModel.from_terms(["k"], [K, (first, "k")], [MASS * np.eye(N)])
+
+
+def exact_hz(stiff, theta, number):
+    """Return a frequency of the chain by bisection with Sturm's sequence of its tridiagonal matrix, 60 digits."""
+    with localcontext() as context:
+        context.prec = 60
+        k = [Decimal(x) for x in springs(stiff, theta)]
+
+        def below(lam):
+            count, pivot = 0, None
+            for i in range(N):
+                diagonal = k[i] + (k[i + 1] if i + 1 < N else 0) - lam * Decimal(MASS)
+                pivot = diagonal if pivot is None else diagonal - k[i] ** 2 / pivot
+                count += pivot < 0
+            return count
+
+        low, high = Decimal(0), Decimal(4.0123 * SOFT / MASS)  # no pivot is ever zero
+        for _ in range(80):
+            middle = (low + high) / 2
+            low, high = (low, middle) if below(middle) >= number else (middle, high)
+        return float(low.sqrt()) / (2 * np.pi)
+
+
+def posed(stiff, error, reduction=False):
+    measured = np.array([exact_hz(stiff, SOFT, number) for number in (1, 2)])
+    return UpdatingProblem(
+        chain(stiff),
+        ModalData(measured),
+        [Parameter("k", SOFT, 0.5 * SOFT, 2 * SOFT)],
+        beta=0.5 / (error * measured) ** 2,
+        pairing="index",
+        reduction=reduction,
+    )
+
+
+def sd_ratio(problem, stiff, error):
+    """Return the posterior's sd over that of the exact model, both by quadrature on one grid."""
+    slopes = [
+        (exact_hz(stiff, SOFT * 1.001, j) - exact_hz(stiff, SOFT * 0.999, j)) / (0.002 * SOFT) for j in (1, 2)
+    ]
+    measured = np.array([exact_hz(stiff, SOFT, j) for j in (1, 2)])
+    sd = 1.0 / np.sqrt(np.sum((np.array(slopes) / (error * measured)) ** 2))
+    theta = SOFT + sd * np.linspace(-5, 5, 61)
+    exact = np.array([[exact_hz(stiff, x, j) for j in (1, 2)] for x in theta])
+    true = -0.5 * np.sum(((exact - measured) / (error * measured)) ** 2, axis=1)
+
+    def spread(log_prob):
+        weight = np.exp(log_prob - log_prob.max())
+        weight /= weight.sum()
+        mean = weight @ theta
+        return mean, np.sqrt(weight @ (theta - mean) ** 2)
+
+    (mean, found), (true_mean, expected) = spread(problem.log_prob(theta[:, None])), spread(true)
+    return found / expected, (mean - true_mean) / expected
+
+
+@pytest.mark.parametrize("reduction", [False, True])
+def test_a_spring_that_grows_no_word_then_a_warning_then_a_refusal(tmp_path, monkeypatch, reduction):
+    monkeypatch.setenv("FMU_CACHE_DIR", str(tmp_path))
+    said = {}
+    for exponent in range(8, 19):
+        stiff = 10.0**exponent
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                problem = posed(stiff, 1e-3, reduction)
+            except ValueError as error:
+                said[exponent] = "refused" if str(error).startswith("rounding: the frequency of mode ") else error
+                continue
+        kinds = {w.category for w in caught}
+        # a reduced model promises more than the errors need, and says first that it cannot keep it
+        assert kinds <= ({RoundingWarning, ReductionWarning} if reduction else {RoundingWarning})
+        said[exponent] = "warned" if RoundingWarning in kinds else "silent"
+        if said[exponent] == "silent" and exponent in (8, 12, 15):
+            ratio, shift = sd_ratio(problem, stiff, 1e-3)
+            assert ratio == pytest.approx(1.0, abs=0.02)
+            assert abs(shift) < 0.05
+    words = [said[exponent] for exponent in sorted(said)]
+    assert words == sorted(words, key=["silent", "warned", "refused"].index)
+    assert (said[15], said[16], said[17], said[18]) == ("silent", "warned", "warned", "refused")
+
+
+def test_what_is_expected_bounds_the_error_and_is_of_its_size(monkeypatch):
+    """Over ten decades; the error itself is a matter of luck, so that it is taken over a few values of theta."""
+    monkeypatch.setattr(module, "REFUSE", np.inf)
+    monkeypatch.setattr(module, "WARN", np.inf)
+    for exponent in (9, 12, 15, 18):
+        stiff = 10.0**exponent
+        problem = posed(stiff, 1e-2)
+        theta = SOFT * (1.0 + 1e-3 * np.random.default_rng(1).standard_normal(8))
+        exact = np.array([[exact_hz(stiff, x, j) for j in (1, 2)] for x in theta])
+        error = np.max(np.abs(problem.frequencies(theta[:, None]) / exact - 1.0))
+        expected = rounding(problem).relative.max()
+        assert 1e-3 * expected < error < 2.0 * expected
+
+
+def test_a_larger_error_of_measurement_needs_fewer_digits():
+    with pytest.warns(RoundingWarning, match=r"stiffness at node [12] x is 1e\+16"):
+        posed(1e16, 1e-3)
+    posed(1e16, 1e-1)  # a warning would be an error
+    with pytest.raises(ValueError, match=r"^rounding: "):
+        posed(1e16, 1e-6)
+
+
+def test_inferred_errors_count_as_they_start():
+    errors = [fmu.FrequencyErrors("relative", Parameter("s", 1e-3, 1e-6, 1.0))]
+    measured = [exact_hz(1e16, SOFT, number) for number in (1, 2)]
+    parameters = [Parameter("k", SOFT, 0.5 * SOFT, 2 * SOFT)]
+    with pytest.warns(RoundingWarning):
+        problem = UpdatingProblem(
+            chain(1e16), ModalData(measured), parameters, error=errors, pairing="index", reduction=False
+        )
+    with pytest.warns(RoundingWarning):
+        same = posed(1e16, 1e-3)
+    np.testing.assert_allclose(rounding(problem).of_sd, rounding(same).of_sd, rtol=1e-3)
+
+
+def test_check_says_it_too():
+    with pytest.warns(RoundingWarning):
+        problem = posed(1e16, 1e-3)
+    found = fmu.check(problem, draws=4)
+    assert any(doubt.startswith("rounding: ") for doubt in found.doubts)
+    assert not any(doubt.startswith("rounding: ") for doubt in fmu.check(posed(1e10, 1e-3), draws=4).doubts)
