@@ -93,7 +93,7 @@ class Repeatability:
             way = "rises" if self.drift[k] > 0 else "falls"
             what.append(
                 f"the frequency {way} by {share(abs(self.drift[k]))} from the first test to the last "
-                f"(correlation with the order of the tests {self.trend[k]:+.2f})"
+                f"(correlation with the order of the tests {fixed(self.trend[k], 2)})"
             )
         return f"Mode {self.labels[k]}: {' and '.join(what)}. {_worth(self.n[k], self.effective[k])}"
 

@@ -73,9 +73,9 @@ class Rounding:
         """Say how large the error is, where it comes from, and what to do."""
         k = int(np.argmax(self.of_sd))
         return (
-            f"rounding: the frequency of mode {self.mode} should be good to {WARN:g} of the standard deviation of "
-            f"its measurement (got {self.of_sd[k]:.2g}, {self.relative[k]:.1g} of the frequency, as the stiffness "
-            f"at {self.where} is {self.stiffness:.3g}); where a part is meant to be rigid, make it 1e3 to 1e6 "
+            f"rounding: the frequency of mode {self.mode} should be good to {share(WARN)} of the standard deviation of "
+            f"its measurement (got {share(self.of_sd[k])}, {significant(self.relative[k], 1)} of the frequency, as the stiffness "
+            f"at {self.where} is {significant(self.stiffness)}); where a part is meant to be rigid, make it 1e3 to 1e6 "
             "times as stiff as its neighbours, or tie its ends"
         )
 
