@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -39,6 +40,8 @@ class Estimate(NamedTuple):
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
     """Return what the parts of a run will cost: each sampler, and what else takes more than a second.
 
+    Nothing, where all of it takes less.
+
     Parameters
     ----------
     problem : UpdatingProblem
@@ -68,8 +71,9 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         per_step = per_gradient if name == "hmc" else 1
         solves = lines * (orders["warmup"] * warmup + orders["draws"] * draws) * per_step
         if not is_slow:
-            each_s = _seconds_in_a_sampler(problem, settings, orders)
-            side_by_side = 1
+            side_by_side, each_s = 1, one_s + _OVERHEAD_S
+            with suppress(ValueError):  # a start without a probability, which the run will tell of
+                each_s = _seconds_in_a_sampler(problem, settings, orders)
         else:
             each_s = one_s + _OVERHEAD_S
             # a function's evaluations are shared out, those of the chains of one step at most
@@ -82,6 +86,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         full_s = _timed(lambda: problem.model.full_modes(problem.start[None, : problem.n_structural]))  # type: ignore[attr-defined]
         of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
         found += [of_each] * len(orders["samplers"])
+    if sum(part.seconds for part in found) < 1.0:
+        return []
     samplers = set(orders["samplers"])
     return [part for part in found if part.name in samplers or part.seconds >= 1.0]
 

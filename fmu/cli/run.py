@@ -179,9 +179,9 @@ def _tell_beforehand(
     (first, *_) = orders["samplers"]
     if not named and first != "hmc":
         click.echo(f"The model gives no gradients: {first} is the sampler (--sampler chooses another).", err=True)
-    click.echo(
-        in_words(estimates(problem, orders, orders["starts"] or default_starts(problem), workers)), err=True
-    )
+    parts = estimates(problem, orders, orders["starts"] or default_starts(problem), workers)
+    if parts:
+        click.echo(in_words(parts), err=True)
 
 
 def _check_groups(orders: dict[str, Any]) -> None:

@@ -155,8 +155,8 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, arguments, words):
 
 def test_the_widest_table_fits():
     numbers = (3599.0, 0.991, 1.0123, 98765.4, 123456789, 98765, 98765.4, 35_999.0)
-    at = Progress("12/16", "warmup", 99_999, 99_999, *numbers)
+    at = Progress("12/16", "warmup", 99_998, 99_999, *numbers)
     sampler = SamplerReading("tempering", "finished", at, (at,), "not converged: " + 30 * "word ")
-    lines = list(_lines(RunReading(Path("out"), "killed", None, (sampler,), True, False, ())))
+    lines = list(_lines(RunReading(Path("out"), "killed", None, (sampler,), True, "", ())))
     assert max(map(len, lines)) == 100
     assert lines[3].endswith(" 9:59:59")
