@@ -10,7 +10,7 @@ from scipy.special import gammaincinv
 
 from fmu.analysis.diagnostics import parameter_draws, walkers_of
 from fmu.analysis.maxima import Maxima
-from fmu.analysis.maxima_text import NEGLIGIBLE, mass_in_words
+from fmu.analysis.maxima_text import NEGLIGIBLE, RELIABLE, mass_in_words
 from fmu.numbers import apart, rounded, share
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
 """A draw is near a maximum within the ellipsoid that holds this much of a Gaussian."""
-_RELIABLE, _ABOVE = 20.0, 0.1
+_ABOVE = 0.1
 
 
 def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
@@ -91,7 +91,7 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     visits = np.bincount(owner[owner >= 0], minlength=len(maxima)) / len(owner)
     # where a draw is above all that was found, or importance sampling failed, the masses are not to be relied on
     if reached >= maxima[0].log_prob + _ABOVE or any(
-        m.effective_draws < _RELIABLE for m in maxima if m.share > NEGLIGIBLE
+        m.effective_draws < RELIABLE for m in maxima if m.share > NEGLIGIBLE
     ):
         return []
     wrong = [

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from fmu.cli.output import write_csv
-from fmu.cli.tables import echo_comparison, summary_text
+from fmu.cli.tables import echo_comparison, echo_evidences, summary_text
 from fmu.interruption import interruptible
 from fmu.numbers import given
 from fmu.progress import Report, labelled
@@ -90,6 +90,7 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
     """Print the tables and verdicts of a run, write the comparison and the pages; return the exit code."""
     from fmu.analysis.comparison import side_by_side
     from fmu.analysis.diagnosis import diagnose_all
+    from fmu.analysis.evidence_text import found_evidences
 
     if outcome.stopped:
         click.echo(f"Stopped: {outcome.stopped}. To go on: fmu run --resume {directory}", err=True)
@@ -103,6 +104,7 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
         click.echo(f"{name}\n{summary_text(table)}\n")
         _echo_failed_points(name, traces[name], directory, outcome.problem)
     echo_comparison(comparison, verdicts)
+    echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
     until_ess = outcome.orders["until_ess"]
     short = _short_of(until_ess, summaries, verdicts)
     if short:
