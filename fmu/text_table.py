@@ -54,8 +54,9 @@ def distinct(names: Iterable[str]) -> list[str]:
 def _folded(widths: list[int], words: Collection[int], width: int) -> list[int]:
     """Return the widths of the columns, those of words narrowed until the table fits, if it does so."""
     widths = list(widths)
+    narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are better read in one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
-        widest = max((i for i in words if widths[i] > _NARROWEST), key=lambda i: widths[i], default=None)
+        widest = max((i for i in words if widths[i] > narrowest[i]), key=lambda i: widths[i], default=None)
         if widest is None:
             break
         widths[widest] -= 1

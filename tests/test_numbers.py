@@ -1,13 +1,17 @@
 """Numbers as people read them."""
 
+import ast
 import math
+import re
 from decimal import Decimal
+from pathlib import Path
 
 import pandas as pd
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
+import fmu
 from fmu import numbers as n
 
 VALUES = st.floats(-1e20, 1e20, allow_nan=False).filter(lambda x: x == 0 or abs(x) > 1e-20)
@@ -167,3 +171,25 @@ def test_estimates():
 def test_published_tables():
     assert n.with_interval(1.0, 0.51, 1.56, 1) == "1.0 [0.5, 1.6]"
     assert n.fixed(None, 1) == n.significant(None) == "–"
+
+
+SYNTAX = {
+    "fem/drawing.py": "SVG",
+    "report/svg.py": "SVG",
+    "analysis/diagnostics.py": "names of columns, eti90_lb",
+    "analysis/model_fit.py": "names of columns",
+    "report/paper/page.py": "names of columns",
+    "config/parameters.py": "a power of ten that no float can hold",
+}
+"""Where numbers are not for people."""
+
+
+@pytest.mark.parametrize("path", sorted(Path(fmu.__file__).parent.rglob("*.py")), ids=lambda path: path.stem)
+def test_no_other_module_chooses_digits(path):
+    name = path.relative_to(Path(fmu.__file__).parent).as_posix()
+    if name == "numbers.py" or name in SYNTAX:
+        return
+    for part in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(part, ast.FormattedValue) and part.format_spec is not None:
+            style = "".join(piece.value for piece in part.format_spec.values if isinstance(piece, ast.Constant))
+            assert not re.search(r"[,eEfFgG%]$", style), f"line {part.lineno}: {style}"

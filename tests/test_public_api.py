@@ -189,3 +189,7 @@ def test_the_checks_bite():
         "ValueError is not under Raises",
     ]
     assert faults(Bare.bare) == ["no docstring"]
+
+
+def test_dir_shows_what_is_public():
+    assert dir(fmu) == sorted(fmu.__all__)

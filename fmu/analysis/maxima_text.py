@@ -21,6 +21,8 @@ MOST_SHOWN = 6
 """Maxima that are shown side by side."""
 NEGLIGIBLE = 0.01
 """Share of the probability that may be left out."""
+RELIABLE = 20.0
+"""Effective draws that the mass of a maximum must rest on."""
 FREQUENCY_DIGITS = 6
 """Digits beyond which frequencies of different maxima may look the same."""
 _FEWEST_DIGITS = 4

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from fmu.cli.output import write_csv
-from fmu.cli.tables import echo_comparison, summary_text
+from fmu.cli.tables import echo_comparison, echo_evidences, summary_text
 from fmu.interruption import shielded
 from fmu.numbers import given
 from fmu.progress import Report, labelled
@@ -89,6 +89,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
     """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
     from fmu.analysis.comparison import side_by_side
     from fmu.analysis.diagnosis import diagnose_all
+    from fmu.analysis.evidence_text import found_evidences
 
     traces, summaries = outcome.traces, outcome.summaries
     verdicts = diagnose_all(traces, summaries=summaries)
@@ -99,6 +100,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
         click.echo(f"{name}\n{summary_text(table, _updated(traces[name]))}\n")
         _echo_failed_points(name, traces[name], directory, outcome.problem)
     echo_comparison(comparison, verdicts)
+    echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
     until_ess = outcome.orders["until_ess"]
     short = _short_of(until_ess, summaries, verdicts)
     if short:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.analysis.diagnosis import Diagnosis
+    from fmu.analysis.evidence_text import FoundEvidence
 
 _FORMATS: dict[str, Callable[[float], str]] = {
     "rhat": lambda x: fixed(x, 4),
@@ -60,6 +61,14 @@ def echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> N
         click.echo(f"\nThe model, by the draws of {told}{doubt}")
         for warning in verdicts[told].warnings:
             click.echo(wrapped(warning, "  - ", "    "))
+
+
+def echo_evidences(found: Sequence[FoundEvidence]) -> None:
+    """Print every log-evidence with what it rests on, if there is any."""
+    if found:
+        click.echo("\nEvidence (natural logarithm)")
+    for one in found:
+        click.echo(wrapped(f"{one.value}, from {one.basis}: {one.is_reliable}", "  ", "    "))
 
 
 def _cell(name: str, value: Any) -> str:

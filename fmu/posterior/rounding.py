@@ -25,6 +25,7 @@ from fmu.fem.observed import Observed
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.structure import PairedStructure
 from fmu.fem.terms import Term, coefficients
+from fmu.numbers import share, significant
 from fmu.posterior.joint import JointLikelihood
 from fmu.posterior.likelihood import FrequencyLikelihood
 
@@ -72,11 +73,12 @@ class Rounding:
     def sentence(self) -> str:
         """Say how large the error is, where it comes from, and what to do."""
         k = int(np.argmax(self.of_sd))
+        of_sd, relative = significant(100 * self.of_sd[k], 2), significant(self.relative[k], 1)
         return (
-            f"rounding: the frequency of mode {self.mode} should be good to {share(WARN)} of the standard deviation of "
-            f"its measurement (got {share(self.of_sd[k])}, {significant(self.relative[k], 1)} of the frequency, as the stiffness "
-            f"at {self.where} is {significant(self.stiffness)}); where a part is meant to be rigid, make it 1e3 to 1e6 "
-            "times as stiff as its neighbours, or tie its ends"
+            f"rounding: the frequency of mode {self.mode} should be good to {share(WARN)} of the standard deviation "
+            f"of its measurement (got {of_sd} %, {relative} of the frequency, as the stiffness at {self.where} is "
+            f"{significant(self.stiffness)}); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff "
+            "as its neighbours, or tie its ends"
         )
 
 

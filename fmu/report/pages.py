@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from fmu.report.document import Items, Link, Omitted, Page, Section, Verdict
 from fmu.report.run import Run
-from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
+from fmu.report.sections import chains, comparison, evidence, origin, prediction, structure, updating
 from fmu.report.sections.verdicts import verdicts
 
 INDEX = "index"
@@ -34,6 +34,7 @@ def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) ->
         updating.parameters(run),
         updating.frequencies(run),
         updating.maxima(run),
+        evidence.evidences({run.name: run}),
         structure.identifiability(run),
         structure.mac(run),
         structure.pairing(run),
@@ -75,6 +76,7 @@ def index_page(runs: Mapping[str, Run], files: Mapping[str, str]) -> Page:
         comparison.efficiency(runs),
         comparison.agreement(runs),
         updating.maxima(_told(runs)),
+        evidence.evidences(runs),
     )
     first = next(iter(runs.values()))
     links = tuple(Link(run.title, files[name]) for name, run in runs.items())

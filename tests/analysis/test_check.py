@@ -7,6 +7,7 @@ import scipy.sparse as sp
 
 import fmu
 from fmu.analysis.check import check
+from fmu.analysis.description import model_in_words
 from fmu.analysis.gradient_check import check_gradient
 from fmu.analysis.initial_modes import initial_modes
 from fmu.analysis.prior_prediction import prior_prediction
@@ -266,3 +267,22 @@ def test_what_is_no_problem():
     problem.start = np.array([1.8, 1.0])
     with pytest.raises(ValueError, match=r"start: the model must have frequencies there \(got \[1.8, 1.0\]\)"):
         check(problem)
+
+
+@pytest.mark.parametrize(
+    ("dofs", "said"),
+    [
+        (None, "the diagonal of the mass matrix is 47 kg"),
+        ([["block", "x"], ["block", "y"], ["block", "z"]], "a mass of about 47 kg moves"),
+        ([["low", "x"], ["middle", "x"], ["top", "x"]], "a mass of about 141 kg moves"),
+    ],
+    ids=["without names", "one block", "three floors"],
+)
+def test_masses_of_different_directions_are_not_summed(dofs, said):
+    """A block of 47 kg on three springs; three storeys of as much move together in their one direction."""
+    named = None if dofs is None else [(node, direction) for node, direction in dofs]
+    model = fmu.SeparableModel.from_terms(["k"], [(np.diag([1.0, 2.0, 3.0]), "k")], [47.0 * np.eye(3)], named)
+    data = fmu.ModalData([5.0], sd_hz=0.1)
+    parameters = [fmu.Parameter("k", 1e5, 1e4, 1e6)]
+    problem = fmu.UpdatingProblem(model, data, parameters, pairing="index", reduction=False)
+    assert said in " ".join(model_in_words(problem))

@@ -1,5 +1,7 @@
 """Warnings on the model: draws at bounds, modes outside their predictions, maxima that a search missed."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -67,6 +69,29 @@ def test_a_mode_outside_its_prediction_is_named(make_result, problem, rng):
     (found,) = fit_warnings(trace)
     assert found.startswith("mode T1 was measured at 102 Hz, outside the 99 % interval of its prediction, 99.")
     assert found.endswith("Hz (mean 100.50 Hz)")
+
+
+@pytest.mark.parametrize(
+    ("measured", "scale", "said"),
+    [
+        (0.912, 1e-2, "mode T1 was measured at 0.912 Hz, outside the 99 % interval of its prediction, 0.93"),
+        (0.9, 1e-3, "mode T1 was measured at 0.9 Hz, outside the 99 % interval of its prediction, 0.99"),
+    ],
+)
+def test_a_measurement_is_seen_to_be_outside(make_result, problem, rng, measured, scale, said):
+    """Of a structure below 1 Hz, one decimal would read “0.9 Hz, outside 0.9 to 1.0 Hz”."""
+    trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2))), problem)
+    noise = scale * rng.standard_normal((4, 500))
+    for name in ("frequency", "model_frequency"):
+        values = trace["posterior_predictive"][name].to_numpy()
+        values[..., 2] = 0.96 + (0.04 if scale < 1e-2 else 0.0) + noise
+        trace["posterior_predictive"][name] = trace["posterior_predictive"][name].copy(data=values)
+    observed = trace["observed_data"]["frequency"]
+    trace["observed_data"]["frequency"] = observed.copy(data=[101.0, 99.5, measured])
+    found = next(warning for warning in fit_warnings(trace) if "T1" in warning)
+    assert found.startswith(said)
+    low, high, mean = (float(x) for x in re.findall(r"(?<!99 )\b\d\.\d+(?= to| Hz)", found)[1:])
+    assert measured < low < mean < high
 
 
 def test_noise_belongs_to_the_prediction(make_result, problem, rng):

@@ -1,5 +1,7 @@
 """Every maximum with its curvature and mass, against integrals over a grid and against sampling."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import simpson
@@ -205,6 +207,43 @@ def test_words(section, section_maxima):
     assert html.startswith("<table")
     assert "3.904e-9" in html
     assert section_maxima.words_of_theta(section_maxima[0].theta).startswith("Ix1 = 3.904e-9 m⁴, Ix2 = 7.5e-9 m⁴")
+
+
+def test_low_frequencies_of_several_maxima_differ_in_the_table(section_maxima):
+    """Two decimals would read 0.10, 0.10 and 0.10 Hz."""
+    found = replace(
+        section_maxima,
+        maxima=tuple(
+            replace(m, frequencies=m.frequencies * (0.1 + 1e-4 * k) / m.frequencies[0])
+            for k, m in enumerate(section_maxima)
+        ),
+        before=section_maxima.before * 0.1003 / section_maxima.before[0],
+        measured=section_maxima.measured * 0.1 / section_maxima.measured[0],
+    )
+    assert list(found.side_by_side(most=2).loc["mode 1"]) == ["Hz", "0.1003", "0.1000", "0.1001", "0.1"]
+
+
+@pytest.mark.parametrize("parameters", [4, 11])
+@pytest.mark.parametrize("count", [1, 6])
+def test_the_table_fits_a_terminal(section_maxima, parameters, count):
+    k = np.arange(parameters) % 4
+    one = replace(
+        section_maxima[0],
+        theta=section_maxima[0].theta[k],
+        sd=section_maxima[0].sd[k],
+        at_bound=np.ones(parameters, dtype=int),
+    )
+    found = replace(
+        section_maxima,
+        maxima=(one,) * count,
+        names=tuple(f"m drum weights {i}" for i in range(parameters)),
+        units=("N·m/rad",) * parameters,
+        start=section_maxima.start[k],
+    )
+    lines = str(found).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert sum(f"m drum weights {parameters - 1} " in line and "upper" not in line for line in lines) in (1, 2)
+    assert " ".join(str(found).split()).count(f"m drum weights {parameters - 1} upper") == count
 
 
 def test_dataset_and_back(section_maxima, tmp_path):

@@ -1,4 +1,4 @@
-"""Names with letters that mean something elsewhere go through a whole run; others are refused before it."""
+"""Names that mean something elsewhere go through a whole run; those that cannot are refused before it."""
 
 import json
 

@@ -78,7 +78,7 @@ def _modes(study: VectorBeta) -> str:
         cells = [mode, given(row.measured_hz), fixed(row.initial_hz, 2), fixed(row.initial_error, 2)]
         cells += [given(row.published_hz), given(row.published_error)]
         for name in NAMES:
-            cells += [f"{getattr(row, f'{name}_hz'):.2f}", f"{getattr(row, f'{name}_error'):.2f}"]
+            cells += [fixed(getattr(row, f"{name}_{of}"), 2) for of in ("hz", "error")]
         rows.append(cells)
     return table(header, rows)
 
