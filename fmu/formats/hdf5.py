@@ -10,6 +10,8 @@ A file broken on purpose can take the HDF5 library down, and the process with it
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ import scipy.sparse as sp
 
 from fmu.formats.matrix_files import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
 
+DEEPEST = 20
+"""Groups within each other."""
 _COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
 _FORMAT = ("format", "encoding-type", "h5sparse_format")
 
@@ -39,19 +43,9 @@ def read(path: Path, variable: str | None) -> Any:
     import h5py
 
     with h5py.File(path, "r") as file:
-        found: dict[str, Any] = {"/": file} if _is_sparse(file) else {}
-        seen = 0
-
-        def look(name: str, member: Any) -> bool | None:
-            nonlocal seen
-            seen += 1
-            inside = name.rpartition("/")[0] in found or "/" in found or name.startswith("#")
-            if not inside and (_is_sparse(member) if isinstance(member, h5py.Group) else _is_dense(member)):
-                found[name] = member
-            return True if seen > MOST_NAMES else None  # which ends the visit
-
-        if file.visititems(look):
-            raise RefusedError(f"must hold at most {MOST_NAMES} groups and datasets")
+        found = {name: member for name, member in _members(file) if _is_matrix(member)}
+        if "/" in found:
+            found = {"/": file}
         member = found[chosen(list(found), variable)]
         if isinstance(member, h5py.Group):
             return _sparse(member)
@@ -68,6 +62,39 @@ def write_sparse(path: Path, matrix: Any, variable: str) -> None:
         group.attrs["format"] = "csr"
         for name in ("data", "indices", "indptr", "shape"):
             group[name] = np.asarray(getattr(matrix, name))
+
+
+def _members(file: Any) -> Iterator[tuple[str, Any]]:
+    """Give the groups and datasets of a file once each, without parts of sparse matrices and links elsewhere."""
+    import h5py
+
+    ahead, seen = [("/", file)], {file["/"]}
+    for _ in range(MOST_NAMES):
+        if not ahead:
+            return
+        name, member = ahead.pop()
+        yield name, member
+        if not isinstance(member, h5py.Group) or _is_sparse(member):
+            continue
+        if name.count("/") > DEEPEST:
+            raise RefusedError(f"must not have groups more than {DEEPEST} deep")
+        for key in islice(sorted(member, reverse=True), MOST_NAMES):
+            path = f"{name.strip('/')}/{key}".strip("/")
+            if path.startswith("#") or not isinstance(member.get(key, getlink=True), h5py.HardLink):
+                continue
+            if member[key] not in seen:
+                seen.add(member[key])
+                ahead.append((path, member[key]))
+    if ahead:
+        raise RefusedError(f"must hold at most {MOST_NAMES} groups and datasets")
+
+
+def _is_matrix(member: Any) -> bool:
+    import h5py
+
+    if isinstance(member, h5py.Group):
+        return _is_sparse(member)
+    return isinstance(member, h5py.Dataset) and _is_dense(member)
 
 
 def _is_sparse(group: Any) -> bool:

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from fmu.engines.engine import default_workers
 from fmu.report.markdown import table
 from tests.validation.hostile_beside import count
 from tests.validation.hostile_files import SEED
@@ -90,10 +91,11 @@ def main(out: Path) -> int:
     """Check all and write the page; 1 if anything is wrong."""
     with tempfile.TemporaryDirectory() as made:
         n = count(Path(made))
-    problems = list(verdicts([f"problem {i}" for i in range(PROBLEMS)], SEED))
-    beside = list(verdicts([f"beside {i}" for i in range(n)], SEED))
+    which = [f"problem {i}" for i in range(PROBLEMS)] + [f"beside {i}" for i in range(n)]
+    found = list(verdicts(which, SEED, default_workers()))
+    problems, beside = found[:PROBLEMS], found[PROBLEMS:]
     (out / "hostile.md").write_text(page(problems, beside), encoding="utf-8")
-    return int(any(verdict.fault for verdict in [*problems, *beside]))
+    return int(any(verdict.fault for verdict in found))
 
 
 if __name__ == "__main__":

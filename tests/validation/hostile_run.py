@@ -19,6 +19,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -213,14 +214,24 @@ class Worker:
             self.process.wait()
 
 
-def verdicts(which: Sequence[str], seed: int) -> Iterator[Verdict]:
-    """Check files, named as ``problem 17`` or ``beside 3``."""
-    worker = Worker(seed)
+def verdicts(which: Sequence[str], seed: int, workers: int) -> Iterator[Verdict]:
+    """Check files, named as ``problem 17`` or ``beside 3``, in some processes; verdicts come in their order."""
+    idle = [Worker(seed) for _ in range(workers)]
+    all_of_them = tuple(idle)
+
+    def check(one: str) -> Verdict:
+        worker = idle.pop()
+        try:
+            return worker.check(one)
+        finally:
+            idle.append(worker)
+
     try:
-        for one in which:
-            yield worker.check(one)
+        with ThreadPoolExecutor(workers) as threads:
+            yield from threads.map(check, which)
     finally:
-        worker.stop()
+        for worker in all_of_them:
+            worker.stop()
 
 
 def checked_in(which: str, made: Path, seed: int) -> Verdict:
