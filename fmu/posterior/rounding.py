@@ -75,10 +75,10 @@ class Rounding:
         k = int(np.argmax(self.of_sd))
         of_sd, relative = significant(100 * self.of_sd[k], 2), significant(self.relative[k], 1)
         return (
-            f"rounding: the frequency of mode {self.mode} should be good to {share(WARN)} of the standard deviation "
-            f"of its measurement (got {of_sd} %, {relative} of the frequency, as the stiffness at {self.where} is "
-            f"{significant(self.stiffness)}); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff "
-            "as its neighbours, or tie its ends"
+            f"rounding: the frequency of mode {self.mode} should be good to {share(WARN)} of the standard "
+            f"deviation of its measurement (got {of_sd} %, {relative} of the frequency, as the stiffness at "
+            f"{self.where} is {significant(self.stiffness)}); where a part is meant to be rigid, make it 1e3 to "
+            "1e6 times as stiff as its neighbours, or tie its ends"
         )
 
 
