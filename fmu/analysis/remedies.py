@@ -47,6 +47,8 @@ def for_too_few_draws(
 ) -> str:
     """Return about how many draws a run needs; of chains that are far apart, what brings them together.
 
+    Nothing where R-hat or an effective sample size does not exist.
+
     Parameters
     ----------
     trace : xarray.DataTree
@@ -58,12 +60,14 @@ def for_too_few_draws(
         Of ensembles, the run's length in autocorrelation times, and R-hat over walkers.
     """
     if len(trace["posterior"]["chain"]) < 2:
-        return ""  # R-hat does not exist, and that more chains are needed has been said
+        return ""  # that more chains are needed has been said
     rhat = float(np.max(table["rhat"].to_numpy()))
     over_walkers = 1.0 if walker_rhat is None else float(np.max(walker_rhat))
     growth = growth_needed(table, required, lengths)
-    if not (rhat <= APART and over_walkers <= APART and np.isfinite(growth)):
+    if rhat > APART or over_walkers > APART:
         return for_missed_maximum(trace)
+    if not np.isfinite(rhat + over_walkers + growth):
+        return ""
     excess = max((rhat - 1.0) / (RHAT_LIMIT - 1.0), (over_walkers - 1.0) / (WALKER_RHAT_LIMIT - 1.0))
     number = in_two_digits(int(trace.attrs["draws"]) * max(growth, excess))
     what = "draws" if lengths is None else "steps"

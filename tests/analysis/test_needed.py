@@ -92,7 +92,10 @@ class TestRemedy:
         said = for_too_few_draws(trace, table(900), 400, np.array([8.0, 9.0]), np.array([1.1, 1.0]))
         assert said == "; about 6300 steps are needed: --draws 6300, or --until-ess 400"
 
-    @pytest.mark.parametrize("rhat", [2.5, np.nan])
+    def test_what_does_not_exist_has_no_remedy(self, trace):
+        assert for_too_few_draws(trace, table(np.nan, rhat=np.nan), 400) == ""
+
+    @pytest.mark.parametrize("rhat", [2.5, np.inf])
     def test_chains_that_are_apart_need_something_else(self, trace, rhat):
         said = for_too_few_draws(trace, table(7, rhat=rhat), 400)
         assert said == "; parallel tempering moves between maxima: --sampler tempering"

@@ -145,6 +145,7 @@ def run(problem: fmu.UpdatingProblem, row: Row) -> dict[str, Any]:
         warmup=row.steps,
         chains=row.chains,
         seed=1,
+        init="prior",
         progress=False,
     )
     wall, cpu = time.perf_counter() - began, time.process_time() - busy

@@ -42,7 +42,15 @@ def frame_run(at_work: Engine) -> Callable[[], Any]:
     """Return a run of groups of chains on a frame of 1008 degrees of freedom with 20 parameters."""
     problem = scale_problem(Size(28, 3, 2), 20, 1e-3)
     return lambda: fmu.sample(
-        problem, "hmc", draws=STEPS, warmup=STEPS, chains=CHAINS, groups=GROUPS, seed=1, workers=at_work
+        problem,
+        "hmc",
+        draws=STEPS,
+        warmup=STEPS,
+        chains=CHAINS,
+        groups=GROUPS,
+        seed=1,
+        init="prior",
+        workers=at_work,
     )
 
 
@@ -54,7 +62,7 @@ def function_run(at_work: Engine) -> Callable[[], Any]:
 
     def run() -> Any:
         with model.spread_over(at_work):
-            return fmu.sample(problem, "emcee", draws=5, warmup=5, chains=1, seed=1)
+            return fmu.sample(problem, "emcee", draws=5, warmup=5, chains=1, seed=1, init="prior")
 
     return run
 
