@@ -2,8 +2,8 @@
 
 python -m tests.cli.slowed WHOLE ARGUMENT …: does the run in the folder WHOLE, undisturbed, which imports all that
 is needed. Then every line of standard input, a JSON list [folder, phase, argument, …], is such a run in a process
-forked from this one: "pid NUMBER" is said of it on standard output, "lingering" when it is in its phase, and "ended
-EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws".
+forked from this one: "pid NUMBER" is said of it on standard output, "lingering" when it is in its phase, and then
+"ended EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws".
 """
 
 import json
