@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _PER_STEP = {  # of a chain, or of a walker: evaluations in warm-up, in draws; and distinct draws
     "mh": (1.5, 0.7, 0.3),
     "slice": (3.0, 2.3, 1.0),
-    "hmc": (10.0, 4.0, 0.9),
+    "hmc": (7.0, 4.0, 0.9),
     "emcee": (0.85, 0.85, 0.5),
     "tempering": (50.0, 35.0, 1.0),
 }
@@ -25,7 +25,7 @@ _CLIMB = 12  # evaluations with gradient
 _WEIGHED = 1024  # draws for each maximum
 _SLOW_S = 0.005
 _OVERHEAD_S = 1e-4  # of a step beside a solve
-_PROBE_S = 0.05
+_PROBES, _PROBE_S = 5, 0.04
 _CERTIFIED = 64
 
 
@@ -129,13 +129,14 @@ def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: M
     theta = problem.sample_prior(rng, chains * settings.walkers).reshape(shape)
     phase = WARMUP if orders["warmup"] else DRAWS
     group = first_snapshot(setting, rng, setting.scaled.to_scaled(theta), 0)
-    seconds, solves = 0.0, 0
-    for _ in range(2):  # the first try may have something to load
+    each_s = []
+    for _ in range(_PROBES):
         began = time.perf_counter()
         done = advance(setting, Part(group, phase, max(orders[phase], 1), _PROBE_S, 1))
-        seconds = time.perf_counter() - began
-        group, solves = done.standing.group, int(done.steps.stats["n_solves"].sum())
-    return seconds / max(solves, 1)
+        solves = int(done.steps.stats["n_solves"].sum())
+        each_s.append((time.perf_counter() - began) / max(solves, 1))
+        group = done.standing.group
+    return float(np.median(each_s))  # the first has something to load, and others may be at the machine
 
 
 def _rounded(number: float) -> str:

@@ -38,6 +38,7 @@ def test_content_is_on_disk_before_its_name(tmp_path, monkeypatch):
         true = getattr(os, name)
         monkeypatch.setattr(os, name, lambda *a, name=name, true=true: (calls.append(name), true(*a))[1])
     write_durably(tmp_path / "file", b"content")
+    monkeypatch.undo()  # what is said of a failure may itself write files
     assert calls == ["fsync", "replace", "fsync"]  # the content, the name, the directory that holds the name
 
 

@@ -1,9 +1,13 @@
-"""``fmu run`` that takes an hour over one phase, to be stopped in it: python -m tests.cli.slowed PHASE ARGUMENT …
+"""``fmu run`` that takes an hour over one phase, to be stopped in it.
 
-The phase is one of `fmu.progress.phases`, "warmup" or "draws". When it begins, or in its third step, a line on
-standard output says so.
+python -m tests.cli.slowed WHOLE ARGUMENT …: does the run in the folder WHOLE, undisturbed, which imports all that
+is needed. Then every line of standard input, a JSON list [folder, phase, argument, …], is such a run in a process
+forked from this one: "pid NUMBER" is said of it on standard output, "lingering" when it is in its phase, and then
+"ended EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws".
 """
 
+import json
+import os
 import sys
 import time
 
@@ -36,6 +40,31 @@ def slow_down(wanted):
     phases.Phase.__init__, group._Group.step = beginning, stepping
 
 
+def run_in(folder, arguments):
+    """Run, and return the exit code."""
+    os.chdir(folder)
+    os.environ["FMU_CACHE_DIR"] = os.path.join(folder, "cache")
+    try:
+        main(arguments, prog_name="fmu")
+    except SystemExit as ended:
+        return ended.code
+    return 0
+
+
+def forked(folder, phase, *arguments):
+    pid = os.fork()
+    if not pid:
+        slow_down(phase)
+        code = run_in(folder, arguments)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    print("pid", pid, flush=True)
+    print("ended", os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
+
+
 if __name__ == "__main__":
-    slow_down(sys.argv[1])
-    main(sys.argv[2:], prog_name="fmu")
+    if run_in(sys.argv[1], sys.argv[2:]):
+        sys.exit("the undisturbed run failed")
+    for line in sys.stdin:
+        forked(*json.loads(line))

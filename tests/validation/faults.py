@@ -353,4 +353,42 @@ IN_THE_VERDICT = (
         ("tests/analysis/test_movement.py", *DIAGNOSTICS),
     ),
 )
-FAULTS = (*IN_THE_SAMPLERS, *IN_THE_POSTERIOR, *IN_THE_STRUCTURE, *IN_THE_VERDICT)
+DURABLE = ("tests/checkpoints/test_durable.py",)
+IN_THE_CHECKPOINTS = (
+    Fault(
+        "checkpoint: a file's content not forced to disk",
+        "fmu/checkpoints/durable.py",
+        "os.fsync(file.fileno())\n        os.replace",
+        "pass\n        os.replace",
+        DURABLE,
+    ),
+    Fault(
+        "checkpoint: a directory's names not forced to disk",
+        "fmu/checkpoints/durable.py",
+        "os.fsync(handle)",
+        "pass",
+        DURABLE,
+    ),
+    Fault(
+        "checkpoint: the directory left out where a file is replaced",
+        "fmu/checkpoints/durable.py",
+        "os.replace(unfinished, path)\n        sync_directory(path.parent)",
+        "os.replace(unfinished, path)",
+        DURABLE,
+    ),
+    Fault(
+        "stop: a step that takes long is waited for",
+        "fmu/interruption.py",
+        "signal.setitimer(signal.ITIMER_REAL, GRACE_S)",
+        "pass",
+        ("tests/test_interruption.py",),
+    ),
+    Fault(
+        "stop: files half written",
+        "fmu/interruption.py",
+        "if self.due and not self.shields:",
+        "if self.due:",
+        ("tests/test_interruption.py",),
+    ),
+)
+FAULTS = (*IN_THE_SAMPLERS, *IN_THE_POSTERIOR, *IN_THE_STRUCTURE, *IN_THE_VERDICT, *IN_THE_CHECKPOINTS)

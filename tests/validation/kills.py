@@ -33,6 +33,7 @@ STARTING, WARMUP, DRAWS, WRITING = "starting", "warmup", "draws", "writing"
 PHASES = (STARTING, WARMUP, DRAWS, WRITING)
 _PIPE = 1 << 20  # bytes: it takes all lines of a run
 _MOST_DEATHS = 60
+_MOST_TRIES = 30  # of a kill that shall fall into a run
 _CALLS = ("fsync", "replace")  # of the operating system, that writing a file durably is made of
 
 
@@ -170,7 +171,9 @@ def killed_once(
     for k in range(KILLS):
         writing = k < OF_THEM_WRITING
         status = 0
-        while not os.WIFSIGNALED(status):  # else the run was over before
+        for _ in range(_MOST_TRIES):
+            if os.WIFSIGNALED(status):  # else the run was over before
+                break
             with TemporaryDirectory() as folder:
                 directory = Path(folder)
                 call = int(rng.integers(n_calls)) if writing else -1
@@ -191,6 +194,8 @@ def killed_once(
                         warnings.simplefilter("always")
                         row.went_on(drawn(problem, row.name, directory), reference)
                     row.alarms += bool(seen)
+        if not os.WIFSIGNALED(status):
+            raise RuntimeError(f"{row.name}: the run was over before each of {_MOST_TRIES} kills")
 
 
 def killed_again_and_again(row: Row, reference: Mapping[str, Any], rng: np.random.Generator) -> None:
