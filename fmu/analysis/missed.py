@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fmu.analysis.diagnostics import parameter_draws, walkers_of
+from fmu.analysis.effective import ess_mean
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima_text import NEGLIGIBLE, RELIABLE, mass_in_words
-from fmu.numbers import apart, rounded, share
+from fmu.numbers import apart, fixed, rounded, share
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -95,7 +96,8 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     ):
         return []
     wrong = [
-        f"{_name(maxima, k)} has {share(v)} of the draws, but {mass_in_words(m.share)} of the probability"
+        f"{_name(maxima, k)} has {share(v)} of the draws, but {mass_in_words(m.share)} of the probability; "
+        f"{_which_is_worth_more((owner == k).reshape(lp.shape), walkers, maxima)}"
         for k, (m, v) in enumerate(zip(maxima, visits.tolist(), strict=True))
         if _is_out_of_proportion(v, m.share)
     ]
@@ -111,6 +113,18 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
     return (
         f"{_name(maxima, k)}, with log-probability {there} where the best draw has {here}, was never visited; it "
         f"holds {mass_in_words(maxima[k].share)} of the probability"
+    )
+
+
+def _which_is_worth_more(is_there: NDArray[np.bool_], walkers: int, maxima: Maxima) -> str:
+    """Say whether draws (chains, draws) or weights tell better how much of the probability a maximum has."""
+    # a chain that never leaves the place it is in is one draw of such places
+    draws = float(np.fmax(ess_mean(is_there.astype(float), walkers), len(is_there) * walkers))
+    weights = maxima.log_evidence_error**-2
+    better = "draws" if draws > weights else "weights"
+    return (
+        f"the draws are worth {fixed(draws, 0)} independent ones for that, the weights of importance sampling "
+        f"{fixed(weights, 0)}: trust the {better}"
     )
 
 

@@ -1,5 +1,7 @@
 """Which maxima draws are near to, and which of them a run left out; with maxima and draws made by hand."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -133,7 +135,10 @@ def test_mass_counts_and_not_height(trace_of):
 def test_draws_out_of_proportion_to_mass(trace_of):
     maxima = known(maximum((0, 0), -1.0, 0.97), maximum((20, 0), -4.0, 0.03))
     wrong, where = missed_maxima(trace_of((0, 0), (20, 0), (20, 1), (0, 1)), maxima)
-    assert wrong == "maximum 2 at x0 = 20.0 m, x1 = 0.0 has 50 % of the draws, but about 3 % of the probability"
+    assert wrong == (
+        "maximum 2 at x0 = 20.0 m, x1 = 0.0 has 50 % of the draws, but about 3 % of the probability; the draws "
+        "are worth 4 independent ones for that, the weights of importance sampling 319: trust the weights"
+    )
     assert where == (
         "2 chains are around maximum 1 at x0 = 0.0 m, x1 = 0.0 (log-probability −1.0, about 97 % of the "
         "probability); 2 chains are around maximum 2 at x0 = 20.0 m, x1 = 0.0 (log-probability −4.0, about 3 % of "
@@ -147,6 +152,15 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     places = [(20, 0)] * 39 + [(0, 0)]
     reasons = missed_maxima(trace_of(*places), rare)
     assert reasons[0].startswith("maximum 1 at x0 = 0.0 m, x1 = 0.0 has 2.5 % of the draws, but about 95 %")
+
+
+def test_draws_that_are_worth_more_than_the_weights_are_to_be_trusted(make_trace):
+    maxima = known(maximum((0, 0), -1.0, 0.97, effective=30.0), maximum((20, 0), -4.0, 0.03, effective=30.0))
+    rng = np.random.default_rng(52)
+    position = 0.1 * rng.standard_normal((4, 400, 2))
+    position[rng.random((4, 400)) < 0.5] += [20, 0]
+    found = missed_maxima(make_trace(position, lp=np.full((4, 400), -2.0)), maxima)[0]
+    assert re.search(r"worth 1[3-9]\d\d independent ones for that, .* 32: trust the draws$", found)
 
 
 def test_masses_that_are_not_known_well_say_nothing_of_proportions(trace_of):
