@@ -36,9 +36,9 @@ class Uninformed(NamedTuple):
     direction : ndarray, shape (ndim,)
         Of unit length, in prior standard deviations.
     names : tuple of str
-        The parameters that make it up, the largest component first.
+        The parameters that make it up, in the order of theta.
     words : str
-        ``"k"``, or the combination: ``"0.80 c − 0.60 b"``.
+        ``"k"``, or the combination, the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
         What the data tell of these parameters instead, where that has a name: ``"k/m"``.
     """
@@ -162,25 +162,32 @@ def information(trace: xr.DataTree) -> Information | None:
     if len(z) < 2 or not np.all(z.std(axis=0) > 0):
         return None
     C = np.atleast_2d(np.cov(z.T))
-    found: list[tuple[Uninformed, float]] = []
+    told: dict[frozenset[str], str] = {}
+    directions: list[FloatArray] = []
     kept = kept_identifiability(trace)
     if kept:
         linearised = kept[MAXIMUM if MAXIMUM in kept else START]
         n = len(linearised.names)
         x = parameter_draws(trace).reshape(-1, len(names))[:, :n] / linearised.prior_sd
         for one in left_to_prior(linearised):
-            along = float((x @ one.direction).std())
-            if along >= _LEAST_ALONG:
-                wide = np.concatenate([one.direction, np.zeros(len(names) - n)])
-                found.append((one._replace(direction=wide), along))
+            along = x @ one.direction
+            if along.std() >= _LEAST_ALONG:
+                told[frozenset(one.names)] = one.told
+                # the same direction among the normal scores: how they move with it
+                directions.append((z - z.mean(axis=0)).T @ (along - along.mean()))
+                directions[-1] /= np.linalg.norm(directions[-1])
     values, vectors = np.linalg.eigh(C)
     for variance, direction in zip(values[::-1], vectors.T[::-1], strict=True):
         if variance < LEFT_BY_DRAWS**2 or _entropy_sd(z @ direction) < _LEAST_BY_ENTROPY:
             continue
-        span = _orthonormal([one.direction for one, _ in found], len(names))
-        if np.sum((span @ direction) ** 2) < 0.5:
-            found.append((_named(direction, names, np.full(len(names), np.nan)), float(np.sqrt(variance))))
-    U = _orthonormal([one.direction for one, _ in found], len(names))
+        if np.sum((_orthonormal(directions, len(names)) @ direction) ** 2) < 0.5:
+            directions.append(direction)
+    U = _orthonormal(directions, len(names))
+    found: list[tuple[Uninformed, float]] = []
+    for row in _eliminated(U):
+        unit = row / np.linalg.norm(row)
+        one = _named(unit, names, np.full(len(names), np.nan))
+        found.append((one._replace(told=told.get(frozenset(one.names), "")), float(np.sqrt(unit @ C @ unit))))
     from_prior = np.einsum("ui,uv,vi->i", U, U @ C @ U.T, U)
     share = from_prior / np.diag(C)
     basis = np.where(
@@ -255,7 +262,7 @@ def _named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) 
     sign = np.sign(direction[large[0]])
     parts = [f"{'−' if sign * direction[k] < 0 else '+'} {size[k]:.2f} {names[k]}" for k in large]
     words = " ".join(parts).removeprefix("+ ")
-    return Uninformed(direction, tuple(names[k] for k in large), words, _told(relative, large, names))
+    return Uninformed(direction, tuple(names[k] for k in sorted(large)), words, _told(relative, large, names))
 
 
 def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
