@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fmu.analysis.diagnostics import convergence_failures, parameter_names
+from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.missed import missed_maxima
 from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
@@ -16,7 +17,6 @@ from fmu.analysis.other_runs import missed_places
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace import check_trace
-from fmu.analysis.uninformed import information_warnings
 
 if TYPE_CHECKING:
     import pandas as pd

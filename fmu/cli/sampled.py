@@ -116,7 +116,7 @@ def tell(outcome: Sampled, directory: Path, reports: bool) -> int:
 
 def _updated(trace: xr.DataTree) -> dict[str, list[str]]:
     """Return a column that says which parameters the data updated, none where that cannot be said."""
-    from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
+    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 
     words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
     found = information(trace)

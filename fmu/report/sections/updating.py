@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima import percent as share_of
 from fmu.analysis.prediction import measured_tests, measurement_in_words
-from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.markdown import MISSING
 from fmu.report.numbers import decimals, fixed, percent, significant, span
