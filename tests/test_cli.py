@@ -105,7 +105,9 @@ def test_run_prints_the_tables_and_nothing_else(invoke):
     assert lines[0] == "Maxima of the posterior"
     assert lines[1].split() == ["unit", "before", "maximum", "1", "measured"]
     at = lines.index("mh")
-    assert all(column in lines[at + 1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit"))
+    assert all(
+        column in lines[at + 1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit", "updated")
+    )
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("n_solves") for line in lines)
     assert any(line.startswith("mh  not converged: R-hat ") for line in lines)

@@ -16,6 +16,7 @@ from fmu.analysis.diagnostics import (
     summary,
     walkers_of,
 )
+from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.missed import compared
 from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
@@ -24,7 +25,6 @@ from fmu.analysis.other_runs import missed_places
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace import check_trace
-from fmu.analysis.uninformed import information_warnings
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -1,32 +1,21 @@
-"""What the data do not tell: parameters, and combinations of parameters, that are left to the prior."""
+"""What the measured modes cannot tell: parameters, and combinations of them, that are left to the prior."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.diagnostics import parameter_draws, parameter_names
-from fmu.analysis.identifiability import Identifiability, kept_identifiability
-from fmu.analysis.modal_states import MAXIMUM, START
+from fmu.analysis.identifiability import Identifiability
 from fmu.numbers import fixed, share
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 FloatArray = NDArray[np.float64]
 
 LEFT = 0.95
 """Part of the prior's standard deviation: a direction that keeps as much in the linearised model is uninformed."""
-LEFT_BY_DRAWS = 0.9
-"""The same of draws, with room for their Monte-Carlo error: 3.5 % of a standard deviation at an ESS of 400."""
-_LEAST_ALONG, _LEAST_BY_ENTROPY = 0.5, 0.7
-_NAMED, _ALIKE, _ALONE = 0.25, 0.05, 0.9
-DATA, PRIOR, COMBINED = "data", "prior", "combination"
-"""What the value of a parameter rests on: the data, the prior alone, or the data in a combination only."""
+_NAMED, _ALIKE = 0.25, 0.05
 
 
 class Uninformed(NamedTuple):
@@ -37,9 +26,9 @@ class Uninformed(NamedTuple):
     direction : ndarray, shape (ndim,)
         Of unit length, in prior standard deviations.
     names : tuple of str
-        The parameters that make it up, the largest component first.
+        The parameters that make it up, in the order of theta.
     words : str
-        ``"k"``, or the combination: ``"0.80 c − 0.60 b"``.
+        ``"k"``, or the combination, the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
         What the data tell of these parameters instead, where that has a name: ``"k/m"``.
     """
@@ -64,12 +53,12 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
         rest = np.flatnonzero(~alone)
         values, rows = np.linalg.svd(S[:, rest])[1:]
         left = rows[np.concatenate([values, np.zeros(len(rest))])[: len(rest)] <= most]
-        for row in _eliminated(left):
+        for row in eliminated(left):
             directions.append(np.zeros(n))
             directions[-1][rest] = row / np.linalg.norm(row)
     with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that is 0 has no relative change
         relative = [direction * found.prior_sd / found.theta for direction in directions]
-    return [_named(direction, found.names, change) for direction, change in zip(directions, relative, strict=True)]
+    return [named(direction, found.names, change) for direction, change in zip(directions, relative, strict=True)]
 
 
 def doubts(found: Identifiability) -> list[str]:
@@ -85,13 +74,13 @@ def doubts(found: Identifiability) -> list[str]:
             )
         elif one.told:
             said.append(
-                f"The measured modes cannot tell {_listed(one.names)} apart: only {one.told} updated. By "
-                f"themselves {_listed(one.names)} keep the prior: {left} along their common change. {_REMEDY}"
+                f"The measured modes cannot tell {listed(one.names)} apart: only {one.told} updated. By "
+                f"themselves {listed(one.names)} keep the prior: {left} along their common change. {_REMEDY}"
             )
         else:
             said.append(
                 f"The measured modes hardly change along the combination {one.words} (in prior standard "
-                f"deviations): {left}, and {_listed(one.names)} keep the prior along it. {_REMEDY}"
+                f"deviations): {left}, and {listed(one.names)} keep the prior along it. {_REMEDY}"
             )
     return said
 
@@ -99,139 +88,7 @@ def doubts(found: Identifiability) -> list[str]:
 _REMEDY = "Add a known mass, make a static test, measure other modes, or fix one of them."
 
 
-@dataclass(frozen=True, eq=False)
-class Information:
-    """What the draws of a run learnt from the data, parameter by parameter and along directions.
-
-    Attributes
-    ----------
-    names : tuple of str
-    remaining_sd : ndarray, shape (ndim,)
-        Standard deviation of the draws over that of the prior within the bounds, of `normal_scores`.
-    basis : tuple of str
-        What each parameter's value rests on: ``"data"``, ``"prior"`` or ``"combination"``.
-    uninformed : tuple of (Uninformed, float)
-        The directions left to the prior, with the part of its standard deviation that the draws keep.
-    """
-
-    names: tuple[str, ...]
-    remaining_sd: FloatArray
-    basis: tuple[str, ...]
-    uninformed: tuple[tuple[Uninformed, float], ...]
-
-    def warnings(self) -> list[str]:
-        """Name what the data did not update, a sentence each."""
-        said = []
-        for one, remains in self.uninformed:
-            left = f"the draws keep {share(min(remains, 1.0))} of the prior's standard deviation"
-            if len(one.names) == 1:
-                said.append(f"{one.words} was not updated by the data: {left}")
-            elif one.told:
-                said.append(
-                    f"{_listed(one.names)} were not updated by themselves: the data tell only what {one.told}, "
-                    f"and {left} along their common change"
-                )
-            else:
-                said.append(
-                    f"the combination {one.words} (in prior standard deviations) was not updated by the data: "
-                    f"{left} along it"
-                )
-        return said
-
-
-def information(trace: xr.DataTree) -> Information | None:
-    """Return what the data told, by the draws and by the linearised model that the trace keeps.
-
-    A direction counts as uninformed where the draws keep 90 % of the prior's standard deviation along it, by their
-    normal scores; or where the model linearised at the highest maximum leaves it to the prior (`left_to_prior`)
-    and the draws bear that out with half of the prior's standard deviation or more, as bounds and curvature
-    shorten a direction too. A wide spread over separate maxima is no lack of information: the spread must hold by
-    its entropy as well.
-
-    A parameter rests on the prior where it is such a direction by itself; and on a combination where half of its
-    variance, and a quarter of the prior's standard deviation, come from such directions.
-
-    Returns
-    -------
-    Information or None
-        None where the trace has no draws from the prior, or the posterior's are of one point.
-    """
-    if "prior" not in trace.children:
-        return None
-    names = parameter_names(trace)
-    z = normal_scores(trace)
-    if len(z) < 2 or not np.all(z.std(axis=0) > 0):
-        return None
-    C = np.atleast_2d(np.cov(z.T))
-    found: list[tuple[Uninformed, float]] = []
-    kept = kept_identifiability(trace)
-    if kept:
-        linearised = kept[MAXIMUM if MAXIMUM in kept else START]
-        n = len(linearised.names)
-        x = parameter_draws(trace).reshape(-1, len(names))[:, :n] / linearised.prior_sd
-        for one in left_to_prior(linearised):
-            along = float((x @ one.direction).std())
-            if along >= _LEAST_ALONG:
-                wide = np.concatenate([one.direction, np.zeros(len(names) - n)])
-                found.append((one._replace(direction=wide), along))
-    values, vectors = np.linalg.eigh(C)
-    for variance, direction in zip(values[::-1], vectors.T[::-1], strict=True):
-        if variance < LEFT_BY_DRAWS**2 or _entropy_sd(z @ direction) < _LEAST_BY_ENTROPY:
-            continue
-        span = _orthonormal([one.direction for one, _ in found], len(names))
-        if np.sum((span @ direction) ** 2) < 0.5:
-            found.append((_named(direction, names, np.full(len(names), np.nan)), float(np.sqrt(variance))))
-    U = _orthonormal([one.direction for one, _ in found], len(names))
-    from_prior = np.einsum("ui,uv,vi->i", U, U @ C @ U.T, U)
-    share = from_prior / np.diag(C)
-    basis = np.where(
-        np.sum(U**2, axis=0) >= _ALONE,
-        PRIOR,
-        np.where((share >= 0.5) & (from_prior >= _NAMED**2), COMBINED, DATA),
-    )
-    return Information(names, np.sqrt(np.diag(C)), tuple(map(str, basis)), tuple(found))
-
-
-def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return `Information.warnings` of a trace; empty where nothing can be said."""
-    found = information(trace)
-    return [] if found is None else found.warnings()
-
-
-def normal_scores(trace: xr.DataTree) -> FloatArray:
-    """Return the draws as normal scores of their place in the prior, shape (n, ndim).
-
-    Φ⁻¹(F(θ)) with the distribution function F of the draws from the prior within the bounds: standard normal and
-    independent where the data say nothing, whatever the prior's shape, skewed, truncated or heavy-tailed.
-    """
-    from scipy.special import ndtri
-
-    names = parameter_names(trace)
-    draws = parameter_draws(trace).reshape(-1, len(names))
-    scores = np.empty_like(draws)
-    for k, name in enumerate(names):
-        prior = np.sort(trace["prior"][name].to_numpy().ravel())
-        scores[:, k] = ndtri(np.interp(draws[:, k], prior, (np.arange(len(prior)) + 0.5) / len(prior)))
-    return scores
-
-
-def _entropy_sd(x: FloatArray) -> float:
-    """Return the standard deviation of the normal distribution that has the entropy of `x`, by a histogram."""
-    width = 0.2
-    counts = np.bincount(np.floor((x - x.min()) / width).astype(int))
-    share = counts[counts > 0] / len(x)
-    return float(width * np.exp(-np.sum(share * np.log(share))) / np.sqrt(2.0 * np.pi * np.exp(1.0)))
-
-
-def _orthonormal(directions: Sequence[FloatArray], ndim: int) -> FloatArray:
-    """Return an orthonormal basis of what `directions` span, a row each, shape (rank, ndim)."""
-    if not directions:
-        return np.zeros((0, ndim))
-    _, s, rows = np.linalg.svd(np.array(directions), full_matrices=False)
-    return np.asarray(rows[s > 1e-6])
-
-
-def _eliminated(rows: FloatArray) -> FloatArray:
+def eliminated(rows: FloatArray) -> FloatArray:
     """Return a basis of the span of orthonormal `rows` with zeros in it, by Gauss–Jordan elimination."""
     rows = rows.copy()
     free = np.ones(rows.shape[1], dtype=bool)
@@ -246,7 +103,7 @@ def _eliminated(rows: FloatArray) -> FloatArray:
     return rows
 
 
-def _named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
+def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
     """Name a direction; `relative` is the change of each parameter along it over its own size."""
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")
@@ -256,7 +113,7 @@ def _named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) 
     sign = np.sign(direction[large[0]])
     parts = [f"{'-' if sign * direction[k] < 0 else '+'} {fixed(size[k], 2)} {names[k]}" for k in large]
     words = " ".join(parts).removeprefix("+ ")
-    return Uninformed(direction, tuple(names[k] for k in large), words, _told(relative, large, names))
+    return Uninformed(direction, tuple(names[k] for k in sorted(large)), words, _told(relative, large, names))
 
 
 def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
@@ -269,9 +126,10 @@ def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]
         return ""
     one = [names[k] for k in sorted(large)]
     if np.all(np.sign(change) == np.sign(change[0])):
-        return f"{one[0]}/{one[1]} is" if len(one) == 2 else f"the ratios of {_listed(one)} are"
-    return f"the product of {_listed(one)} is" if len(one) == 2 else ""
+        return f"{one[0]}/{one[1]} is" if len(one) == 2 else f"the ratios of {listed(one)} are"
+    return f"the product of {listed(one)} is" if len(one) == 2 else ""
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return ``"a, b and c"``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -111,7 +111,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
 
 def _updated(trace: xr.DataTree) -> list[str] | None:
     """Return a column that says which parameters the data updated, None where that cannot be said."""
-    from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
+    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 
     words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
     found = information(trace)

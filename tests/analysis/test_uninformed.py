@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+import fmu
 from fmu.analysis.check import check
 from fmu.analysis.diagnosis import judge
 from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
+from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 from fmu.analysis.trace import to_trace
-from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, doubts, information, left_to_prior
+from fmu.analysis.uninformed import doubts, left_to_prior
 from fmu.posterior.errors import FrequencyErrors
 from fmu.posterior.measurement import ModalData
 from fmu.posterior.one_sided_priors import LogNormal
@@ -153,6 +155,11 @@ def test_a_common_factor_leaves_the_ratios():
     S = np.array([[2.0, 3.0, -5.0], [1.0, -2.0, 1.0]])
     found = Identifiability(tuple("abc"), ("",) * 3, ("1", "2"), np.ones(3), np.ones(3), S)
     assert [one.told for one in left_to_prior(found)] == ["the ratios of a, b and c are"]
+
+
+@pytest.mark.parametrize("case", ["cantilever-section", "shear-2dof"])
+def test_shipped_cases_that_are_told_in_every_direction(case):
+    assert doubts(identifiability(fmu.cases.load(case))) == []
 
 
 def test_an_identifiable_problem_says_nothing(problem, posterior):

@@ -8,8 +8,10 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
+from fmu.analysis.identifiability import identifiability
 from fmu.analysis.initial_modes import initial_modes
 from fmu.analysis.pairing_doubts import COUNTERPARTS_GIVEN
+from fmu.analysis.uninformed import left_to_prior
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame import DIRECTIONS
 from fmu.fem.pairing import count_rigid
@@ -170,3 +172,11 @@ def test_every_elastic_mode_below_100_hz_was_measured(problem):
     assert np.all(frequencies[:6] < 0.01)
     np.testing.assert_allclose(frequencies[6:16], np.sort(problem.frequencies(problem.start)), rtol=1e-6)
     assert frequencies[16] > 100.0
+
+
+def test_what_ten_frequencies_do_not_tell_of_eleven_parameters(problem):
+    """The pitch joint hardly moves in these modes; the drums' mass trades against the wing's torsion."""
+    pitch, drums = left_to_prior(identifiability(problem))
+    assert pitch.names == ("k pitch",)
+    assert drums.words.startswith("0.95 m drum weights + ")
+    assert "GJ wing" in drums.names

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 from fmu.analysis.maxima import Maxima
 from fmu.analysis.maxima_text import FREQUENCY_DIGITS, MOST_SHOWN, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
-from fmu.analysis.uninformed import COMBINED, DATA, PRIOR, information
 from fmu.numbers import MISSING, apart, change, decimals, fixed, given, rounded, share, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
