@@ -64,7 +64,11 @@ def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
     """
     n = S.shape[0]
     if n <= DENSE_LIMIT:
-        lam, vectors = sl.eigh(S.toarray() if sp.issparse(S) else S, check_finite=False)
+        S, count = S.toarray() if sp.issparse(S) else S, min(_AT_ONCE, n)
+        lam, vectors = sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False)
+        while lam[-1] < ZERO and count < n:
+            count = min(2 * count, n)
+            lam, vectors = sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False)
         return lam, vectors
     unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
     # pivots tell the signs (Sylvester); Lanczos would not see what lies far below zero
