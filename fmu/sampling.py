@@ -158,7 +158,8 @@ def sample(
     _check(init, arguments, settings)
     found = None
     if maxima is None and (until_ess is not None or (isinstance(init, str) and init == "maxima")):
-        maxima = found = searched(problem, getattr(checkpoint, "directory", checkpoint))
+        directory: Any = getattr(checkpoint, "directory", checkpoint)
+        maxima = found = searched(problem, directory)
     start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
     full_solves = getattr(getattr(problem, "model", None), "full_solves", 0)
     getattr(problem, "take_failures", list)()  # those of the run are to come

@@ -137,8 +137,9 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
             outweighed.append(f"{what}: the draws are the better estimate")
         else:
             wrong.append(what + (for_chains_apart(trace) if visits > m.share else for_missed_maximum(trace)))
-    where = [_whereabouts(owner.reshape(len(draws), -1, walkers), maxima)] if wrong else []
-    return Comparison(wrong + where, outweighed)
+    if wrong:
+        wrong.append(_whereabouts(owner.reshape(len(draws), -1, walkers), maxima))
+    return Comparison(wrong, outweighed)
 
 
 def _effective_visits(at_maximum: NDArray[np.bool_], walkers: int) -> float:
