@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-GRACE_S = 2.0
+GRACE_S = 1.0
 """How long work that stops between two steps of its own may take over the step under way."""
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
 
@@ -92,6 +92,11 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             yield lambda: stop.asked
         finally:
             stop.polling -= 1
+
+
+def is_asked() -> bool:
+    """Say whether a stop was asked for in the block under way, of whichever kind."""
+    return _current is not None and _current.asked
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 BAD_INPUT, BROKEN_OFF = 2, 1
+STOPPED = 130  # as the shell has it of a command that Ctrl-C ended
 
 
 class Commands(click.Group):
@@ -24,7 +25,7 @@ class Commands(click.Group):
             _stop(error.format_message())
         except click.Abort:
             click.echo("Stopped.", err=True)
-            sys.exit(BROKEN_OFF)
+            sys.exit(STOPPED)
         except (ValueError, OSError) as error:
             _stop(
                 str(error.args[0]) if hasattr(error, "mistakes") else str(error), *getattr(error, "mistakes", ())

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from fmu.cli.errors import STOPPED
 from fmu.cli.output import write_csv
 from fmu.cli.tables import echo_comparison, echo_evidences, summary_text
 from fmu.interruption import shielded
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
 
-_STOPPED = 130  # as the shell has it of a command that Ctrl-C ended
 _OF_THE_RUN = ("draws", "warmup", "chains", "groups", "seed", "init", "until_ess", "max_draws", "max_failure_rate")
 
 
@@ -121,7 +121,7 @@ def _updated(trace: xr.DataTree) -> list[str] | None:
 def stopped(directory: Path, where: str = "") -> int:
     """Say where a run was stopped, in words, and how to go on with it; return the exit code."""
     click.echo(f"Stopped{where and f': {where}'}. To go on: fmu run --resume {directory}", err=True)
-    return _STOPPED
+    return STOPPED
 
 
 def _all(
@@ -162,9 +162,11 @@ def _one(
             save_trace(trace, path)
         except OSError as error:
             raise OSError(f"{error}. The draws are kept; to go on: fmu run --resume {running.path}") from error
+    if stopped:
+        return stopped
     outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
     write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
-    return stopped
+    return ""
 
 
 def _drawn(

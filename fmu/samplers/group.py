@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.interruption import is_asked
 from fmu.progress import Report
 
 from .kernel import FloatArray, Info, Kernel, LogDensity, Sampler, State, Tuner
@@ -56,7 +57,7 @@ class Part:
         As it is now.
     phase : {"warmup", "draws"}
     steps, seconds : int, float
-        It ends when either is used up, after one step at the earliest.
+        It ends when either is used up, or a stop is asked for, after one step at the earliest.
     total : int
         Steps of the phase, for who reads the progress.
     label : str
@@ -134,7 +135,7 @@ def advance(setting: Setting, part: Part, report: Report | None = None) -> Done:
     record = Record(group.chains, setting.sampler.walkers, setting.scaled.ndim)
     record.reserve(part.steps)
     done, pace = 0, _Pace()
-    while done == 0 or (done < part.steps and time.perf_counter() - began < part.seconds):
+    while done == 0 or (done < part.steps and time.perf_counter() - began < part.seconds and not is_asked()):
         info = group.step(part.phase)
         record.write(done, 0, group.as_steps(info))
         done += 1
