@@ -469,3 +469,13 @@ def test_installed_command_shows_no_traceback(tmp_path):
 def test_the_package_is_the_command():
     done = subprocess.run([sys.executable, "-m", "fmu", "cases"], capture_output=True, text=True, check=True)
     assert "cantilever-young" in done.stdout
+
+
+def test_too_little_memory_is_a_line(tmp_path, monkeypatch):
+    def read(path):
+        raise MemoryError("Unable to allocate 7.28 TiB for an array")
+
+    monkeypatch.setattr("fmu.config.read", read)
+    result = CliRunner().invoke(cli.main, ["check", "bridge.toml"], prog_name="fmu")
+    assert result.exit_code == 2
+    assert "Error: the model needs more memory than there is (Unable to allocate 7.28 TiB" in result.output
