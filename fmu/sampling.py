@@ -192,6 +192,7 @@ def sample(
             ):
                 result = begun.extend(min(result.draws, limit - result.draws))
         except Interrupted as stopped:
+            stack.close()
             so_far = stopped.result
             if so_far is None:
                 raise StoppedRun("in warm-up", None) from None
