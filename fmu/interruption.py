@@ -36,10 +36,14 @@ class _Stop:
         """Install the handler of a signal, and remember the one before."""
         self.before.setdefault(number, signal.signal(number, self.hear))
 
+    def wait_no_longer(self) -> None:
+        """Let no step be interrupted any more for having taken long."""
+        if hasattr(signal, "setitimer") and signal.SIGALRM in self.before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
     def leave(self) -> None:
         """Put all handlers back."""
-        if hasattr(signal, "setitimer"):
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        self.wait_no_longer()
         for number, handler in self.before.items():
             # one that was not installed from Python cannot be put back
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
@@ -92,6 +96,8 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             yield lambda: stop.asked
         finally:
             stop.polling -= 1
+            if not stop.polling:  # it was obeyed
+                stop.wait_no_longer()
 
 
 def is_asked() -> bool:

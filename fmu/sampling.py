@@ -210,6 +210,7 @@ def sample(
                     break
                 result = begun.extend(min(missing, limit - result.draws))
         except Interrupted as stopped:
+            stack.close()
             so_far = stopped.result
             if so_far is None:
                 raise StoppedRun("in warm-up", None) from None

@@ -89,6 +89,7 @@ def test_a_step_that_takes_long_is_interrupted(monkeypatch, capsys):
 
 def test_a_step_that_ends_in_time_is_not(monkeypatch):
     monkeypatch.setattr("fmu.interruption.GRACE_S", 0.05)
-    with interruptible():
-        os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(0.1)
+    with stoppable():
+        with interruptible():
+            os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
