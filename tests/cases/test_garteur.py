@@ -175,7 +175,7 @@ def test_every_elastic_mode_below_100_hz_was_measured(problem):
 
 
 def test_what_ten_frequencies_do_not_tell_of_eleven_parameters(problem):
-    """The pitch joint hardly moves in these modes; the drums' mass trades against the wing's torsional stiffness."""
+    """The pitch joint hardly moves in these modes; the drums' mass trades against the wing's torsion."""
     pitch, drums = left_to_prior(identifiability(problem))
     assert pitch.names == ("k pitch",)
     assert drums.words.startswith("0.95 m drum weights + ")
