@@ -43,6 +43,7 @@ ERRORS = (
 )
 SENSORS = tuple((floor, "x") for floor in FLOORS)
 NUMBERS = tuple(range(1, MODES + 1))
+ROOF = np.array([-1.0, 1.0, 1.0, -1.0, 1.0])  # which way it moved in each mode of the case's measurement
 
 
 def prior() -> tuple[FloatArray, FloatArray]:
@@ -103,9 +104,7 @@ def simulated(rng: np.random.Generator, paired: PairedStructure, theta: FloatArr
     """
     seen = paired.observed(theta[None, :STOREYS])
     unit = seen.shapes[0] / np.linalg.norm(seen.shapes[0], axis=0)
-    # a solver gives shapes of either sign: here the lowest floor moves to the positive side, and as mode k changes
-    # sign k − 1 times on the way up, that of the roof is known
-    unit *= np.sign(unit[-1]) * (-1.0) ** np.arange(MODES)
+    unit *= np.sign(unit[-1]) * ROOF  # a solver gives shapes of either sign
     f = seen.frequencies[0] / (1.0 + theta[-2] * rng.standard_normal(MODES))
     shapes = unit + theta[-1] * rng.standard_normal(unit.shape)
     return fmu.ModalData(f, NUMBERS, SENSORS, shapes=shapes)
