@@ -168,9 +168,10 @@ def sample(
 
             maxima = find_map(problem)  # type: ignore[arg-type]
         stack = outer.enter_context(ExitStack())  # closed before what follows the draws
-        store = None
+        store = stop = None
         if checkpoint is not None:
             store = stack.enter_context(_store(checkpoint, problem, settings, arguments, init, start))
+            stop = stack.enter_context(interruptible())
         try:
             begun = Run(
                 problem,
@@ -180,7 +181,7 @@ def sample(
                 progress=report,
                 engine=_engine(workers, stack),
                 keeper=store,
-                stop=None if store is None else stack.enter_context(interruptible()),
+                stop=stop,
                 too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
                     failed, solves, max_failure_rate, failures=why
                 ),
@@ -200,6 +201,8 @@ def sample(
             drawn = to_trace(so_far, problem, start, predictions=False)
             drawn.attrs["complete"] = 0
             raise StoppedRun(where, drawn if maxima is None else with_maxima(drawn, maxima)) from None
+        if stop is not None and stop():  # asked for with the last draw: it is kept
+            raise KeyboardInterrupt
         stack.close()
         solved_before = solves()
         trace = _with_structure(to_trace(result, problem, start), problem, maxima, full_solves)
