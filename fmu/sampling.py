@@ -183,11 +183,12 @@ def sample(
             maxima = found = searched(problem, kept_in)
         start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
         stack = outer.enter_context(ExitStack())  # closed before what follows the draws
-        store = None
+        store = stop = None
         if checkpoint is not None:
             store = stack.enter_context(_store(checkpoint, problem, settings, arguments, says))
             if found is not None:
                 keep_maxima(store.directory, found, problem)
+            stop = stack.enter_context(interruptible())
         try:
             begun = Run(
                 problem,
@@ -197,7 +198,7 @@ def sample(
                 progress=report,
                 engine=_engine(workers, stack),
                 keeper=store,
-                stop=None if store is None else stack.enter_context(interruptible()),
+                stop=stop,
                 too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
                     failed, solves, max_failure_rate, failures=why
                 ),
@@ -218,6 +219,8 @@ def sample(
             drawn = as_trace(so_far, predictions=False)
             drawn.attrs["complete"] = 0
             raise StoppedRun(where, drawn if maxima is None else with_maxima(drawn, maxima)) from None
+        if stop is not None and stop():  # asked for with the last draw: it is kept
+            raise KeyboardInterrupt
         stack.close()
         solved_before = solves()
         trace = _with_structure(as_trace(result), problem, maxima, full_solves)

@@ -393,3 +393,12 @@ def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monk
     assert resume().exit_code == 0
     for name in ("mh", "slice"):
         assert_same(name, folder / "out", whole)
+
+
+def test_a_stop_with_the_last_draw_is_obeyed(folder, whole, at_keep):
+    at_keep(5, lambda: signal.raise_signal(signal.SIGTERM))
+    stopped = run(*of("mh"))
+    assert stopped.exit_code == 130, stopped.output
+    assert not (folder / "out" / "mh.nc").exists()
+    assert resume().exit_code == 0
+    assert_same("mh", folder / "out", whole)
