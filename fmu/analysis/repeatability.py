@@ -114,7 +114,8 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     and standard deviation over random orders; the same order for all modes, which may depend on each other. Told
     is what exceeds the largest of all statistics in all but 0.5 % of the random orders, so that independent tests
     of any distribution are called dependent in less than 1 % of problems, over all modes together (Westfall &
-    Young 1993, *Resampling-based multiple testing*, section 2.3). Five tests and fewer can tell nothing.
+    Young 1993, *Resampling-based multiple testing*, section 2.3). Five tests and fewer can tell nothing,
+    and of an autoregressive series of 0.7 in one mode ten tests show one in seven, thirty five in six.
 
     Parameters
     ----------
@@ -135,7 +136,9 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     n_modes = z.shape[1]
     size = np.concatenate([given[: n_modes + 1], np.abs(given[n_modes + 1 :])])
     shuffled[:, n_modes + 1 :] = np.abs(shuffled[:, n_modes + 1 :])
-    centre, spread = shuffled.mean(axis=0), shuffled.std(axis=0)
+    centre = shuffled.mean(axis=0)
+    centre[n_modes + 1 :] = 0.0  # of a correlation of either sign
+    spread = np.sqrt(np.mean((shuffled - centre) ** 2, axis=0))
     spread[spread == 0] = np.inf
     largest = ((shuffled - centre) / spread).max(axis=1)
     reached = np.mean(largest[:, None] >= ((size - centre) / spread - 1e-9), axis=0)

@@ -33,11 +33,11 @@ def test_skewed_and_common_scatter_are_silent():
     assert sum(bool(of(values).doubts()) for values in common) <= 4
 
 
-@pytest.mark.parametrize(("n", "n_modes", "least"), [(10, 5, 0.4), (15, 5, 0.8), (30, 1, 0.5), (100, 1, 1.0)])
+@pytest.mark.parametrize(("n", "n_modes", "least"), [(10, 5, 0.4), (15, 5, 0.8), (30, 1, 0.6), (100, 1, 1.0)])
 def test_tests_that_resemble_the_one_before_are_told(ar1, n, n_modes, least):
-    """AR(1) of 0.7. With ten tests no procedure of so few false alarms finds more than about half."""
+    """AR(1) of 0.7, independent from mode to mode."""
     rng = np.random.default_rng(n)
-    series = np.moveaxis(ar1(rng, (40, n, n_modes), 0.7), 0, 0)
+    series = ar1(rng, (40, n, n_modes), 0.7)
     assert np.mean([bool(of(values).doubts()) for values in series]) >= least
 
 
