@@ -20,12 +20,15 @@ from fmu.config.fields import Table
 from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
 from fmu.config.model import Built, without_targets
 from fmu.fem.black_box import BlackBoxModel
+from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import in_words
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
 
 WHERE = "model.function"
+LARGEST_MODULE = 2**24
+"""Bytes of a module's source, which Python reads as a whole."""
 
 
 class PythonTable(Table):
@@ -98,16 +101,18 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
         If there is no such module or function, or importing it fails.
     """
     name, _, attribute = place.partition(":")
-    beside = _is_beside(name, folder.resolve())
+    beside = _beside(name, folder.resolve())
+    if beside is not None and too_large(beside, LARGEST_MODULE):
+        raise BrokenError([Mistake(WHERE, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
     try:
-        with _importing_from(folder.resolve(), name) if beside else nullcontext():
+        with _importing_from(folder.resolve(), name) if beside is not None else nullcontext():
             module = importlib.import_module(name)
         function: Any = module
         for part in attribute.split("."):
             function = getattr(function, part, None)
     except ModuleNotFoundError as error:
         missing = str(error.name)
-        if not beside and (name == missing or name.startswith(f"{missing}.")):
+        if beside is None and (name == missing or name.startswith(f"{missing}.")):
             rule = got("must be in a module beside the file or installed", name)
             raise BrokenError([Mistake(WHERE, rule)]) from error
         raise _not_importable(name, error) from error
@@ -119,7 +124,7 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
         raise BrokenError([Mistake(WHERE, got(f"must be in the module {name}", attribute))])
     if not callable(function):
         raise BrokenError([Mistake(WHERE, f"must be a function (got {place}, of type {type(function).__name__})")])
-    return Imported(function, place, folder.resolve()) if beside else function
+    return function if beside is None else Imported(function, place, folder.resolve())
 
 
 def _not_importable(name: str, error: BaseException) -> BrokenError:
@@ -127,9 +132,11 @@ def _not_importable(name: str, error: BaseException) -> BrokenError:
     return BrokenError([Mistake(WHERE, rule)])
 
 
-def _is_beside(name: str, folder: Path) -> bool:
+def _beside(name: str, folder: Path) -> Path | None:
+    """Return the file of a module in a folder; None if there is none."""
     path = folder.joinpath(*name.split("."))
-    return path.with_name(f"{path.name}.py").is_file() or (path / "__init__.py").is_file()
+    files = (path / "__init__.py", path.with_name(f"{path.name}.py"))
+    return next((file for file in files if not why_no_file(file)), None)
 
 
 @contextmanager

@@ -7,9 +7,7 @@ survives being written.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.formats.modes import LEAST_MPC, Modes, ModesError, checked_file, real_shapes
-from fmu.formats.shown import in_words
+from fmu.formats.uff_datasets import REAL, SHAPES, datasets, imported_pyuff
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
-_SHAPES, _NODES = 55, (15, 2411)
-_TAG = b"    -1"
-MOST_DATASETS = 10_000
-LARGEST_DATASET = 2**23
-"""Bytes: some 150 000 nodes."""
-_REAL, _COMPLEX = (2,), (3, 7)
-"""Analysis types: normal modes; complex eigenvalues of first and second order."""
-_MOTION = (0, 1, 8, 11, 12)
-"""Specific data types: unknown, general, displacement, velocity, acceleration."""
 
 
 def read_uff(
@@ -70,7 +59,7 @@ def read_uff(
     ModesError
         If the file cannot be read, or has no such modes, nodes or sensors.
     """
-    mode_sets, node_sets = _datasets(checked_file(path))
+    mode_sets, node_sets = datasets(checked_file(path))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
     if not mode_sets:
         raise ModesError(path.name, ["must have mode shapes, dataset 55 of analysis type 2, 3 or 7 (got none)"])
@@ -155,89 +144,12 @@ def write_uff(
         for node, direction, value in zip(node_numbers, directions, sign * shape, strict=True):
             table[written.index(node), columns.index(direction)] = value
         sets.append(
-            {"type": _SHAPES, "analysis_type": 2, "data_ch": 2 if len(columns) == 3 else 3, "spec_data_type": 8}
+            {"type": SHAPES, "analysis_type": 2, "data_ch": 2 if len(columns) == 3 else 3, "spec_data_type": 8}
             | {"load_case": 0, "mode_n": int(number), "freq": float(frequency), "node_nums": written}
             | {f"r{i + 1}": table[:, i] for i in range(len(columns))}
         )
-    with _pyuff() as pyuff:
+    with imported_pyuff() as pyuff:
         pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
-
-
-@contextmanager
-def _pyuff() -> Iterator[Any]:
-    """Give pyuff, without its warnings of what it uses itself."""
-    try:
-        import pyuff
-    except ImportError:
-        raise ImportError("universal files need pyuff: install fmu[uff]") from None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        yield pyuff
-
-
-def _datasets(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the datasets with modes, and those with nodes."""
-    content = path.read_bytes()
-    if content.count(_TAG) > 2 * MOST_DATASETS:
-        raise ModesError(path.name, [f"must have at most {MOST_DATASETS} datasets"])
-    kinds = [[str(kind).encode()] for kind in (_SHAPES, *_NODES)]
-    if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] in kinds for part in content.split(_TAG)):
-        raise ModesError(path.name, [f"must have modes and nodes in datasets of at most {LARGEST_DATASET} bytes"])
-    with _pyuff() as pyuff:
-        try:
-            file = pyuff.UFF(str(path))
-            types = [int(kind) for kind in file.get_set_types()]
-        except Exception as error:  # pyuff raises no other kind
-            raise ModesError(path.name, [f"must be a universal file ({in_words(error)})"]) from error
-        if not types:
-            raise ModesError(path.name, ["must be a universal file (it has no dataset)"])
-        read, found = {}, []
-        for i, kind in enumerate(types):
-            if kind in (_SHAPES, *_NODES):
-                try:
-                    read[i] = file.read_sets(i)
-                    found += [f"dataset {i + 1}: {rule}" for rule in _wrong(read[i])]
-                except Exception:
-                    where = f"its dataset {i + 1}, of type {kind}"
-                    found.append(f"must be a universal file ({where}, has lines of another format)")
-    if found:
-        raise ModesError(path.name, found)
-    sets = [one for i, one in read.items() if types[i] == _SHAPES and one["analysis_type"] in _REAL + _COMPLEX]
-    return sets, [one for i, one in read.items() if types[i] in _NODES]
-
-
-def _wrong(one: Mapping[str, Any]) -> list[str]:
-    """Say what is wrong with what pyuff made of a dataset: it takes whatever number of values there is."""
-    if one["type"] in _NODES:
-        lengths = {len(one[key]) for key in ("node_nums", "x", "y", "z")}
-        if len(lengths) > 1 or not np.all(np.isfinite(one["node_nums"])):
-            return ["must have a number and three coordinates a node"]
-        return []
-    if one["analysis_type"] not in _REAL + _COMPLEX:
-        return []
-    frequency = "freq" if one["analysis_type"] in _REAL else "eig"
-    found = (
-        [f"must have a whole mode number (got {one.get('mode_n')})"] if not _is_whole(one.get("mode_n")) else []
-    )
-    if not np.isfinite(one.get(frequency, np.nan)):
-        found.append(f"must have a finite frequency or eigenvalue (got {one.get(frequency)})")
-    if one["spec_data_type"] not in _MOTION:
-        found.append(
-            f"shapes must be of displacement, velocity or acceleration (got type {one['spec_data_type']})"
-        )
-    most = 6 if one["data_type"] == 2 else 3
-    if one["data_type"] not in (2, 5) or one["n_data_per_node"] not in (3, most):
-        found.append(
-            "must have real data (type 2) of 3 or 6 values a node, or complex data (type 5) of 3 "
-            f"(got type {one['data_type']} of {one['n_data_per_node']})"
-        )
-    elif {len(one.get(f"r{i + 1}", ())) for i in range(one["n_data_per_node"])} != {len(one["node_nums"])}:
-        found.append(f"must have {one['n_data_per_node']} values at each of its {len(one['node_nums'])} nodes")
-    return found
-
-
-def _is_whole(number: Any) -> bool:
-    return isinstance(number, int | np.integer) or (isinstance(number, float) and number.is_integer())
 
 
 def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, Any]]) -> dict[int, Any]:
@@ -246,7 +158,7 @@ def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, A
     if nodes is None:
         return {node: node for node in there}
     place_of = {int(node): place for node, place in nodes.items()}
-    missing = [node for node in place_of if node not in there]
+    missing = sorted(set(place_of) - set(there))
     if missing:
         raise ModesError(path.name, [f"nodes: must be some of {_short(there)} (got {_short(missing)})"])
     return place_of
@@ -276,7 +188,7 @@ def _at(mode: dict[tuple[Any, str], complex], sensor: tuple[Any, str]) -> comple
 
 
 def _frequency(mode: dict[str, Any]) -> float:
-    return float(mode["freq"]) if mode["analysis_type"] in _REAL else float(abs(mode["eig"]) / (2.0 * np.pi))
+    return float(mode["freq"]) if mode["analysis_type"] in REAL else float(abs(mode["eig"]) / (2.0 * np.pi))
 
 
 def _positions(sets: list[dict[str, Any]]) -> dict[int, tuple[float, float, float]]:

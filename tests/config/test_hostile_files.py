@@ -6,8 +6,9 @@ import pytest
 
 from fmu.config import ConfigurationError, load
 from tests.validation import hostile_matrices, hostile_measured
+from tests.validation.hostile_bases import PROBLEM, bases, put
 from tests.validation.hostile_beside import crafted
-from tests.validation.hostile_files import PROBLEM, bases, problem_file, put
+from tests.validation.hostile_files import problem_file
 from tests.validation.hostile_functions import FUNCTIONS
 from tests.validation.hostile_run import checked, unclear, wrong
 

@@ -299,3 +299,11 @@ def test_a_function_that_works_at_the_start_alone_is_checked(tmp_path, monkeypat
     result = CliRunner().invoke(cli.main, ["check", "two.toml", "--draws", "5"], prog_name="fmu")
     assert result.exit_code == 0, result.output
     assert "At 5 of 5 draws from the prior the model failed." in result.output
+
+
+def test_a_module_that_is_too_large_is_not_read(tmp_path):
+    with (tmp_path / "storeys.py").open("wb") as file:
+        file.truncate(2**30)
+    (tmp_path / "two.toml").write_text(TOML)
+    with pytest.raises(ConfigurationError, match=r"model\.function: storeys\.py must have at most 16777216 bytes"):
+        load(tmp_path / "two.toml")

@@ -10,7 +10,8 @@ import numpy as np
 
 from tests.validation import hostile_matrices as matrices
 from tests.validation import hostile_measured as measured
-from tests.validation.hostile_files import SEED, Base, Hostile, bases, other_bytes, put
+from tests.validation.hostile_bases import Base, bases, put
+from tests.validation.hostile_files import SEED, Hostile, other_bytes
 from tests.validation.hostile_functions import FUNCTIONS
 
 LEAST = 300

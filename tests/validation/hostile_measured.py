@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.validation.hostile_files import FREQUENCIES, SHAPES
+from tests.validation.hostile_bases import FREQUENCIES, SHAPES
 
 
 def tables() -> dict[str, tuple[str, bytes]]:

@@ -235,8 +235,9 @@ def verdicts(which: Sequence[str], seed: int, workers: int) -> Iterator[Verdict]
 
 def checked_in(which: str, made: Path, seed: int) -> Verdict:
     """Write a file into a folder of its own, check it, and take it away."""
+    from tests.validation.hostile_bases import PROBLEM
     from tests.validation.hostile_beside import beside_file
-    from tests.validation.hostile_files import PROBLEM, problem_file
+    from tests.validation.hostile_files import problem_file
 
     kind, number = which.split()
     hostile = (problem_file if kind == "problem" else beside_file)(int(number), made, seed)
@@ -255,7 +256,7 @@ def checked_in(which: str, made: Path, seed: int) -> Verdict:
 
 def _import_everything(made: Path) -> None:
     """Check a right file, so that no other one is blamed for imports."""
-    from tests.validation.hostile_files import bases, put
+    from tests.validation.hostile_bases import bases, put
 
     base = bases(made)["frame"]
     (made / "right").mkdir()
