@@ -182,7 +182,8 @@ Standing still is no sign of a wrong place. After so short a warm-up a random wa
 position twenty times.
 
 The frame has storeys of {truth} times 200 MN/m under equal floors of 100 t. Its four frequencies, with
-errors of {sd:g} %, do not determine the four stiffnesses: four frames have them. The other problems are the paper's.
+errors of {sd:g} %, do not determine the four stiffnesses: four frames have them. The other problems are those of
+the paper.
 
 {maxima}
 
