@@ -178,8 +178,12 @@ still* where {still:.0f} % of its draws in a row are one and the same. The last 
 would have to move to another maximum, or to one at all, for the draws to be divided as the probability is, by the
 search: the average over the runs.
 
-The frame has storeys of {truth} times 200 MN/m under equal floors of 100 t. Its four frequencies, with errors of
-{sd:g} %, do not determine the four stiffnesses: four frames have them. The other problems are the paper's.
+Standing still is no sign of a wrong place. After so short a warm-up a random walk or a walker may well repeat its
+position twenty times.
+
+The frame has storeys of {truth} times 200 MN/m under equal floors of 100 t. Its four frequencies, with
+errors of {sd:g} %, do not determine the four stiffnesses: four frames have them. The other problems are those of
+the paper.
 
 {maxima}
 
@@ -190,8 +194,9 @@ The frame has storeys of {truth} times 200 MN/m under equal floors of 100 t. Its
 - **Starting in known modes takes power from R-hat**: chains that start alike agree sooner. Hence they start twice
   as wide as the posterior is around a maximum; and where no chain ever changes maxima, R-hat over chains in
   different ones is large, and the verdict is not good, however well their numbers match the shares.
-- **A mode with few chains is drawn in steps.** Four chains hold shares of 25 %: the draws of the frame cannot come
-  nearer to its shares than that while no chain changes maxima. More chains can, and so can parallel tempering.
+- **Few chains hold coarse shares.** While no chain changes maxima, each of four holds 25 % of the draws, which is
+  10 % away from the shares of the frame. Chains of HMC do change maxima there now and then, and so few draws of
+  them scatter. More chains come nearer, and so does parallel tempering.
 """
 
 
