@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import Mistake, got, of_validation
-from fmu.numbers import significant
+from fmu.numbers import typed
 
 if TYPE_CHECKING:
     from fmu.config.problem import ProblemFile
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 LARGEST_FILE = 2**23
 """Bytes of a TOML file; large matrices are in files of their own, which are read a hundred times faster."""
-LARGEST_NUMBER = 1e60
-"""In SI units: of numbers beyond it, and of their reciprocals, products overflow and tell nothing."""
+SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
+"""In SI units: of numbers beyond these products overflow and tell nothing."""
 
 
 def load(
@@ -84,10 +84,10 @@ def _out_of_size(value: Any, where: tuple[int | str, ...]) -> Iterator[Mistake]:
         for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _out_of_size(inner, (*where, key))
     elif isinstance(value, float | int) and _is_out_of_size(value):
-        rule = f"must be 0, or from {significant(1 / LARGEST_NUMBER)} to {significant(LARGEST_NUMBER)} in size"
+        rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
         yield Mistake(".".join(map(str, where)), got(rule, value))
 
 
 def _is_out_of_size(value: float) -> bool:
     is_finite = isinstance(value, int) or math.isfinite(value)
-    return value != 0 and is_finite and not 1 / LARGEST_NUMBER <= abs(value) <= LARGEST_NUMBER
+    return value != 0 and is_finite and not SMALLEST_NUMBER <= abs(value) <= LARGEST_NUMBER

@@ -161,7 +161,7 @@ def test_the_page_shows_the_numbers_in_the_papers_units(result, findings):
     mean = draws_of(result.paper["mh"]).mean(axis=0)
     assert f"| Ix1 | 1e-9 m⁴ | 7.05 | {mean[0] / 1e-9:.3f} |" in page
     assert f"| Ax2 | 1e-4 m² | 8.46 | {mean[3] / 1e-4:.3f} |" in page
-    assert "Ix1 = 5e-9 (must be 7e-9)" in page
+    assert "Ix1 = 5e−9 (must be 7e−9)" in page
     assert "| 1 | 31.9 | 31.3 | 1.97 |" in page
 
 
