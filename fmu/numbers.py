@@ -15,6 +15,7 @@ _SMALLEST, _LARGEST = 1e-4, 1e7
 """Numbers are written out from the first up to the second, and with a power of ten elsewhere."""
 _AS_WRITTEN = 10
 """A measured value of more digits than that was computed, not written down."""
+_FREQUENCY_DIGITS = 6
 _FEW = 1e-4
 
 
@@ -102,6 +103,14 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
     return tuple(_at(value, place, is_plain) if math.isfinite(value) else _infinite(value) for value in values)
 
 
+def hertz(*values: float, digits: int = 4) -> tuple[str, ...]:
+    """Format frequencies of a model, Hz: to a tenth at least, and up to six digits where that tells them apart."""
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    return apart(
+        *values, digits=min(max(digits, _exponent(largest) + 2), _FREQUENCY_DIGITS), most=_FREQUENCY_DIGITS
+    )
+
+
 def interval(low: float, high: float, sd: float = math.nan) -> str:
     """Format an interval: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``; `sd` is the uncertainty of its ends."""
     return " to ".join(apart(low, high, sd=sd))
@@ -124,11 +133,19 @@ def given(value: float) -> str:
     return significant(value, written_digits(value))
 
 
+def typed(value: float) -> str:
+    """Format a number as it is typed into a file or a command, with all its digits: ``"1.5e+11"``, ``"-0.1"``."""
+    return f"{value:.{max(_digits(value), 6)}g}"
+
+
 def written_digits(value: float) -> int:
     """Return with how many significant digits a value was given; 6 if it was computed, as a mean of several."""
-    shortest = repr(float(value))
-    mantissa = shortest.partition("e")[0].strip("-").replace(".", "").strip("0")
-    return 6 if len(mantissa) > _AS_WRITTEN else max(len(mantissa), 1)
+    return digits if (digits := _digits(value)) <= _AS_WRITTEN else _FREQUENCY_DIGITS
+
+
+def _digits(value: float) -> int:
+    """Return with how many significant digits a number is told from every other."""
+    return max(len(repr(float(value)).partition("e")[0].strip("-").replace(".", "").strip("0")), 1)
 
 
 def share(part: float, digits: int = 2) -> str:

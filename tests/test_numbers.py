@@ -111,6 +111,21 @@ def test_a_measured_value_has_its_own_digits(value, text):
     assert n.given(value) == text
 
 
+@given(st.floats(allow_nan=False))
+def test_a_typed_value_is_the_same_value(value):
+    assert float(n.typed(value)) == value
+
+
+@pytest.mark.parametrize(
+    ("values", "texts"),
+    [((32.7, 28.84), ("32.70", "28.84")), ((1177.81, 1082.09), ("1177.8", "1082.1")),
+     ((0.10031, 0.1002), ("0.1003", "0.1002")),
+     ((50.0001, 50.00012), ("50.00", "50.00")), ((0.0, math.nan), ("0", "–"))],
+)  # fmt: skip
+def test_frequencies(values, texts):
+    assert n.hertz(*values) == texts
+
+
 @pytest.mark.parametrize(
     ("value", "sd", "text"),
     [

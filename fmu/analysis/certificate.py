@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.diagnostics import parameter_draws
-from fmu.numbers import apart, given
+from fmu.numbers import apart, typed
 from fmu.posterior.focus import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts
 
@@ -102,7 +102,7 @@ def _missed(certificate: dict[str, Any]) -> str:
     off = []
     for words, name in (("its frequencies", "frequency"), ("its log-probability", "log_prob")):
         found, promised = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))
-        off.append(f"{words} by up to {apart(found, promised, digits=2)[0]} (promised: {given(promised)})")
+        off.append(f"{words} by up to {apart(found, promised, digits=2)[0]} (promised: {typed(promised)})")
     return (
         f"the reduced model missed its tolerance at {certificate['certificate_draws']} draws solved again: "
         f"{', '.join(off)}, its pairing at {certificate['certificate_pairing_changes']} of them"

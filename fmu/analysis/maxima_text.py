@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.numbers import apart, given, rounded, share, written_digits
+from fmu.numbers import apart, given, hertz, rounded, share, written_digits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,8 +23,6 @@ NEGLIGIBLE = 0.01
 """Share of the probability that may be left out."""
 RELIABLE = 20.0
 """Effective draws that the mass of a maximum must rest on."""
-FREQUENCY_DIGITS = 6
-"""Digits beyond which frequencies of different maxima may look the same."""
 _FEWEST_DIGITS = 4
 
 
@@ -43,8 +41,7 @@ def maxima_as_text(found: Maxima, most: int) -> pd.DataFrame:
         rows.append([unit, given(found.start[k]), *apart(*(float(m.theta[k]) for m in best), sd=sd), ""])
     for k in range(len(found.labels)):
         hz = (float(f[k]) for f in (found.before, *(m.frequencies for m in best), found.measured))
-        digits = min(max(_FEWEST_DIGITS, written_digits(found.measured[k])), FREQUENCY_DIGITS)
-        *texts, _ = apart(*hz, digits=digits, most=FREQUENCY_DIGITS)
+        *texts, _ = hertz(*hz, digits=max(_FEWEST_DIGITS, written_digits(found.measured[k])))
         rows.append(["Hz", *texts, given(found.measured[k])])
     index = ["log-probability", "share of mass", "starts", *found.names]
     index += [f"mode {label}" for label in found.labels]

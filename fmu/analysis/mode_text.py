@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from fmu.analysis.pairing_doubts import ComputedMode
-from fmu.numbers import MISSING, change, fixed, given, significant
+from fmu.numbers import MISSING, change, fixed, given, hertz
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from fmu.analysis.initial_modes import InitialModes
 
 _MANY = 3
-_DIGITS = 5
-"""Of computed frequencies, which have no uncertainty of their own."""
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
@@ -63,4 +61,4 @@ def _many(modes: Sequence[ComputedMode]) -> dict[str, str]:
 
 
 def _hz(frequency: float) -> str:
-    return significant(frequency, _DIGITS)
+    return hertz(frequency)[0]

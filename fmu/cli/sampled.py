@@ -15,7 +15,7 @@ from fmu.cli.errors import STOPPED
 from fmu.cli.output import write_csv
 from fmu.cli.tables import echo_comparison, echo_evidences, summary_text
 from fmu.interruption import shielded
-from fmu.numbers import given
+from fmu.numbers import typed
 from fmu.progress import Report, labelled
 from fmu.progress.lines import JSONLines
 from fmu.sampling import StoppedRun
@@ -104,7 +104,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
     until_ess = outcome.orders["until_ess"]
     short = _short_of(until_ess, summaries, verdicts)
     if short:
-        click.echo(f"\nStopped at the most draws, short of --until-ess {given(until_ess)}: {', '.join(short)}")
+        click.echo(f"\nStopped at the most draws, short of --until-ess {typed(until_ess)}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
     return 1 if short else 0
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import Mistake, got, of_validation, place
 from fmu.formats.files import why_no_file
-from fmu.numbers import significant
+from fmu.numbers import typed
 
 if TYPE_CHECKING:
     from fmu.config.problem import ProblemFile
@@ -24,7 +24,7 @@ LARGEST_FILE = 2**21
 """Bytes of a TOML file; large matrices are in files of their own, which are read a hundred times faster."""
 DEEPEST_KEY, DEEPEST = 6, 12
 """Parts of a dotted key, and tables and lists within each other; no problem has more than half of these."""
-LARGEST_NUMBER = 1e60
+SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
 """In SI units: of numbers beyond it, and of their reciprocals, products overflow and tell nothing."""
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
 _KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
@@ -125,10 +125,10 @@ def _out_of_size(content: Any) -> Iterator[Mistake]:
             items = list(value.items() if isinstance(value, dict) else enumerate(value))
             ahead += [((*where, key), inner) for key, inner in reversed(items)]
         elif isinstance(value, float | int) and _is_out_of_size(value):
-            rule = f"must be 0, or from {significant(1 / LARGEST_NUMBER)} to {significant(LARGEST_NUMBER)} in size"
+            rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
             yield Mistake(place(where), got(rule, value))
 
 
 def _is_out_of_size(value: float) -> bool:
     is_finite = isinstance(value, int) or math.isfinite(value)
-    return value != 0 and is_finite and not 1 / LARGEST_NUMBER <= abs(value) <= LARGEST_NUMBER
+    return value != 0 and is_finite and not SMALLEST_NUMBER <= abs(value) <= LARGEST_NUMBER

@@ -23,7 +23,7 @@ from fmu.formats.abaqus import HELD
 from fmu.formats.matrices import read_labelled, symmetric_matrix
 from fmu.formats.matrix_files import Labelled
 from fmu.formats.shown import names_shown
-from fmu.numbers import given, significant
+from fmu.numbers import typed
 
 if TYPE_CHECKING:
     from fmu.config.parameters import ParameterTable
@@ -136,7 +136,7 @@ class MatricesTable(Table):
             for i, table in enumerate(parameters):
                 power = term.powers.get(table.name, 1.0)
                 if (power < 0.0 or not power.is_integer()) and not table.is_positive():
-                    rule = f"must be positive, as {where}.powers has it to the power {given(power)}"
+                    rule = f"must be positive, as {where}.powers has it to the power {typed(power)}"
                     found.append(Mistake(f"parameters.{i}.lower", got(rule, table.lower)))
         return found
 
@@ -176,9 +176,7 @@ class MatricesTable(Table):
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
-            raise BrokenError(
-                [Mistake("model.stiffness", f"must have a diagonal below {significant(HELD)} somewhere")]
-            )
+            raise BrokenError([Mistake("model.stiffness", f"must have a diagonal below {typed(HELD)} somewhere")])
         return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free]
 
     def _check_labels(self, read: Sequence[Labelled]) -> None:

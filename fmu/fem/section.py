@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu.numbers import typed
+
 
 @dataclass(frozen=True)
 class Section:
@@ -63,7 +65,7 @@ class Section:
         require_positive("diameter", diameter)
         require_positive("thickness", thickness)
         if thickness > diameter / 2:
-            raise ValueError(f"thickness: must not exceed half the diameter {diameter} (got {thickness})")
+            raise ValueError(f"thickness: must not exceed half the diameter {typed(diameter)} (got {thickness})")
         outer, inner = diameter / 2, diameter / 2 - thickness
         second = np.pi / 4 * (outer**4 - inner**4)
         return cls(A=np.pi * (outer**2 - inner**2), Iy=second, Iz=second, J=2 * second)
@@ -84,9 +86,9 @@ class Section:
         for name, value in (("height", height), ("width", width), ("web", web), ("flange", flange)):
             require_positive(name, value)
         if 2 * flange >= height:
-            raise ValueError(f"flange: must be thinner than half the height {height} (got {flange})")
+            raise ValueError(f"flange: must be thinner than half the height {typed(height)} (got {flange})")
         if web > width:
-            raise ValueError(f"web: must not exceed the width {width} (got {web})")
+            raise ValueError(f"web: must not exceed the width {typed(width)} (got {web})")
         depth = height - 2 * flange
         return cls(
             A=2 * width * flange + web * depth,

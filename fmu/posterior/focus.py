@@ -17,7 +17,7 @@ from fmu.fem.modal import is_rigid
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.structure import PairedStructure
 from fmu.fem.training import box_points
-from fmu.numbers import apart, given
+from fmu.numbers import apart, typed
 from fmu.posterior.maxima import local_maxima
 from fmu.progress.phases import by_parts
 
@@ -149,7 +149,7 @@ def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArr
 
 
 def _off(found: float, promised: float) -> str:
-    return f"{apart(found, promised, digits=3)[0]} (asked for: {given(promised)})"
+    return f"{apart(found, promised, digits=3)[0]} (asked for: {typed(promised)})"
 
 
 def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict[str, FloatArray]) -> None:
@@ -165,7 +165,7 @@ def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict
         missed.append(f"its log-probability by up to {_off(log_prob, promised.log_prob)}")
     warnings.warn(
         f"reduction: with a basis of {sizes} vectors the reduced model is off, {' and '.join(missed)}; take a "
-        f"looser tolerance, as reduction={given(_looser(promised, frequency))}, narrower bounds or priors, or "
+        f"looser tolerance, as reduction={typed(_looser(promised, frequency))}, narrower bounds or priors, or "
         "reduction=False, the full model",
         ReductionWarning,
         stacklevel=4,

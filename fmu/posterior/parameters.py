@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import typed
 from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
 from fmu.posterior.priors import Normal, Prior, Uniform
 
@@ -55,7 +56,7 @@ class Parameter:
         if not self.unit.isprintable():
             raise ValueError(f"{self.name}.unit: must have printable characters alone (got {self.unit!r})")
         if not self.lower < self.upper:
-            raise ValueError(f"{self.name}.upper: must exceed lower {self.lower} (got {self.upper})")
+            raise ValueError(f"{self.name}.upper: must exceed lower {typed(self.lower)} (got {typed(self.upper)})")
         low, high = self.prior.support
         object.__setattr__(self, "lower", max(self.lower, low))
         object.__setattr__(self, "upper", min(self.upper, high))
@@ -63,16 +64,17 @@ class Parameter:
         if not self.lower < self.upper:
             raise ValueError(no_mass)
         if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
-            bounds = f"[{self.lower}, {self.upper}]"
-            raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {self.start})")
+            bounds = f"[{typed(self.lower)}, {typed(self.upper)}]"
+            raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {typed(self.start)})")
         if isinstance(self.prior, Uniform) and not np.isfinite(self.upper - self.lower):
             raise ValueError(
-                f"{self.name}.prior: a uniform prior needs finite bounds (got [{self.lower}, {self.upper}])"
+                f"{self.name}.prior: a uniform prior needs finite bounds (got [{typed(self.lower)}, "
+                f"{typed(self.upper)}])"
             )
         if not np.isfinite(self.prior.log_mass(self.lower, self.upper)):
             raise ValueError(no_mass)
         if not self._has_density(self.start):
-            raise ValueError(f"{self.name}.start: must be where the prior has a density (got {self.start})")
+            raise ValueError(f"{self.name}.start: must be where the prior has a density (got {typed(self.start)})")
 
     @property
     def lowest(self) -> float:

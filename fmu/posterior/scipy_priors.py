@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
-from fmu.numbers import significant
+from fmu.numbers import significant, typed
 from fmu.posterior.priors import QuantilePrior, finite, positive
 
 FloatArray = NDArray[np.float64]
@@ -101,11 +101,12 @@ class ScaledBeta(InvertedPrior):
         _ordered(low, high)
         positive("sd", sd)
         if not low < mean < high:
-            raise ValueError(f"mean: must lie between low {low} and high {high} (got {mean})")
+            raise ValueError(f"mean: must lie between low {typed(low)} and high {typed(high)} (got {typed(mean)})")
         m, largest = (mean - low) / (high - low), np.sqrt((mean - low) * (high - mean))
         if not sd < largest:
             raise ValueError(
-                f"sd: must be below {significant(largest, 6)}, the most that a beta with this mean has (got {sd})"
+                f"sd: must be below {significant(largest, 6)}, the most that a beta with this mean has "
+                f"(got {typed(sd)})"
             )
         total = (largest / sd) ** 2 - 1.0
         return cls(float(m * total), float((1.0 - m) * total), low, high)
@@ -264,7 +265,7 @@ def _ordered(low: float, high: float) -> None:
     finite("low", low)
     finite("high", high)
     if not low < high:
-        raise ValueError(f"high: must exceed low {low} (got {high})")
+        raise ValueError(f"high: must exceed low {typed(low)} (got {typed(high)})")
 
 
 def _plain(value: Any) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter
 
 FloatArray = NDArray[np.float64]
@@ -94,7 +95,7 @@ def spread(
         if parameter.lower < 0:
             raise ValueError(
                 f"{name}: {parameter.name} must have a lower bound of at least 0, as a standard deviation "
-                f"(got {parameter.lower})"
+                f"(got {typed(parameter.lower)})"
             )
     fixed = np.zeros(size.shape)
     if sd is not None and not isinstance(sd, Parameter):

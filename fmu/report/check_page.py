@@ -12,7 +12,7 @@ from markupsafe import Markup
 from fmu.analysis.check import Check
 from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.fem.drawing import UNCHANGED
-from fmu.numbers import MISSING, change, fixed, given, listed, significant, with_sd
+from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
 from fmu.report.document import Details, Items, Page, Part, Picture, Pictures, Section, Table, Text, Verdict
 from fmu.report.files import OutputDirectory
 from fmu.report.html import render
@@ -151,7 +151,7 @@ def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
         node, axis = np.unravel_index(np.argmax(np.abs(displacement)), displacement.shape)
         place = listed(coordinates[node])
         caption = (
-            f"Mode {label}: computed mode {mode.number}, {significant(mode.frequency_hz, 5)} Hz, "
+            f"Mode {label}: computed mode {mode.number}, {hertz(mode.frequency_hz)[0]} Hz, "
             f"measured {given(found.modes.measured_hz[k])} Hz."
         )
         alt = f"{caption} The largest displacement is in {'xyz'[axis]} at ({place}) m."
@@ -181,7 +181,7 @@ def _prior(found: Check) -> Section:
             prior.measured, series, [literal(label) for label in labels], new_figure(NARROW, 4.2)
         )
         said = "; ".join(
-            f"mode {label} measured {given(m)}, at the start {significant(f, 5)}, expected {with_sd(mean, sd)} Hz"
+            f"mode {label} measured {given(m)}, at the start {hertz(f)[0]}, expected {with_sd(mean, sd)} Hz"
             for label, m, f, mean, sd in zip(labels, prior.measured, start, prior.mean, prior.sd, strict=True)
         )
         alt = f"Frequencies of the model beside the measured ones: {said}."

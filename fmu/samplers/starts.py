@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from fmu.numbers import typed
+
 from .kernel import FloatArray
 from .scaled import ScaledDensity
 
@@ -70,8 +72,8 @@ def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
     if not inside.all():
         *where, i = (int(k) for k in np.argwhere(~inside)[0])
         raise ValueError(
-            f"init: {_label(where)} must start within [{float(scaled.theta_lower[i])}, "
-            f"{float(scaled.theta_upper[i])}] in coordinate {i} (got {float(theta[(*where, i)])})"
+            f"init: {_label(where)} must start within [{typed(scaled.theta_lower[i])}, "
+            f"{typed(scaled.theta_upper[i])}] in coordinate {i} (got {typed(theta[(*where, i)])})"
         )
 
 

@@ -61,7 +61,7 @@ def test_a_looser_promise_is_kept_where_the_usual_one_is_not(trace, problem, mon
     assert 1e-6 < certificate["certificate_frequency_error"] <= 1e-3
     assert certificate["certificate_log_prob_error"] <= 0.1
     monkeypatch.setattr(loose, "promised", Tolerance())
-    with pytest.warns(CertificateWarning, match=r"frequencies by up to [\d.]+e-6 \(promised: 1e-6\)"):
+    with pytest.warns(CertificateWarning, match=r"frequencies by up to [\d.]+e-6 \(promised: 1e-06\)"):
         certify(trace, loose)
 
 

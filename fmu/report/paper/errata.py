@@ -77,8 +77,8 @@ def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[
     """Where the number of a mode does not say which mode it is."""
     experiment = EXPERIMENTS[case]
     everywhere = spectrum.shares_over_the_box(problem, points)
-    for i, (number, shares) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):
-        seen = {name: part for name, part in shares.items() if part >= RARE}
+    for i, (number, parts) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):
+        seen = {name: part for name, part in parts.items() if part >= RARE}
         if len(seen) < 2:
             continue
         at = [

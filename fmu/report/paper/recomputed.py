@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from fmu.cases.published import EXPERIMENTS
 from fmu.numbers import fixed, given, share
 from fmu.report.markdown import table as markdown_table
+from fmu.report.paper.run_sections import rows_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,7 +74,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
             f"Table {row.table}", row.column, row.mode, row.printed_hz, fixed(row.model_hz, 3),
             fixed(row.difference_hz, 3), fixed(row.tolerance_hz, 3), "yes" if row.within else "**no**", row.remark,
         )
-        for row in cast("Iterable[Any]", table.itertuples())
+        for _, row in rows_of(table)
     ]  # fmt: skip
     passed = int(table["within"].sum())
     return (

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.maxima_text import FREQUENCY_DIGITS
-from fmu.numbers import apart, fixed
+from fmu.numbers import fixed, hertz
 from fmu.report.plots.style import (
     BLACK,
     FONT,
@@ -135,7 +134,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
         for line, words in zip(axis.lines[-2:], ("before updating", "posterior mean"), strict=True):
             line.set_label(words)
         before, after = (float(one["frequency"].sel(state=state)) for state, *_ in states)
-        hz = apart(before, after, most=FREQUENCY_DIGITS)
+        hz = hertz(before, after)
         axis.set_title(f"mode {literal(label)}: {hz[0]} Hz before, {hz[1]} Hz after",
                        fontsize=FONT, loc="left")  # fmt: skip
         finish(axis)

@@ -67,7 +67,8 @@ def certificate(run: Run) -> Section | Omitted:
 
 def _beside(found: float, allowed: float) -> tuple[str, str]:
     """Return an error and the largest that is allowed."""
-    return apart(found, allowed, digits=2)[0] if found > allowed else significant(found, 2), given(allowed)
+    text = significant(found, 2)
+    return apart(found, allowed, digits=2)[0] if text == significant(allowed, 2) else text, given(allowed)
 
 
 def settings(run: Run) -> Section:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
-from fmu.analysis.maxima_text import FREQUENCY_DIGITS
 from fmu.analysis.modal_states import GROUP, MEAN, START
 from fmu.analysis.model_fit import measured_mac
 from fmu.analysis.pairing_changes import pairing_changes
-from fmu.numbers import MISSING, apart, change, decimals, fixed, share, significant
+from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
 from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import Run
@@ -139,7 +138,7 @@ def shapes(run: Run) -> Section | Omitted:
     rows, seen = [], []
     for k, label in enumerate(map(str, modes["mode"].to_numpy())):
         before, after = (float(modes["frequency"].sel(state=state)[k]) for state in (START, MEAN))
-        hz = apart(before, after, most=FREQUENCY_DIGITS)
+        hz = hertz(before, after)
         rows.append((label, *hz, change(after / before - 1), share(float(turned[k]))))
         seen.append(f"mode {label} from {hz[0]} to {hz[1]} Hz, its shape by up to {rows[-1][-1]}")
     caption = "At the start and at the posterior mean. Change of shape: the largest, of the largest displacement."

@@ -6,9 +6,9 @@ import numpy as np
 
 from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 from fmu.analysis.maxima import Maxima
-from fmu.analysis.maxima_text import FREQUENCY_DIGITS, MOST_SHOWN, share_of_mass
+from fmu.analysis.maxima_text import MOST_SHOWN, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
-from fmu.numbers import MISSING, apart, change, decimals, fixed, given, rounded, share, span
+from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, rounded, share, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
@@ -142,6 +142,6 @@ def _maxima_table(run: Run, found: Maxima) -> Table:
     mean = [np.nan] * len(found.labels) if run.prediction is None else list(run.prediction["mean"])
     for k, label in enumerate(found.labels):
         values = [found.before[k], *(m.frequencies[k] for m in best), mean[k]]
-        rows.append((f"mode {label}", "Hz", *apart(*values, most=FREQUENCY_DIGITS), given(found.measured[k])))
+        rows.append((f"mode {label}", "Hz", *hertz(*values), given(found.measured[k])))
     header = ("quantity", "unit", "start", *names, "posterior mean", "measured")
     return Table("The model at the start, at the maxima and on average", header, tuple(rows), words=(1,))

@@ -11,6 +11,7 @@ import fmu
 from fmu.analysis.effective import autocorrelation
 from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.running import running_means, running_rhat
+from fmu.numbers import hertz
 from fmu.report import plots
 from fmu.report.plots import COLOURS
 from fmu.report.plots.modes import _strokes
@@ -132,7 +133,7 @@ def test_shapes_before_and_after_have_one_sign(beam_traces):
         np.testing.assert_allclose(after, sign * other)
         assert before.max() == pytest.approx(1.0)
         f, g = (float(trace["modes"]["frequency"].sel(state=s)[k]) for s in ("start", "posterior mean"))
-        assert axis.get_title("left") == f"mode {k + 1}: {f:.1f} Hz before, {g:.1f} Hz after"
+        assert axis.get_title("left") == f"mode {k + 1}: {hertz(f, g)[0]} Hz before, {hertz(f, g)[1]} Hz after"
 
 
 def test_a_structure_in_space_is_drawn_isometric(beam_traces):
