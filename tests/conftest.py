@@ -14,7 +14,12 @@ def _one_blas_thread():
 
 @pytest.fixture(scope="session", autouse=True)
 def _fresh_basis_cache(tmp_path_factory):
-    """Bases that an earlier version of the code left in the user's cache must not answer for this one."""
+    """Bases that an earlier version of the code left in the user's cache must not answer for this one.
+
+    All workers of a session share one cache, so that each basis is trained once.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_CACHE_DIR", os.fspath(tmp_path_factory.mktemp("bases")))
+        patch.setenv("FMU_CACHE_DIR", os.fspath(folder / "bases"))
         yield

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ STARTS = 256
 STARTS_WITHOUT_DERIVATIVES = 16
 """A climb takes some hundred calls of the user's function, which may be a finite-element program."""
 _WEIGHING = 1
+_KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int], Maxima]] = WeakKeyDictionary()
 
 
 def default_starts(problem: UpdatingProblem) -> int:
@@ -41,7 +44,8 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
     This is the updating that ends in one parameter vector, and the check that no sampler can do by itself: whether
-    there are other places where the posterior is, and how much of it.
+    there are other places where the posterior is, and how much of it. The result is remembered with the problem:
+    a second search from as many starts with the same seed costs nothing.
 
     Parameters
     ----------
@@ -66,9 +70,17 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     """
     if not is_searchable(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
+    starts = default_starts(problem) if starts is None else starts
+    known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
+    if (starts, seed) not in known:
+        known[starts, seed] = _searched(problem, starts, seed)
+    return known[starts, seed]
+
+
+def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
     from fmu.posterior.maxima import local_maxima
 
-    found = local_maxima(problem, default_starts(problem) if starts is None else starts, seed)
+    found = local_maxima(problem, starts, seed)
     theta = np.array([maximum.theta for maximum in found])
     gradient = np.asarray(problem.log_prob_and_grad(theta)[1]) * problem.scale
     with phase("curvature", len(theta)) as under_way:

@@ -91,8 +91,10 @@ def test_maxima_are_found_and_stationary(problem):
 
 def test_every_sampler_agrees(problem):
     """Four parameters, two of them scales: the posteriors of the samplers are one."""
-    settings = {"mh": 3000, "slice": 800, "hmc": 200, "emcee": 200}
-    traces = {n: fmu.sample(problem, n, draws=draws, warmup=600, seed=4) for n, draws in settings.items()}
+    settings, maxima = {"mh": 1500, "slice": 300, "hmc": 100, "emcee": 100}, fmu.find_map(problem, 32)
+    traces = {
+        n: fmu.sample(problem, n, draws=draws, warmup=300, seed=4, maxima=maxima) for n, draws in settings.items()
+    }
     tables = {name: fmu.summary(trace) for name, trace in traces.items()}
     for name, table in tables.items():
         assert table["ess_bulk"].min() > 50, name
