@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fmu.fem.eigensolver import eigen
+from fmu.fem.null_space import rank
 from fmu.fem.separable import SeparableModel
 
 FloatArray = NDArray[np.float64]
@@ -73,7 +74,7 @@ def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reductio
 
     The interior (all but the boundary) falls apart into substructures that touch one another only through the
     boundary. The basis holds the constraint modes of every boundary degree of freedom, and of every substructure
-    the lowest `n_modes` modes with the boundary held.
+    the lowest `n_modes` modes of finite frequency with the boundary held.
 
     Parameters
     ----------
@@ -99,10 +100,12 @@ def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reductio
     K, M = sp.csr_array(K), sp.csr_array(M)
     columns = [_constraint_modes(K, boundary)]
     for interior in substructures(K, M, boundary):
-        count = min(n_modes, len(interior))
+        inner = M[interior][:, interior]
+        finite = rank(inner)
+        count = min(n_modes, finite)
         if count:
             modes = np.zeros((K.shape[0], count))
-            modes[interior] = eigen(K[interior][:, interior], M[interior][:, interior], count)[1]
+            modes[interior] = eigen(K[interior][:, interior], inner, count, finite)[1]
             columns.append(modes)
     return _ritz(K, M, np.concatenate(columns, axis=1), boundary)
 

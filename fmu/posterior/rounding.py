@@ -21,6 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fmu.fem.modal import RIGID
 from fmu.fem.observed import Observed
 from fmu.fem.reduced_basis import ReducedBlock
 from fmu.fem.structure import PairedStructure
@@ -40,6 +41,10 @@ WARN, REFUSE = 0.05, 1.0
 # Solvers, and the sums that make an entry, err by a few roundings: with this factor the error expected is two to
 # thirty times the one found against extended precision.
 _ROUNDINGS = 4.0
+# Energy of a term in a motion, of what it is the difference of: with less the motion does not strain it, but for
+# rounding, also of matrices exported with ten digits.
+_LOST = 1e-6
+_RIGID_AT_MOST = 7
 
 
 class RoundingWarning(UserWarning):
@@ -86,6 +91,11 @@ def rounding(problem: UpdatingProblem) -> Rounding | None:
     """Return what rounding does to a problem's frequencies at the start; None where the model has no matrices.
 
     None too where its errors are not those of modes, or a solve fails at the start.
+
+    Raises
+    ------
+    ValueError
+        If a soft part is lost beside a stiff one.
     """
     model, likelihood = problem.model, problem.likelihood
     if not isinstance(model, PairedStructure) or not isinstance(likelihood, FrequencyLikelihood | JointLikelihood):
@@ -97,6 +107,7 @@ def rounding(problem: UpdatingProblem) -> Rounding | None:
     if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(lam))):
         return None
     lam = np.maximum(lam, 0.0)
+    _require_no_term_lost(model, theta, float(lam.max()))
     K, M = (_sizes(terms, theta) for terms in (model.structure.K_terms, model.structure.M_terms))
     stiff, heavy = _energies(K, shapes), _energies(M, shapes)
     error = np.sqrt(stiff.sum(axis=0)) + lam * np.sqrt(heavy.sum(axis=0)) + _reduced(model, modes.block[0], theta)
@@ -124,6 +135,31 @@ def require_digits(problem: UpdatingProblem) -> None:
     if np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
     warnings.warn(found.sentence(), RoundingWarning, stacklevel=3)
+
+
+def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float) -> None:
+    """Raise ValueError where a term strains in a mode that pairing leaves out, as one of a rigid body.
+
+    Beside modes as high as `top` a λ so low is taken for zero. Where one of the terms of K has energy there, that
+    is wrong: it was lost in the sum, or is as good as lost.
+    """
+    structure = model.structure
+    for block in model.full.blocks:
+        lam, shapes = block.modes(theta[None], min(_RIGID_AT_MOST, block.n_modes))
+        N = np.zeros((structure.n_dof, int(np.sum(lam[0] <= RIGID * top))))
+        N[block.dofs] = shapes[0][:, : N.shape[1]]
+        for term in structure.K_terms if N.shape[1] else ():
+            energy = N * (term.matrix @ N)
+            if energy.sum() > _LOST * np.sum(np.abs(N) * (abs(term.matrix) @ np.abs(N))):
+                dof = int(np.argmax(energy.sum(axis=1)))
+                node, direction = structure.dofs[dof]
+                raise ValueError(
+                    "rounding: the stiffness must be within 1e14 of that of its neighbours, and no mode below "
+                    "3e-5 of the frequency of those measured (got "
+                    f"{structure.K(theta).diagonal()[dof]:.3g} at node {node} {direction}, beside which a soft "
+                    "part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff as its "
+                    "neighbours, or tie its ends"
+                )
 
 
 def _sizes(terms: Sequence[Term], theta: FloatArray) -> Any:

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem import eigensolver, null_space
 from fmu.fem.eigensolver import eigen
 from fmu.fem.null_space import DENSE_LIMIT, SingularMassError
+from fmu.fem.reduction import craig_bampton
 from fmu.fem.separable import SeparableModel
 from fmu.fem.stability import require_stable
 from fmu.fem.structure import PairedStructure
@@ -168,3 +169,12 @@ def test_what_has_neither_mass_nor_stiffness_is_named():
             require_stable(hinged, START, free=free)
     with pytest.raises(SingularMassError, match=r"^a motion without strain moves no mass$"):
         eigen(hinged.K(START), hinged.M(START), 3)
+
+
+def test_craig_bampton_keeps_the_modes_that_there_are():
+    model = bridge(7)
+    K, M = model.K(START), model.M(START)
+    boundary = [model.dof(node, direction) for node in (3, 10) for direction in ("x", "y", "z", "rx", "ry", "rz")]
+    reduced = craig_bampton(K, M, boundary, 100)
+    assert len(reduced.K) == len(boundary) + null_space.rank(M) - 6
+    assert_allclose(reduced.eigen(6)[0], condensed(model, START, 6)[0], rtol=1e-9)
