@@ -266,7 +266,7 @@ def test_until_enough(folder, at_keep):
     assert run(*of("mh"), *until).exit_code == 1
     assert fmu.load_trace("out/mh.nc")["posterior"].sizes["draw"] == 40
     (folder / "out").rename(folder / "one")
-    at_keep((10 + 30) // 5, cut)  # twice as many draws as at first
+    at_keep((10 + 30) // 5, cut)  # while the run is carried on
     with pytest.raises(Cut):
         run(*of("mh"), *until)
     assert resume().exit_code == 1
