@@ -151,7 +151,7 @@ def _digits(value: float) -> int:
 def share(part: float, digits: int = 2) -> str:
     """Format a share of a whole in per cent: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    So many significant digits of the share or of what is missing to the whole, and never a power of ten.
+    So many significant digits of the share, or one less of what is missing to the whole; never a power of ten.
     """
     if not math.isfinite(part):
         return MISSING
@@ -159,8 +159,8 @@ def share(part: float, digits: int = 2) -> str:
         return "< 0.01 %"
     if 1.0 - _FEW < part < 1.0:
         return "> 99.99 %"
-    rest = min(abs(part), abs(1.0 - part)) or 1.0
-    text = f"{100.0 * part:.{max(0, -_last_place(100.0 * rest, digits))}f}"
+    place = min(_last_place(100.0 * part, digits), _last_place(100.0 * (1.0 - part), digits - 1))
+    text = f"{100.0 * part:.{max(0, -place)}f}"
     return f"{_signed(text.rstrip('0').rstrip('.') if '.' in text else text)} %"
 
 

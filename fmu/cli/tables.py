@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fmu.numbers import MISSING, fixed, rounded, significant
+from fmu.numbers import MISSING, apart, fixed, rounded, significant
 from fmu.text_table import text_table, wrapped
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ _FORMATS: dict[str, Callable[[float], str]] = {
     "ess_bulk_min": lambda x: fixed(x, 0),
     "ess_tail_min": lambda x: fixed(x, 0),
     "wall_s": lambda x: fixed(x, 1),
-    "sd": lambda x: significant(x, 2),
-    "mcse_mean": lambda x: significant(x, 2),
+    "sd": lambda x: apart(x, digits=2)[0],
+    "mcse_mean": lambda x: apart(x, digits=2)[0],
 }
 
 

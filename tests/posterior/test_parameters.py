@@ -110,7 +110,7 @@ WRONG = {
     ),
     "uniform without end": (
         {"upper": INF},
-        r"E\.prior: a uniform prior needs finite bounds \(got \[0\.0, inf\]\)",
+        r"E\.prior: a uniform prior needs finite bounds \(got \[0, inf\]\)",
     ),
     "no mass left by rounding": (
         {"lower": 1.0, "upper": 1.0 + 1e-15, "prior": Normal(1.0, mean=1e9)},
