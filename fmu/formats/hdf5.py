@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.matrix_files import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
+from fmu.formats.shown import shown
 
 DEEPEST = 20
 """Groups within each other."""
@@ -136,16 +137,22 @@ def _sparse(group: Any) -> Any:
     if "MATLAB_sparse" in group.attrs:
         if "jc" not in arrays:
             raise RefusedError(f"must have the pointers of a sparse matrix in {group.name}/jc")
-        n_rows = int(np.ravel(group.attrs["MATLAB_sparse"])[0])
+        n_rows = _sizes(group.attrs["MATLAB_sparse"], 1)[0]
         data = arrays.get("data", np.zeros(0))
         return sp.csc_array((data, arrays.get("ir", np.zeros(0, int)), arrays["jc"]),
                             shape=(n_rows, len(arrays["jc"]) - 1))  # fmt: skip
     shape = arrays.get("shape", group.attrs.get("shape"))
-    size = None if shape is None else tuple(int(n) for n in np.ravel(shape))
-    if size is not None and (len(size) != 2 or not 0 < min(size) <= max(size) <= MOST_DOFS):
-        raise RefusedError(f"must have a shape of two numbers from 1 to {MOST_DOFS} (got {size[:9]})")
+    size = None if shape is None else _sizes(shape, 2)
     if "row" in arrays:
         return sp.coo_array((arrays["data"], (arrays["row"], arrays["col"])), shape=size)
     said = next((str(group.attrs[name]) for name in _FORMAT if name in group.attrs), "csr")
     kind = sp.csc_array if "csc" in said.lower() else sp.csr_array
     return kind((arrays["data"], arrays["indices"], arrays["indptr"]), shape=size)
+
+
+def _sizes(given: Any, n: int) -> tuple[int, ...]:
+    """Return numbers of rows and columns."""
+    sizes = np.ravel(given)
+    if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
+        raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {shown(sizes.tolist())})")
+    return tuple(int(size) for size in sizes)

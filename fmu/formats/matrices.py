@@ -40,6 +40,7 @@ Triangle = bool | Literal["lower", "upper"]
 
 SYMMETRIC = 1e-9
 """Largest asymmetry of a pair of entries, beside the larger of them and beside √(a_ii a_jj)."""
+ENTRIES_AT_A_TIME = 2**20
 
 
 def read_matrix(path: Path, variable: str | None = None, triangle: Triangle = False) -> Any:
@@ -184,26 +185,44 @@ def _real_square(matrix: Any) -> Any:
 
 
 def _symmetric(matrix: Any, triangle: Triangle) -> Any:
-    above, below = sp.triu(matrix, 1).nnz, sp.tril(matrix, -1).nnz
     if triangle:
-        return _mirrored(matrix, triangle, above, below)
-    difference = (matrix - matrix.T).tocoo()
-    row, column = difference.row, difference.col
+        return _mirrored(matrix, triangle)
+    n = matrix.shape[0]
+    transposed = sp.csr_array(matrix.T)
     root = np.sqrt(np.abs(matrix.diagonal()))
-    larger = np.abs((abs(matrix) + abs(matrix.T)).tocsr()[row, column]) if difference.nnz else np.zeros(0)
-    excess = np.abs(difference.data) - SYMMETRIC * np.maximum(root[row] * root[column], larger)
-    if np.any(excess > 0.0):
+    step = max(ENTRIES_AT_A_TIME * n // max(matrix.nnz, 1), 1)
+    for first in range(0, n, step):  # some rows at a time: memory stays within what the matrix takes, twice
+        here, there = matrix[first : first + step], transposed[first : first + step]
+        difference = (here - there).tocoo()
+        if not difference.nnz:
+            continue
+        row, column = difference.row, difference.col
+        larger = np.abs((abs(here) + abs(there)).tocsr()[row, column])
+        excess = np.abs(difference.data) - SYMMETRIC * np.maximum(root[first + row] * root[column], larger)
         at = int(np.argmax(excess))
-        by = f"row {row[at] + 1}, column {column[at] + 1} differs by {significant(abs(difference.data[at]))}"
-        rule = f"must be symmetric ({by})"
-        if not above or not below:
-            half = "lower" if below else "upper"
-            rule += f'; it holds its {half} triangle alone: triangle = "{half}" fills in the other'
-        raise ValueError(rule)
+        if excess[at] > 0.0:
+            by = f"row {first + row[at] + 1}, column {column[at] + 1} differs by {significant(abs(difference.data[at]))}"
+            raise ValueError(f"must be symmetric ({by}){_triangle_alone(matrix)}")
     return matrix
 
 
-def _mirrored(matrix: Any, triangle: Triangle, above: int, below: int) -> Any:
+def _triangle_alone(matrix: Any) -> str:
+    """Say what to do about a matrix that has one triangle alone."""
+    above, below = _off_diagonal(matrix)
+    if above and below:
+        return ""
+    half = "lower" if below else "upper"
+    return f'; it holds its {half} triangle alone: triangle = "{half}" fills in the other'
+
+
+def _off_diagonal(matrix: Any) -> tuple[int, int]:
+    """Return the numbers of entries above and below the diagonal."""
+    row = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
+    return int(np.sum(matrix.indices > row)), int(np.sum(matrix.indices < row))
+
+
+def _mirrored(matrix: Any, triangle: Triangle) -> Any:
+    above, below = _off_diagonal(matrix)
     if (triangle == "lower" and above) or (triangle == "upper" and below):
         there = f"{above} above the diagonal, {below} below it"
         raise ValueError(f"triangle: the file must have its {triangle} triangle alone (it has entries: {there})")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmu.engines.engine import default_workers
@@ -28,12 +28,14 @@ FAULTS = {
 """What a fault begins with -> what the page calls it."""
 
 
-def kind(verdict: Verdict) -> str:
-    """Return how a file was changed, or what it is."""
-    first, _, rest = verdict.name.partition(": ")
-    if verdict.name.startswith("huge"):
-        return "huge matrix"
-    return first if first in ("matrix", "table", "universal file", "operational", "function") else rest
+def how(verdict: Verdict) -> str:
+    """Return how a problem file was changed."""
+    return verdict.name.partition(": ")[2]
+
+
+def what(verdict: Verdict) -> str:
+    """Return what a file that a problem names is."""
+    return "huge matrix" if verdict.name.startswith("huge") else verdict.name.partition(": ")[0]
 
 
 def page(problems: Sequence[Verdict], beside: Sequence[Verdict]) -> str:
@@ -54,16 +56,15 @@ Each is given to `fmu check`; the huge ones to a process of their own.
 and a message in plain words, within {SOON_S:g} s of processor time; or it is checked, and then the
 log-probability at the start must be finite. No process may take more than {MOST_MIB / 1024:g} GiB.
 
-{faults}
-- slowest refusal: {slowest.processor_s:.1f} s of processor time ({slowest.name})
+{faults}- slowest refusal: {slowest.processor_s:.1f} s of processor time ({slowest.name})
 - largest memory: {largest.peak_mib:.0f} MiB ({largest.name})
 
 ## Problem files
 
-{_table(problems)}
+{_table(problems, "change", how)}
 ## Files that a problem names
 
-{_table(beside)}
+{_table(beside, "file", what)}
 The processor time of a refusal is that of the command without the start of Python, some 0.4 s, but for huge files.
 """
 
@@ -72,7 +73,7 @@ def _time(verdict: Verdict) -> float:
     return verdict.processor_s
 
 
-def _table(found: Sequence[Verdict]) -> str:
+def _table(found: Sequence[Verdict], title: str, kind: Callable[[Verdict], str]) -> str:
     rows = []
     for name in sorted({kind(verdict) for verdict in found}):
         mine = [verdict for verdict in found if kind(verdict) == name]
@@ -81,9 +82,9 @@ def _table(found: Sequence[Verdict]) -> str:
         rows.append([
             name, f"{len(mine)}", f"{len(refused)}", f"{sum(verdict.code == 0 for verdict in mine)}",
             f"{max(map(_time, refused), default=0.0):.1f}", f"{max(verdict.peak_mib for verdict in mine):.0f}",
-            ", ".join(f"{n} {FAULTS.get(what, what)}" for what, n in faults.items()) or "none",
+            ", ".join(f"{n} {FAULTS.get(fault, fault)}" for fault, n in faults.items()) or "none",
         ])  # fmt: skip
-    head = ["kind", "files", "refused", "checked", "slowest refusal, s", "peak, MiB", "faults"]
+    head = [title, "files", "refused", "checked", "slowest refusal, s", "peak, MiB", "faults"]
     return table(head, rows, words=(0, 6))
 
 

@@ -31,7 +31,7 @@ MOST_MIB, MOST_OF_ALL_MIB = 1024.0, 6144.0
 LONGEST_MESSAGE = 20_000
 BAD_INPUT = 2
 MACHINE_WORDS = re.compile(
-    r"Traceback|<class|object at 0x|NoneType|subscriptable|has no attribute|unexpected keyword|numpy\.|ufunc|unpack|"
+    r"Traceback|<class|object at 0x|NoneType|subscriptable|has no attribute|unexpected keyword|numpy\.|np\.|ufunc|unpack|"
     r"site-packages|pydantic|\[type=|concatenation axis|broadcast|fmu/\S+\.py:\d+: \w+Warning|Exception ignored|datetime\.|match pattern"
 )
 """What a message in plain words does not have."""
