@@ -135,7 +135,8 @@ def given(value: float) -> str:
 
 def typed(value: float) -> str:
     """Format a number as it is typed into a file or a command, with all its digits: ``"1.5e+11"``, ``"-0.1"``."""
-    return f"{value:.{max(_digits(value), 6)}g}"
+    short = f"{value:.6g}"
+    return short if float(short) == value or math.isnan(value) else repr(float(value))
 
 
 def written_digits(value: float) -> int:

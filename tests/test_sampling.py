@@ -307,7 +307,7 @@ def test_a_function_is_not_called_again_for_its_draws():
     )
     called.clear()
     before = solves()
-    attrs = fmu.sample(posed, draws=50, warmup=20, seed=1).attrs
+    attrs = fmu.sample(posed, draws=50, warmup=20, seed=1, init="prior").attrs
     assert len(called) == solves() - before
     assert len(called) <= attrs["n_solves"] + attrs["warmup_n_solves"] + attrs["after_n_solves"]
     # before updating and at the mean, and four for the derivatives before it

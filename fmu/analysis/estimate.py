@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from fmu.numbers import fixed, whole
+
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
     from fmu.samplers.kernel import Sampler
@@ -142,7 +144,7 @@ def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: M
 def _rounded(number: float) -> str:
     """Return a number in two digits, thousands apart."""
     digits = len(str(int(number))) - 2
-    return f"{round(number, -max(digits, 0)):,.0f}".replace(",", " ")
+    return whole(round(number, -max(digits, 0)))
 
 
 def _time(seconds: float) -> str:
@@ -152,5 +154,5 @@ def _time(seconds: float) -> str:
     for size, unit in ((3600.0, "h"), (60.0, "min")):
         if seconds >= 1.5 * size:
             value = seconds / size
-            return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
-    return f"{seconds:.0f} s"
+            return f"{fixed(value, 1 if value < 9.95 else 0)} {unit}"
+    return f"{fixed(seconds, 0)} s"

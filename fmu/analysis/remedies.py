@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.needed import RHAT_LIMIT, WALKER_RHAT_LIMIT, growth_needed
+from fmu.numbers import typed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +72,7 @@ def for_too_few_draws(
     excess = max((rhat - 1.0) / (RHAT_LIMIT - 1.0), (over_walkers - 1.0) / (WALKER_RHAT_LIMIT - 1.0))
     number = in_two_digits(int(trace.attrs["draws"]) * max(growth, excess))
     what = "draws" if lengths is None else "steps"
-    return f"; about {number} {what} are needed: --draws {number}, or --until-ess {required:g}"
+    return f"; about {number} {what} are needed: --draws {number}, or --until-ess {typed(required)}"
 
 
 def in_two_digits(draws: float) -> int:

@@ -18,7 +18,7 @@ from fmu.fem.paired_black_box import PairedBlackBox
 from fmu.fem.structure import PairedStructure
 from fmu.fem.terms import coefficients, weighted_sum
 from fmu.fem.threads import single_thread
-from fmu.numbers import listed, significant
+from fmu.numbers import significant, typed
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
         frequencies = model.frequencies(theta[None])[0]
     if np.all(np.isfinite(frequencies)):
         return None
-    return f"{NOT_FINITE} ({listed(frequencies, 4)} Hz)"
+    return f"{NOT_FINITE} ({', '.join(map(typed, frequencies))} Hz)"
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
 from fmu.fem.terms import Term, coefficients, named_term, weighted_sum
-from fmu.numbers import significant
+from fmu.numbers import typed
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -292,4 +292,4 @@ def _check_terms(model: SeparableModel) -> None:
                 raise ValueError(f"{name}.{k}: powers must be finite (got {term.powers})")
             difference = abs(term.matrix - term.matrix.T).max()
             if not difference <= 1e-9 * abs(term.matrix).max():
-                raise ValueError(f"{name}.{k}: must be symmetric and finite (asymmetry {significant(difference)})")
+                raise ValueError(f"{name}.{k}: must be symmetric and finite (asymmetry {typed(difference)})")

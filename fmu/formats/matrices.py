@@ -201,8 +201,9 @@ def _symmetric(matrix: Any, triangle: Triangle) -> Any:
         excess = np.abs(difference.data) - SYMMETRIC * np.maximum(root[first + row] * root[column], larger)
         at = int(np.argmax(excess))
         if excess[at] > 0.0:
-            by = f"row {first + row[at] + 1}, column {column[at] + 1} differs by {significant(abs(difference.data[at]))}"
-            raise ValueError(f"must be symmetric ({by}){_triangle_alone(matrix)}")
+            by = significant(abs(difference.data[at]))
+            where = f"row {first + row[at] + 1}, column {column[at] + 1} differs by {by}"
+            raise ValueError(f"must be symmetric ({where}){_triangle_alone(matrix)}")
     return matrix
 
 

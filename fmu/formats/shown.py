@@ -8,6 +8,8 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
+from fmu.numbers import whole
+
 MOST = 60
 """Characters of a value."""
 MOST_NAMES = 12
@@ -69,7 +71,7 @@ def told(mistakes: Sequence[object]) -> list[str]:
     """Return a line for each of the first mistakes, and one that says how many more there are."""
     lines = [one_line(str(mistake)) for mistake in mistakes[:MOST_TOLD]]
     more = len(mistakes) - MOST_TOLD
-    return [*lines, f"… and {more:,} more".replace(",", " ")] if more > 0 else lines
+    return [*lines, f"… and {whole(more)} more"] if more > 0 else lines
 
 
 def in_words(error: BaseException) -> str:

@@ -91,7 +91,7 @@ def test_maxima_are_found_and_stationary(problem):
 
 def test_every_sampler_agrees(problem):
     """Four parameters, two of them scales: the posteriors of the samplers are one."""
-    settings, maxima = {"mh": 1500, "slice": 300, "hmc": 100, "emcee": 100}, fmu.find_map(problem, 32)
+    settings, maxima = {"mh": 1500, "slice": 600, "hmc": 100, "emcee": 100}, fmu.find_map(problem, 32)
     traces = {
         n: fmu.sample(problem, n, draws=draws, warmup=300, seed=4, maxima=maxima) for n, draws in settings.items()
     }
