@@ -156,7 +156,7 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
                 raise ValueError(
                     "rounding: the stiffness must be within 1e14 of that of its neighbours, and no mode below "
                     "3e-5 of the frequency of those measured (got "
-                    f"{structure.K(theta).diagonal()[dof]:.3g} at node {node} {direction}, beside which a soft "
+                    f"{significant(structure.K(theta).diagonal()[dof])} at node {node} {direction}, beside which a soft "
                     "part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff as its "
                     "neighbours, or tie its ends"
                 )

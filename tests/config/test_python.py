@@ -277,9 +277,9 @@ def test_a_run_with_a_report(folder, tmp_path, monkeypatch):
     """From the file to the pages; there is no structure to draw."""
     monkeypatch.chdir(tmp_path)
     arguments = ["run", str(folder / "two.toml"), "--draws", "20", "--warmup", "20", "--chains", "2"]
-    result = CliRunner().invoke(cli.main, arguments, prog_name="fmu")
+    result = CliRunner().invoke(cli.main, [*arguments, "--sampler", "hmc"], prog_name="fmu")
     assert result.exit_code == 0, result.output
-    page = Path("runs/two-shape/report/mh.html").read_text()
+    page = Path("runs/two-shape/report/hmc.html").read_text()
     assert "two storeys" in page
     assert 'id="identifiability"' in page
     assert 'id="shapes"' not in page
