@@ -153,11 +153,11 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
             if energy.sum() > _LOST * np.sum(np.abs(N) * (abs(term.matrix) @ np.abs(N))):
                 dof = int(np.argmax(energy.sum(axis=1)))
                 node, direction = structure.dofs[dof]
+                stiffness = significant(structure.K(theta).diagonal()[dof])
                 raise ValueError(
                     "rounding: the stiffness must be within 1e14 of that of its neighbours, and no mode below "
-                    "3e-5 of the frequency of those measured (got "
-                    f"{significant(structure.K(theta).diagonal()[dof])} at node {node} {direction}, beside which a soft "
-                    "part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff as its "
+                    f"3e-5 of the frequency of those measured (got {stiffness} at node {node} {direction}, beside "
+                    "which a soft part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff as its "
                     "neighbours, or tie its ends"
                 )
 
