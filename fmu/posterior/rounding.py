@@ -157,8 +157,8 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
                 raise ValueError(
                     "rounding: the stiffness must be within 1e14 of that of its neighbours, and no mode below "
                     f"3e-5 of the frequency of those measured (got {stiffness} at node {node} {direction}, beside "
-                    "which a soft part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 times as stiff as its "
-                    "neighbours, or tie its ends"
+                    "which a soft part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 "
+                    "times as stiff as its neighbours, or tie its ends"
                 )
 
 
