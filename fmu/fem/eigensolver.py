@@ -232,6 +232,8 @@ def _polished(
         X = X / np.sqrt(np.sum(X * (M @ X), axis=0))
         X = np.linalg.solve(np.linalg.cholesky(X.T @ (M @ X)), X.T).T
     lam = np.sum(X * (S @ X), axis=0)
+    if not np.all(np.isfinite(lam)):
+        raise np.linalg.LinAlgError("the eigenvalues overflow")
     first = 0
     while (wide := first + int(np.sum(np.abs(lam[first:]) <= _WIDE * np.abs(lam[first])))) < len(lam):
         Y = X[:, wide:]
