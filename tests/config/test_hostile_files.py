@@ -1,6 +1,7 @@
 """A sample of the hostile files of the validation: refused in plain words, soon, or checked; nothing else."""
 
 import re
+import sys
 
 import pytest
 
@@ -20,6 +21,16 @@ MATRICES = (
     "in another file.h5", "with a chunk of gigabytes.h5", "whose parts are links.h5", "absurd counts.hb",
     "one row.csv", "blank lines.csv", "stars.abaqus.mtx",
 )  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def modules():
+    """Take out of the interpreter what a hostile function put there."""
+    before = dict(sys.modules)
+    yield
+    for name in sys.modules.keys() - before.keys():
+        if type(sys.modules[name]) is not type(sys):
+            del sys.modules[name]
 
 
 @pytest.fixture(scope="module")

@@ -76,7 +76,7 @@ def test_the_page_says_what_was_measured():
     assert "## 10 080 degrees of freedom, 50 parameters, 64 chains" in text
     assert "- `1e-6`: reduction: with a basis of 100 vectors the reduced model is off" in text
     assert "does not keep its promise" in text
-    assert "| 100 800 | 2e3 | 1 | – |" in text
+    assert "| 100 800 | 2000 | 1 | – |" in text
     assert "the 300 solves of the 10 080 DOF would take about 0.5 h there" in text
     assert "| certificate, largest error of a frequency; promised | 2.0e-3; 1e-3 |" in text
     drawn = figures(found)
