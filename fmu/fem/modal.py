@@ -14,7 +14,7 @@ from fmu.fem.null_space import SingularMassError, rank
 from fmu.fem.separable import SeparableModel
 from fmu.fem.shape_derivatives import by_bordered_system
 from fmu.fem.shape_maps import Mapped, Picked
-from fmu.fem.terms import CoefficientMap, Term, coefficient_gradients, weighted_sum
+from fmu.fem.terms import CoefficientMap, Term, WeightedSum, coefficient_gradients, weighted_sum
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,6 +25,8 @@ RIGID = 1e-9
 # Below zero by more than this, beside the largest of a set of eigenvalues, is no rounding. The set is that of the
 # measured modes, far below the highest of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
+# Up to this size LAPACK solves for a shape's slopes sooner than a sparse system is put together.
+_DENSE_SLOPES = 128
 
 
 def is_rigid(eigenvalues: FloatArray) -> NDArray[np.bool_]:
@@ -117,6 +119,7 @@ class FullBlock:
         self.M_terms = _restricted(model.M_terms, dofs)
         self._K_map = CoefficientMap(self.K_terms)
         self._M_map = CoefficientMap(self.M_terms)
+        self._K_sum, self._M_sum = WeightedSum(self.K_terms), WeightedSum(self.M_terms)
         self.size = len(dofs)
         self.n_modes = self.trusted = _finite_modes(self.M_terms)
 
@@ -132,7 +135,7 @@ class FullBlock:
         constant_mass, finite = all(term.constant for term in self.M_terms), None
         K_weights, M_weights = self._K_map(theta), self._M_map(theta)
         for i in range(len(theta)):
-            K, M = weighted_sum(self.K_terms, K_weights[i]), weighted_sum(self.M_terms, M_weights[i])
+            K, M = self._K_sum(K_weights[i]), self._M_sum(M_weights[i])
             if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
                 continue
             try:
@@ -177,26 +180,14 @@ class FullBlock:
         for i, point in enumerate(theta):
             if not np.all(np.isfinite(phi[i])):
                 continue
-            K, dK = self._with_slopes(self.K_terms, self._K_map, point)
-            M, dM = self._with_slopes(self.M_terms, self._M_map, point)
+            K, M = self._K_sum(self._K_map(point[None])[0]), self._M_sum(self._M_map(point[None])[0])
+            if self.size <= _DENSE_SLOPES:
+                K, M = K.toarray(), M.toarray()
+            dK, dM = (_slopes_times(terms, point, phi[i]) for terms in (self.K_terms, self.M_terms))
             for k in range(count):
-                slope, lam_slopes[i, k] = by_bordered_system(
-                    K, M, lam[i, k], phi[i, :, k], dK(phi[i, :, k]), dM(phi[i, :, k])
-                )
+                slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
                 shape_slopes[i, :, k] = rows @ slope
         return Seen(lam, shapes, lam_slopes, shape_slopes)
-
-    @staticmethod
-    def _with_slopes(
-        terms: tuple[Term, ...], coefficient: CoefficientMap, theta: FloatArray
-    ) -> tuple[Any, Callable[[FloatArray], FloatArray]]:
-        """Return a matrix at theta, and what multiplies its derivatives with a shape, (size,) to (size, p)."""
-        slopes = coefficient_gradients(terms, theta[None])[0]
-
-        def times(phi: FloatArray) -> FloatArray:
-            return np.stack([term.matrix @ phi for term in terms], axis=1) @ slopes
-
-        return weighted_sum(terms, coefficient(theta[None])[0]), times
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return what takes shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
@@ -213,6 +204,12 @@ def _finite_modes(M_terms: tuple[Term, ...]) -> int:
     except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
         empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
         return int(np.sum(~empty))
+
+
+def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
+    """Return ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes (size, m)."""
+    forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
+    return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 
 
 def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:

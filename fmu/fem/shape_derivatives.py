@@ -63,7 +63,8 @@ def by_bordered_system(
 
     Parameters
     ----------
-    K, M : sparse arrays, shape (size, size)
+    K, M : ndarray or sparse arrays, shape (size, size)
+        Both dense or both sparse.
     lam : float
     phi : ndarray, shape (size,)
     dK_phi, dM_phi : ndarray, shape (size, n_parameters)
@@ -76,12 +77,16 @@ def by_bordered_system(
     M_phi = M @ phi
     # the border in the size of K, so that the factorisation is of one scale
     scale = np.max(np.abs(K.diagonal())) / np.max(np.abs(M_phi))
-    border = sp.csc_array((scale * M_phi)[:, None])
-    system = sp.block_array([[K - lam * M, -border], [border.T, None]], format="csc")
-    below = -0.5 * scale * (phi @ dM_phi)
+    border = (scale * M_phi)[:, None]
+    load = np.concatenate([lam * dM_phi - dK_phi, -0.5 * scale * (phi @ dM_phi)[None]])
     try:
-        solution = ssl.splu(system).solve(np.concatenate([-(dK_phi - lam * dM_phi), below[None]]))
-    except RuntimeError:
+        if sp.issparse(K):
+            column = sp.csc_array(border)
+            system = sp.block_array([[K - lam * M, -column], [column.T, None]], format="csc")
+            solution = ssl.splu(system).solve(load)
+        else:
+            solution = np.linalg.solve(np.block([[K - lam * M, -border], [border.T, np.zeros((1, 1))]]), load)
+    except (RuntimeError, np.linalg.LinAlgError):
         solution = np.full((len(phi) + 1, dK_phi.shape[1]), np.nan)
     return solution[:-1], scale * solution[-1]
 

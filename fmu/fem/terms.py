@@ -135,6 +135,36 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
     return total
 
 
+class WeightedSum:
+    """Σ_k w_k K_k of the matrices of `terms`, for many weights: their common sparsity pattern is found once."""
+
+    def __init__(self, terms: Sequence[Term]) -> None:
+        self._shape = terms[0].matrix.shape
+        matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in terms]
+        for matrix in matrices:
+            matrix.sum_duplicates()
+        keys = [_row_of_entries(m).astype(np.int64) * self._shape[1] + m.indices for m in matrices]
+        pattern = np.unique(np.concatenate(keys))
+        self._indices = (pattern % self._shape[1]).astype(np.int32)
+        self._indptr = np.searchsorted(pattern, np.arange(self._shape[0] + 1) * self._shape[1]).astype(np.int32)
+        self._parts = [
+            (slice(None) if len(key) == len(pattern) else np.searchsorted(pattern, key).astype(np.int32), m.data)
+            for key, m in zip(keys, matrices, strict=True)
+        ]
+
+    def __call__(self, weights: FloatArray) -> Any:
+        """Return the sum, a csr_array, with entries that are not finite where it overflows."""
+        data = np.zeros(len(self._indices))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for weight, (where, values) in zip(weights, self._parts, strict=True):
+                data[where] += weight * values
+        return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
+
+
+def _row_of_entries(matrix: Any) -> Any:
+    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+
+
 def _as_csr(matrix: Any) -> Any:
     if not sp.issparse(matrix):
         matrix = np.asarray(matrix)
