@@ -26,7 +26,7 @@ def maxima(problem):
 
 @pytest.fixture(scope="module")
 def tempered(problem):
-    return fmu.sample(problem, fmu.Tempering(), draws=160, warmup=120, chains=32, seed=1, init="prior")
+    return fmu.sample(problem, fmu.Tempering(), draws=160, warmup=100, chains=20, seed=1, init="prior")
 
 
 def theta_of(trace):

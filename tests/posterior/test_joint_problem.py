@@ -91,9 +91,9 @@ def test_maxima_are_found_and_stationary(problem):
 
 def test_every_sampler_agrees(problem):
     """Four parameters, two of them scales: the posteriors of the samplers are one."""
-    settings, maxima = {"mh": 1500, "slice": 600, "hmc": 100, "emcee": 100}, fmu.find_map(problem, 32)
+    settings, maxima = {"mh": 1000, "slice": 200, "hmc": 100, "emcee": 60}, fmu.find_map(problem, 32)
     traces = {
-        n: fmu.sample(problem, n, draws=draws, warmup=300, seed=4, maxima=maxima) for n, draws in settings.items()
+        n: fmu.sample(problem, n, draws=draws, warmup=200, seed=4, maxima=maxima) for n, draws in settings.items()
     }
     tables = {name: fmu.summary(trace) for name, trace in traces.items()}
     for name, table in tables.items():
@@ -169,7 +169,8 @@ def test_names_of_noise_and_model_must_differ():
 def test_a_trace_of_errors_of_shapes_alone():
     data = measured(np.random.default_rng(1))
     of_shapes = fmu.UpdatingProblem(storeys(), data, parameters(), error=fmu.ShapeErrors(sd=0.1), reduction=False)
-    trace = fmu.sample(of_shapes, "mh", draws=20, warmup=20, chains=2)
+    maxima = fmu.find_map(of_shapes, starts=4)
+    trace = fmu.sample(of_shapes, "mh", draws=20, warmup=20, chains=2, maxima=maxima)
     assert set(trace["log_likelihood"].data_vars) == {"modes"}
     assert set(trace["posterior_predictive"].data_vars) == {"model_frequency"}
     with pytest.raises(ValueError, match="must be a distribution of the frequencies"):

@@ -3,6 +3,9 @@
 One experiment of the paper; runs on the cantilever, on a black-box model with hostile names, on a plain density.
 """
 
+import fcntl
+import os
+
 import numpy as np
 import pytest
 
@@ -107,19 +110,33 @@ def plain_traces():
     }
 
 
+def written_once(name, request, tmp_path_factory):
+    """Return the directory of the pages on the traces `name`, written by the first worker that needs them."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    pages = base / f"pages-{name}"
+    with (base / f"pages-{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not pages.exists():
+            unfinished = tmp_path_factory.mktemp(name)
+            write_pages(request.getfixturevalue(name), unfinished)
+            unfinished.rename(pages)
+    return pages
+
+
 @pytest.fixture(scope="session")
-def beam_report(beam_traces, tmp_path_factory):
+def beam_report(request, tmp_path_factory):
     """Directory of the pages on `beam_traces`."""
-    return write_pages(beam_traces, tmp_path_factory.mktemp("beam")).parent
+    return written_once("beam_traces", request, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
-def hostile_report(hostile_traces, tmp_path_factory):
+def hostile_report(request, tmp_path_factory):
     """Directory of the pages on `hostile_traces`."""
-    return write_pages(hostile_traces, tmp_path_factory.mktemp("hostile")).parent
+    return written_once("hostile_traces", request, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
-def plain_report(plain_traces, tmp_path_factory):
+def plain_report(request, tmp_path_factory):
     """Directory of the pages on `plain_traces`."""
-    return write_pages(plain_traces, tmp_path_factory.mktemp("plain")).parent
+    return written_once("plain_traces", request, tmp_path_factory)
