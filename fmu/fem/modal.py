@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,11 +11,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fmu.fem.eigensolver import eigen
-from fmu.fem.null_space import SingularMassError, rank
+from fmu.fem.null_space import DENSE_LIMIT, SingularMassError, rank
 from fmu.fem.separable import SeparableModel
 from fmu.fem.shape_derivatives import by_bordered_system
 from fmu.fem.shape_maps import Mapped, Picked
-from fmu.fem.terms import CoefficientMap, Term, coefficient_gradients, weighted_sum
+from fmu.fem.terms import CoefficientMap, DenseSum, Term, coefficient_gradients, weighted_sum
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -119,6 +120,10 @@ class FullBlock:
         self._M_map = CoefficientMap(self.M_terms)
         self.size = len(dofs)
         self.n_modes = self.trusted = _finite_modes(self.M_terms)
+        self._K, self._M = (
+            DenseSum(terms) if self.size <= DENSE_LIMIT else partial(weighted_sum, terms)
+            for terms in (self.K_terms, self.M_terms)
+        )
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
@@ -132,8 +137,8 @@ class FullBlock:
         constant_mass, finite = all(term.constant for term in self.M_terms), None
         K_weights, M_weights = self._K_map(theta), self._M_map(theta)
         for i in range(len(theta)):
-            K, M = weighted_sum(self.K_terms, K_weights[i]), weighted_sum(self.M_terms, M_weights[i])
-            if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
+            K, M = self._K(K_weights[i]), self._M(M_weights[i])
+            if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
                 if finite is None or not constant_mass:
@@ -213,6 +218,10 @@ def _finite_modes(M_terms: tuple[Term, ...]) -> int:
     except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
         empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
         return int(np.sum(~empty))
+
+
+def _is_finite(matrix: Any) -> bool:
+    return bool(np.all(np.isfinite(matrix.data if sp.issparse(matrix) else matrix)))
 
 
 def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:
