@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fmu.fem.eigensolver import eigen
-from fmu.fem.null_space import SingularMassError, rank
+from fmu.fem.null_space import DENSE_LIMIT, SingularMassError, rank
 from fmu.fem.separable import SeparableModel
 from fmu.fem.shape_derivatives import by_bordered_system
 from fmu.fem.shape_maps import Mapped, Picked
@@ -25,7 +25,7 @@ RIGID = 1e-9
 # Below zero by more than this, beside the largest of a set of eigenvalues, is no rounding. The set is that of the
 # measured modes, far below the highest of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
-# Up to this size LAPACK solves for a shape's slopes sooner than a sparse system is put together.
+# Up to this size a dense solve for a shape's slopes takes less time than a sparse one.
 _DENSE_SLOPES = 128
 
 
@@ -119,8 +119,9 @@ class FullBlock:
         self.M_terms = _restricted(model.M_terms, dofs)
         self._K_map = CoefficientMap(self.K_terms)
         self._M_map = CoefficientMap(self.M_terms)
-        self._K_sum, self._M_sum = WeightedSum(self.K_terms), WeightedSum(self.M_terms)
         self.size = len(dofs)
+        dense = self.size <= DENSE_LIMIT
+        self._K_sum, self._M_sum = WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
         self.n_modes = self.trusted = _finite_modes(self.M_terms)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -136,7 +137,7 @@ class FullBlock:
         K_weights, M_weights = self._K_map(theta), self._M_map(theta)
         for i in range(len(theta)):
             K, M = self._K_sum(K_weights[i]), self._M_sum(M_weights[i])
-            if not (np.all(np.isfinite(K.data)) and np.all(np.isfinite(M.data))):
+            if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
                 if finite is None or not constant_mass:
@@ -181,8 +182,8 @@ class FullBlock:
             if not np.all(np.isfinite(phi[i])):
                 continue
             K, M = self._K_sum(self._K_map(point[None])[0]), self._M_sum(self._M_map(point[None])[0])
-            if self.size <= _DENSE_SLOPES:
-                K, M = K.toarray(), M.toarray()
+            if self.size > _DENSE_SLOPES:
+                K, M = sp.csc_array(K), sp.csc_array(M)
             dK, dM = (_slopes_times(terms, point, phi[i]) for terms in (self.K_terms, self.M_terms))
             for k in range(count):
                 slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
@@ -204,6 +205,10 @@ def _finite_modes(M_terms: tuple[Term, ...]) -> int:
     except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
         empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
         return int(np.sum(~empty))
+
+
+def _is_finite(matrix: Any) -> bool:
+    return bool(np.all(np.isfinite(matrix.data if sp.issparse(matrix) else matrix)))
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:

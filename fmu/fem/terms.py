@@ -136,15 +136,25 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
 
 
 class WeightedSum:
-    """Σ_k w_k K_k of the matrices of `terms`, for many weights: their common sparsity pattern is found once."""
+    """Σ_k w_k K_k of the matrices of `terms` for many weights, the entries that are not zero found once.
 
-    def __init__(self, terms: Sequence[Term]) -> None:
+    To add sparse arrays takes longer than to solve a small structure.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+    dense : bool
+        Whether the sum is an ndarray, not a csr_array.
+    """
+
+    def __init__(self, terms: Sequence[Term], dense: bool) -> None:
         self._shape = terms[0].matrix.shape
         matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in terms]
         for matrix in matrices:
             matrix.sum_duplicates()
         keys = [_row_of_entries(m).astype(np.int64) * self._shape[1] + m.indices for m in matrices]
         pattern = np.unique(np.concatenate(keys))
+        self._places = pattern if dense else None
         self._indices = (pattern % self._shape[1]).astype(np.int32)
         self._indptr = np.searchsorted(pattern, np.arange(self._shape[0] + 1) * self._shape[1]).astype(np.int32)
         self._parts = [
@@ -153,11 +163,15 @@ class WeightedSum:
         ]
 
     def __call__(self, weights: FloatArray) -> Any:
-        """Return the sum, a csr_array, with entries that are not finite where it overflows."""
+        """Return the sum for weights of shape (n_terms,), with entries that are not finite where it overflows."""
         data = np.zeros(len(self._indices))
         with np.errstate(over="ignore", invalid="ignore"):
             for weight, (where, values) in zip(weights, self._parts, strict=True):
                 data[where] += weight * values
+        if self._places is not None:
+            total = np.zeros(self._shape)
+            total.flat[self._places] = data
+            return total
         return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
 
 

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from fmu.cli import main
-from tests.cli.test_resuming import PROBLEM, SECOND, assert_same
+from tests.cli.runs import PROBLEM, SECOND, assert_same
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem import eigensolver, null_space
+from fmu.fem import eigensolver, modal, null_space
 from fmu.fem.eigensolver import eigen
 from fmu.fem.null_space import DENSE_LIMIT, SingularMassError
 from fmu.fem.reduction import craig_bampton
@@ -49,7 +49,7 @@ def test_modes_and_their_gradients_are_those_of_the_condensed_model(stations):
 
 
 def test_lanczos_iterations_too(monkeypatch):
-    for module in (eigensolver, null_space):
+    for module in (eigensolver, modal, null_space):
         monkeypatch.setattr(module, "DENSE_LIMIT", 60)
     assert_same_modes(bridge(12), START, 8, 1e-10)
 

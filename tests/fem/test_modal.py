@@ -13,7 +13,7 @@ from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modal import FullBlock, frequency_gradient, frequency_hz, mac
 from fmu.fem.null_space import DENSE_LIMIT, SingularMassError
 from fmu.fem.separable import SeparableModel
-from fmu.fem.terms import Term
+from fmu.fem.terms import Term, WeightedSum, weighted_sum
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 
@@ -54,6 +54,16 @@ def test_sparse_solver_repeats_its_bits():
     first, second = (eigen(model.K([]), model.M([]), 8) for _ in range(2))
     np.testing.assert_array_equal(first[0], second[0])
     np.testing.assert_array_equal(first[1], second[1])
+
+
+def test_the_sum_on_one_pattern_has_the_bits_of_added_matrices():
+    rng = np.random.default_rng(4)
+    terms = [Term(sp.random_array((9, 9), density=d, rng=rng, format="csr"), (1,)) for d in (0.1, 0.3, 0.0, 0.9)]
+    for weights in (*rng.lognormal(sigma=20.0, size=(20, 4)), np.full(4, 1.7e308)):
+        added = weighted_sum(terms, weights).toarray()
+        np.testing.assert_array_equal(WeightedSum(terms, dense=True)(weights), added)
+        np.testing.assert_array_equal(WeightedSum(terms, dense=False)(weights).toarray(), added)
+    assert np.isinf(added).any()
 
 
 def diagonal(values):

@@ -1,0 +1,67 @@
+"""Short runs that the tests of breaking off and resuming compare with."""
+
+import pytest
+
+import fmu.analysis.search
+from fmu.checkpoints.store import Store
+from tests.cli.runs import PROBLEM, QUIET, SECOND, invoke, of
+
+FOUND = {}
+
+
+@pytest.fixture(scope="module")
+def _searched_once():
+    """The maxima of a problem are searched for once: the tests are of what comes after."""
+    search = fmu.analysis.search.find_map
+
+    def remembered(problem, starts=None, seed=1):
+        key = (problem.name, starts, seed)
+        if key not in FOUND:
+            FOUND[key] = search(problem, starts, seed)
+        return FOUND[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fmu.analysis.search, "find_map", remembered)
+        yield
+
+
+def problem_in(folder):
+    (folder / "two.toml").write_text(PROBLEM)
+    (folder / "k2.csv").write_text(SECOND)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, request, _searched_once):
+    """A run of the module's SAMPLERS that nothing happened to."""
+    folder = problem_in(tmp_path_factory.mktemp("whole"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        result = invoke("run", "two.toml", *of(*request.module.SAMPLERS), "--out", "out", *QUIET)
+    assert result.exit_code == 0, result.output
+    return folder / "out"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, _searched_once):
+    """The problem in the current directory."""
+    monkeypatch.chdir(tmp_path)
+    return problem_in(tmp_path)
+
+
+@pytest.fixture
+def at_keep(monkeypatch):
+    """Have something happen when groups have been kept so many times; with `again` every so many times."""
+
+    def arranged(count, happen, again=False):
+        kept, keep = [0], Store.keep
+
+        def keeping(store, group, unkept):
+            keep(store, group, unkept)
+            kept[0] += 1
+            if kept[0] == count or (again and kept[0] % count == 0):
+                happen()
+
+        monkeypatch.setattr(Store, "keep", keeping)
+
+    return arranged
