@@ -46,7 +46,8 @@ def test_a_task_whose_worker_was_killed_is_done_again(cluster, tmp_path):
 
 def test_a_run_whose_worker_was_killed_draws_the_same(cluster, tmp_path):
     alone = fmu.sample(LinearProblem(), "hmc", **SETTINGS)
-    trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers=cluster, **SETTINGS)
+    address = cluster._client.scheduler.address
+    trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers=address, **SETTINGS)
     assert (tmp_path / "died").exists()
     assert_same(trace, alone)
 
