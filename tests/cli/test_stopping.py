@@ -1,4 +1,4 @@
-"""A signal in every phase of a real fmu run: gone within seconds, and resumed to what it would have been."""
+"""A real fmu run, stopped in every phase or killed: gone within seconds, resumed to what it would have been."""
 
 import json
 import os
@@ -9,10 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from fmu.cli import main
-from tests.cli.runs import PROBLEM, SECOND, assert_same
+from tests.cli.runs import PROBLEM, QUIET, SECOND, assert_same, invoke, of, resume
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -66,10 +64,6 @@ def problem_in(folder):
     (folder / "two.toml").write_text(PROBLEM.replace("reduction = false\n", ""))
     (folder / "k2.csv").write_text(SECOND)
     return folder
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(main, list(map(str, arguments)), prog_name="fmu")
 
 
 def begun(runs, folder, phase, *arguments):
@@ -137,3 +131,25 @@ def test_a_solve_that_takes_long_is_not_waited_for(runs, tmp_path, monkeypatch):
     result = invoke("run", "--resume", "out", "--progress", "none", "--no-report")
     assert result.exit_code == 0, result.output
     assert_same("mh", tmp_path / "out", tmp_path / "whole")
+
+
+def test_killed_by_the_system(runs, tmp_path, monkeypatch):
+    """In the middle of the second of two samplers."""
+    undisturbed, folder = (problem_in(tmp_path / name) for name in ("undisturbed", "killed"))
+    samplers = ("mh", "slice")
+    arguments = ("run", "two.toml", *of(*samplers), "--out", "out", *QUIET)
+    pid = begun(runs, folder, "", *arguments, "--keep-draws", 1)
+    until = time.monotonic() + STARTED_S
+    state = folder / "out" / "checkpoints" / "slice" / "group-1" / "state-000012"
+    while not state.exists() and time.monotonic() < until:
+        time.sleep(0.001)
+    os.kill(pid, signal.SIGKILL)
+    assert line_of(runs, "ended") == ["ended", str(-signal.SIGKILL)]
+    monkeypatch.chdir(folder)
+    assert f"killed (process {pid} on " in invoke("watch", "out").stdout
+    result = resume()
+    assert result.exit_code == 0, result.output
+    monkeypatch.chdir(undisturbed)
+    assert invoke(*arguments).exit_code == 0
+    for name in samplers:
+        assert_same(name, folder / "out", undisturbed / "out")
