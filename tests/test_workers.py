@@ -67,13 +67,6 @@ def test_a_process_killed_midway(alone, processes, tmp_path):
     assert_same(trace, alone)
 
 
-def test_a_worker_of_a_cluster_killed_midway(alone, tmp_path):
-    pytest.importorskip("distributed")
-    trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers="local:2", **SETTINGS)
-    assert (tmp_path / "died").exists()
-    assert_same(trace, alone)
-
-
 def test_ensembles_are_groups(processes):
     settings = {"draws": 30, "warmup": 10, "chains": 3, "seed": 2}
     sampler = fmu.Ensemble(walkers=8)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import root
 from scipy.special import log_ndtr, ndtri_exp
 
 FloatArray = NDArray[np.float64]
@@ -68,6 +67,7 @@ class SequentialNormal:
 
     def _minimax(self, start: FloatArray) -> FloatArray:
         """Return the tilting μ: the saddle point's, or none if the search fails."""
+        from scipy.optimize import root
 
         def tilted(z: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Return μ that makes z stationary, and the mean of each cut normal relative to its μ."""

@@ -15,7 +15,6 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from fmu.fem.modal import is_rigid
 from fmu.fem.model import Block, BlockModel, Modes
@@ -292,7 +291,10 @@ def assign(mac: FloatArray) -> IntArray:
     """
     best = np.argmax(mac, axis=2)
     ordered = np.sort(best, axis=1)
-    for i in np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1)):
+    in_conflict = np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1))
+    if in_conflict.size:
+        from scipy.optimize import linear_sum_assignment
+    for i in in_conflict:
         best[i] = linear_sum_assignment(mac[i], maximize=True)[1]
     return best
 

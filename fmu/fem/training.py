@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from fmu.engines.engine import Engine, InProcess
 from fmu.fem.modal import FullBlock
@@ -278,6 +277,8 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 
     All corners up to 2⁶, as many at random beyond.
     """
+    from scipy.stats import qmc
+
     ndim = len(lower)
     rng = np.random.default_rng(seed)
     inside = qmc.Sobol(ndim, rng=rng).random(n)

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import qmc
 
 from fmu.posterior.ascent import GaussNewton, ascend
 from fmu.progress.phases import advanced, phase
@@ -82,6 +80,8 @@ def _found(problem: UpdatingProblem, points: FloatArray) -> tuple[Maximum, ...]:
 
 def _starting_points(problem: UpdatingProblem, starts: int, seed: int) -> FloatArray:
     """Return scaled points (starts, ndim) within the bounds."""
+    from scipy.stats import qmc
+
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters]).T
     sobol = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed))
     unit = sobol.random_base2(int(np.ceil(np.log2(starts))))[: starts - 1]
@@ -130,6 +130,7 @@ def _merged(problem: UpdatingProblem, maxima: Iterable[Maximum]) -> tuple[Maximu
 
 def _climb(problem: UpdatingProblem, start: FloatArray, starts: int = 1) -> Maximum:
     """Climb by L-BFGS-B from a scaled point."""
+    from scipy.optimize import minimize
 
     def negative(u: FloatArray) -> tuple[float, FloatArray]:
         value, gradient = problem.log_prob_and_grad(_theta(problem, u))

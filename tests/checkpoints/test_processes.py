@@ -1,21 +1,20 @@
 """Runs in processes of their own that are killed, stopped, watched, and run out of disk."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
-import sys
 import time
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing.connection import Connection
 
 import numpy as np
 import pytest
 
 from fmu.checkpoints.durable import digest
 from fmu.checkpoints.store import numbered, read_state
-from tests.checkpoints.watched import DRAWS, STEPS, Watched, sampled
+from tests.checkpoints.watched import DRAWS, STEPS, Watched, main, sampled
 
-ROOT = Path(__file__).parents[2]
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 pytestmark = posix
 
@@ -25,18 +24,33 @@ def whole():
     return sampled(None)
 
 
-@contextmanager
-def started(directory, *arguments):
-    """A run in another process, which is there no longer afterwards."""
-    command = [sys.executable, "-u", "-m", "tests.checkpoints.watched", os.fspath(directory), *map(str, arguments)]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True, start_new_session=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+@pytest.fixture(scope="module")
+def context():
+    """Starts processes from one that has imported everything."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.checkpoints.warm"])
+    return context
+
+
+@pytest.fixture
+def started(context):
+    """Start a run in another process, which is there no longer afterwards."""
+
+    @contextmanager
+    def starting(directory, *arguments):
+        with ExitStack() as stack:
+            (out, to_out), (err, to_err) = os.pipe(), os.pipe()
+            with Connection(to_out, readable=False) as output, Connection(to_err, readable=False) as errors:
+                process = context.Process(target=main, args=(output, errors, directory, *arguments))
+                process.start()
+            process.stdout, process.stderr = (stack.enter_context(os.fdopen(end)) for end in (out, err))
+            try:
+                yield process
+            finally:
+                process.kill()
+                process.join()
+
+    return starting
 
 
 def wait_for(line, process):
@@ -44,6 +58,13 @@ def wait_for(line, process):
         if found.strip() == line:
             return
     pytest.fail(f"no {line!r}: {process.stderr.read()}")
+
+
+def said_at_last(process):
+    """What it still says when it has ended, on standard output and standard error."""
+    process.join(30)
+    assert process.exitcode == 0
+    return process.stdout.read(), process.stderr.read()
 
 
 def gone_on(directory, whole):
@@ -57,25 +78,26 @@ def gone_on(directory, whole):
     return steps[0] if steps else None
 
 
-def test_killed(tmp_path, whole):
+def test_killed(tmp_path, whole, started):
     """Nobody else is let in before, everybody at once afterwards."""
     with started(tmp_path, DRAWS, "draws", 25) as process:
         wait_for("draws 25", process)
         with pytest.raises(ValueError, match=rf"^checkpoint: another run is at work in {tmp_path}$"):
             sampled(tmp_path)
         process.kill()
-        process.wait()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
         assert gone_on(tmp_path, whole) == ("draws", 21)
 
 
-def test_watched_from_outside(tmp_path, whole):
+def test_watched_from_outside(tmp_path, whole, started):
     """Whatever is read while it is written is whole; and who is refused does no harm."""
     group, seen = tmp_path / "group-1", set()
     with started(tmp_path, DRAWS) as process:
         wait_for("warmup 1", process)
         with pytest.raises(ValueError, match="another run is at work"):
             sampled(tmp_path)
-        while process.poll() is None:
+        while process.is_alive():
             for number, path in numbered(group, "state"):
                 with suppress(FileNotFoundError):  # replaced meanwhile by a later one
                     state = read_state(path)
@@ -88,28 +110,27 @@ def test_watched_from_outside(tmp_path, whole):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_asked_to_stop(tmp_path, whole, number):
+def test_asked_to_stop(tmp_path, whole, started, number):
     with started(tmp_path, 2000) as process:
         wait_for("draws 25", process)
-        process.send_signal(number)
-        said, complaints = process.communicate(timeout=30)
+        os.kill(process.pid, number)
+        said, complaints = said_at_last(process)
         *steps, last = said.splitlines()
     drawn = int(steps[-1].split()[1]) if steps else 25  # as has been waited for
     assert last == f"stopped after {drawn} of 2000 draws, {drawn} in the trace"
     assert complaints == "Stopping after the step under way; once more to stop at once.\n"
-    assert process.returncode == 0
     first = gone_on(tmp_path, whole)
     assert first == (None if drawn >= DRAWS else ("draws", drawn + 1))
 
 
-def test_asked_twice_it_stops_at_once(tmp_path, whole):
+def test_asked_twice_it_stops_at_once(tmp_path, whole, started):
     with started(tmp_path, DRAWS, "warmup", 15) as process:
         wait_for("warmup 15", process)
-        process.send_signal(signal.SIGINT)
+        os.kill(process.pid, signal.SIGINT)
         assert process.stderr.readline().startswith("Stopping after the step under way")
         began = time.monotonic()
-        process.send_signal(signal.SIGINT)
-        said, complaints = process.communicate(timeout=30)
+        os.kill(process.pid, signal.SIGINT)
+        said, complaints = said_at_last(process)
         assert time.monotonic() - began < 10.0
     assert said == "stopped in warm-up, None in the trace\n"
     assert complaints == ""
@@ -117,9 +138,9 @@ def test_asked_twice_it_stops_at_once(tmp_path, whole):
     assert gone_on(tmp_path, whole)[0] == "warmup"
 
 
-def test_a_file_that_is_too_large(tmp_path, whole):
-    with started(tmp_path, DRAWS, "draws", 25, "full") as process:
-        said, _ = process.communicate(timeout=30)
+def test_a_file_that_is_too_large(tmp_path, whole, started):
+    with started(tmp_path, DRAWS, "draws", 25, True) as process:
+        said, _ = said_at_last(process)
     assert said.splitlines()[-1] == (
         f"OSError checkpoint: cannot write to {tmp_path} (File too large); what was drawn before draws step 21 of "
         "group 1 is kept there"

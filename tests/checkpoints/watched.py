@@ -1,13 +1,9 @@
-"""A run with a checkpoint, to be killed: python -m tests.checkpoints.watched DIR [DRAWS [PHASE STEP [full]]].
-
-Every step is a line on standard output, such as "draws 25". From the step that is given on, a step takes for ever;
-or, with "full", the disk is full.
-"""
+"""A run with a checkpoint, to be killed."""
 
 from __future__ import annotations
 
+import os
 import resource
-import sys
 import time
 
 import numpy as np
@@ -52,20 +48,27 @@ def sampled(directory, draws=DRAWS, density=None, **more):
     return fmu.sample(density, "mh", draws=draws, checkpoint=where, **settings)
 
 
-def main(directory, draws=DRAWS, phase="", step=0, full=""):
-    """Run, and say what is going on."""
+def main(output, errors, directory, draws=DRAWS, phase="", step=0, full=False):
+    """Run, and say on a connection what is going on.
+
+    Every step is a line, such as "draws 25". From the step that is given on, a step takes for ever; or, if `full`,
+    the disk is full.
+    """
+    for connection, descriptor in ((output, 1), (errors, 2)):
+        os.dup2(connection.fileno(), descriptor)
+        connection.close()
     density = Watched()
     density.delay = 0.003
 
     def progress(now, done, total, info):
         print(now, done, flush=True)
-        if (now, done) == (phase, int(step)):
+        if (now, done) == (phase, step):
             density.delay = 0.0 if full else 60.0
             if full:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))
 
     try:
-        sampled(directory, int(draws), density, progress=progress)
+        sampled(directory, draws, density, progress=progress)
         print("complete", flush=True)
     except fmu.sampling.StoppedRun as stop:
         print(
@@ -76,7 +79,3 @@ def main(directory, draws=DRAWS, phase="", step=0, full=""):
         print("interrupted", flush=True)
     except OSError as error:
         print(f"OSError {error}", flush=True)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

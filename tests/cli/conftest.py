@@ -4,7 +4,7 @@ import pytest
 
 import fmu.analysis.search
 from fmu.checkpoints.store import Store
-from tests.cli.runs import PROBLEM, QUIET, SECOND, invoke, of
+from tests.cli.runs import QUIET, invoke, of, problem_in
 
 FOUND = {}
 
@@ -23,12 +23,6 @@ def _searched_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fmu.analysis.search, "find_map", remembered)
         yield
-
-
-def problem_in(folder):
-    (folder / "two.toml").write_text(PROBLEM)
-    (folder / "k2.csv").write_text(SECOND)
-    return folder
 
 
 @pytest.fixture(scope="module")

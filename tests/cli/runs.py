@@ -52,6 +52,12 @@ class Cut(BaseException):
     """Ends a process like a kill, as far as the code under test can tell."""
 
 
+def problem_in(folder):
+    (folder / "two.toml").write_text(PROBLEM)
+    (folder / "k2.csv").write_text(SECOND)
+    return folder
+
+
 def cut():
     raise Cut
 

@@ -3,7 +3,8 @@
 python -m tests.cli.slowed WHOLE ARGUMENT …: does the run in the folder WHOLE, undisturbed, which imports all that
 is needed. Then every line of standard input, a JSON list [folder, phase, argument, …], is such a run in a process
 forked from this one: "pid NUMBER" is said of it on standard output, "lingering" when it is in its phase, and then
-"ended EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws".
+"ended EXIT CODE". A phase is one of `fmu.progress.phases`, "warmup" or "draws", or none. What it says on standard
+error is added to the file "said" in the folder.
 """
 
 import json
@@ -54,6 +55,7 @@ def run_in(folder, arguments):
 def forked(folder, phase, *arguments):
     pid = os.fork()
     if not pid:
+        os.dup2(os.open(os.path.join(folder, "said"), os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
         slow_down(phase)
         code = run_in(folder, arguments)
         sys.stdout.flush()

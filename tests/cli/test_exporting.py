@@ -62,8 +62,9 @@ def test_bad_input_is_one_line(invoke, arguments, words):
 
 def test_a_built_in_case_is_exported_from_the_file_it_keeps(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    run = ("run", "cantilever-section", "--draws", "6", "--warmup", "3", "--chains", "2", "--no-report")
-    assert CliRunner().invoke(main, [*run, "--out", "out"]).exit_code == 0
+    length = ("--draws", "6", "--warmup", "3", "--chains", "2", "--starts", "2")
+    run = ("run", "cantilever-section", *length, "--no-report", "--out", "out")
+    assert CliRunner().invoke(main, run).exit_code == 0
     result = CliRunner().invoke(main, ["export", "out"])
     assert result.exit_code == 0, result.output
     assert "Warning: The run is not converged" in result.stderr

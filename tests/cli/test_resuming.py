@@ -1,16 +1,11 @@
 """fmu run, broken off and resumed: what is drawn is bit for bit what it would have been."""
 
-import signal
-import subprocess
-import sys
-import time
-
 import pytest
 
 import fmu
 from fmu.checkpoints.run_directory import RunDirectory
 from fmu.checkpoints.store import Store
-from tests.cli.runs import QUIET, SECOND, Cut, assert_refused, assert_same, cut, invoke, of, resume, run
+from tests.cli.runs import SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
 
@@ -34,26 +29,6 @@ def test_broken_off_again_and_again(folder, whole, at_keep):
         assert_same(name, folder / "out", whole)
     assert not (folder / "out" / "checkpoints").exists()
     assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole.iterdir()}
-
-
-def test_killed_by_the_system(folder, whole):
-    """In the middle of the second of two samplers."""
-    samplers = ("mh", "slice")
-    arguments = ["run", "two.toml", *of(*samplers), "--keep-draws", 1, "--out", "out", *QUIET]
-    killed = subprocess.Popen([sys.executable, "-m", "fmu", *map(str, arguments)], stderr=subprocess.PIPE)
-    try:
-        states = folder / "out" / "checkpoints" / "slice" / "group-1"
-        while killed.poll() is None and not (states / "state-000012").exists():
-            time.sleep(0.001)
-    finally:
-        killed.kill()
-        _, said = killed.communicate()
-    assert killed.returncode == -signal.SIGKILL, said
-    assert f"killed (process {killed.pid} on " in invoke("watch", "out").stdout
-    result = resume()
-    assert result.exit_code == 0, result.output
-    for name in samplers:
-        assert_same(name, folder / "out", whole)
 
 
 def test_a_group_of_chains_a_worker(folder, at_keep):

@@ -1,4 +1,4 @@
-"""A signal in every phase of a real fmu run: gone within seconds, and resumed to what it would have been."""
+"""A real fmu run, stopped in every phase or killed: gone within seconds, resumed to what it would have been."""
 
 import json
 import os
@@ -6,14 +6,11 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from fmu.cli import main
-from tests.cli.runs import PROBLEM, SECOND, assert_same
+from tests.cli.runs import PROBLEM, QUIET, SECOND, assert_same, invoke, of, resume
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -42,21 +39,20 @@ PYTHON_PROBLEM = (
 ) + "".join(f'\n[[parameters]]\nname = "{name}"\nstart = 1.0\nlower = 0.5\nupper = 1.5\n' for name in "ab")
 
 
-def begun(folder, module, *arguments):
-    """A process in a folder of its own, with a cache of its own."""
-    environment = os.environ | {
-        "PYTHONPATH": os.fspath(ROOT),
-        "FMU_CACHE_DIR": os.fspath(folder / "cache"),
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    command = [sys.executable, "-m", module, *map(str, arguments)]
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return problem_in(tmp_path_factory.mktemp("undisturbed") / "whole")
+
+
+@pytest.fixture(scope="module")
+def runs(whole):
+    """The process that runs are forked from, after the undisturbed one."""
+    environment = os.environ | {"PYTHONPATH": os.fspath(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "tests.cli.slowed", *map(str, (whole, *RUN, "--no-report"))]
     pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=folder, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-
-
-@contextmanager
-def ended_at_last(process):
-    with process:
+    with subprocess.Popen(
+        command, cwd=whole, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, text=True
+    ) as process:
         try:
             yield process
         finally:
@@ -70,19 +66,22 @@ def problem_in(folder):
     return folder
 
 
-def invoke(*arguments):
-    return CliRunner().invoke(main, list(map(str, arguments)), prog_name="fmu")
+def begun(runs, folder, phase, *arguments):
+    """Begin a run that lingers in a phase, and return its process's number."""
+    runs.stdin.write(json.dumps([str(folder), phase, *map(str, arguments)]) + "\n")
+    runs.stdin.flush()
+    return int(line_of(runs, "pid")[1])
 
 
-def assert_obeys(process, number):
+def assert_obeys(runs, pid, number, folder):
     """It ends soon after the signal, says how to go on, and nothing else."""
     sent = time.monotonic()
-    process.send_signal(number)
-    _, said = process.communicate(timeout=STARTED_S)
+    os.kill(pid, number)
+    ended = line_of(runs, "ended")
     took = time.monotonic() - sent
-    assert process.returncode == 130, said
+    *rest, last = (folder / "said").read_text().splitlines()
+    assert ended == ["ended", "130"], last
     assert took < OBEYED_S
-    *rest, last = said.splitlines()
     assert last.startswith("Stopped")
     assert last.endswith("To go on: fmu run --resume out")
     assert [line for line in rest if "Traceback" in line or "ignored" in line] == []
@@ -96,34 +95,25 @@ def line_of(process, *firsts):
     pytest.fail(f"ended: {process.stderr.read()}")
 
 
-def test_a_stop_is_obeyed_in_every_phase(tmp_path, monkeypatch):
+def test_a_stop_is_obeyed_in_every_phase(runs, whole, tmp_path, monkeypatch):
     """One run, stopped in each of its phases, is at last the run that nobody stopped."""
-    whole, folder = problem_in(tmp_path / "whole"), problem_in(tmp_path / "stopped")
-    with ended_at_last(begun(tmp_path, "tests.cli.slowed", whole, *RUN)) as process:
-        for k, phase in enumerate(PHASES):
-            asked = ("run", "--resume", "out", "--progress", "none") if k else RUN
-            process.stdin.write(json.dumps([str(folder), phase, *map(str, asked)]) + "\n")
-            process.stdin.flush()
-            pid = int(line_of(process, "pid")[1])
-            assert line_of(process, "lingering", "ended") == ["lingering"], phase
-            watched = invoke("watch", folder / "out").stdout.splitlines()[0]
-            assert (f", {phase} 0/" in watched) == (phase not in ("warmup", "draws")), (phase, watched)
-            sent = time.monotonic()
-            os.kill(pid, (signal.SIGINT, signal.SIGTERM)[k % 2])
-            assert line_of(process, "ended") == ["ended", "130"], phase
-            assert time.monotonic() - sent < OBEYED_S, phase
-            assert not list(folder.rglob("*.part")), phase
-        said = process.communicate()[1]
-    assert said.count("To go on: fmu run --resume out\n") == len(PHASES)
-    assert "Traceback" not in said
-    assert "ignored" not in said
+    folder = problem_in(tmp_path / "stopped")
+    for k, phase in enumerate(PHASES):
+        asked = ("run", "--resume", "out", "--progress", "none") if k else RUN
+        pid = begun(runs, folder, phase, *asked)
+        assert line_of(runs, "lingering", "ended") == ["lingering"], phase
+        watched = invoke("watch", folder / "out").stdout.splitlines()[0]
+        assert (f", {phase} 0/" in watched) == (phase not in ("warmup", "draws")), (phase, watched)
+        assert_obeys(runs, pid, (signal.SIGINT, signal.SIGTERM)[k % 2], folder)
+        assert not list(folder.rglob("*.part")), phase
+    assert (folder / "said").read_text().count("To go on: fmu run --resume out\n") == len(PHASES)
     monkeypatch.chdir(folder)
     assert invoke("run", "--resume", "out", "--no-report").exit_code == 0
     assert_same("mh", folder / "out", whole / "out")
     assert not (folder / "out" / "checkpoints").exists()
 
 
-def test_a_solve_that_takes_long_is_not_waited_for(tmp_path, monkeypatch):
+def test_a_solve_that_takes_long_is_not_waited_for(runs, tmp_path, monkeypatch):
     """Of a function in a worker."""
     (tmp_path / "two.toml").write_text(PYTHON_PROBLEM)
     (tmp_path / "function.py").write_text(PYTHON)
@@ -131,13 +121,35 @@ def test_a_solve_that_takes_long_is_not_waited_for(tmp_path, monkeypatch):
     assert invoke(*RUN, "--no-report").exit_code == 0
     (tmp_path / "out").rename(tmp_path / "whole")
     (tmp_path / "hang").touch()
-    keep = ("--keep-draws", 5, "--workers", 2, "--no-report")
-    with ended_at_last(begun(tmp_path, "fmu", *RUN, *keep)) as process:
-        until = time.monotonic() + STARTED_S
-        while not (tmp_path / "hanging").exists() and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.01)
-        assert_obeys(process, signal.SIGTERM)
+    pid = begun(runs, tmp_path, "", *RUN, "--keep-draws", 5, "--workers", 2, "--no-report")
+    until = time.monotonic() + STARTED_S
+    while not (tmp_path / "hanging").exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    assert (tmp_path / "hanging").exists()
+    assert_obeys(runs, pid, signal.SIGTERM, tmp_path)
     (tmp_path / "hang").unlink()
     result = invoke("run", "--resume", "out", "--progress", "none", "--no-report")
     assert result.exit_code == 0, result.output
     assert_same("mh", tmp_path / "out", tmp_path / "whole")
+
+
+def test_killed_by_the_system(runs, tmp_path, monkeypatch):
+    """In the middle of the second of two samplers."""
+    undisturbed, folder = (problem_in(tmp_path / name) for name in ("undisturbed", "killed"))
+    samplers = ("mh", "slice")
+    arguments = ("run", "two.toml", *of(*samplers), "--out", "out", *QUIET)
+    pid = begun(runs, folder, "", *arguments, "--keep-draws", 1)
+    until = time.monotonic() + STARTED_S
+    state = folder / "out" / "checkpoints" / "slice" / "group-1" / "state-000012"
+    while not state.exists() and time.monotonic() < until:
+        time.sleep(0.001)
+    os.kill(pid, signal.SIGKILL)
+    assert line_of(runs, "ended") == ["ended", str(-signal.SIGKILL)]
+    monkeypatch.chdir(folder)
+    assert f"killed (process {pid} on " in invoke("watch", "out").stdout
+    result = resume()
+    assert result.exit_code == 0, result.output
+    monkeypatch.chdir(undisturbed)
+    assert invoke(*arguments).exit_code == 0
+    for name in samplers:
+        assert_same(name, folder / "out", undisturbed / "out")

@@ -17,16 +17,17 @@ from fmu.checkpoints.sampler_reading import Progress
 from fmu.checkpoints.store import Store
 from fmu.cli import main
 from fmu.cli.watch import _lines
+from tests.cli.runs import problem_in
 from tests.samplers.targets import CorrelatedGaussian
 
-RUN = ("run", "cantilever-young", "--warmup", "10", "--draws", "25", "--chains", "2", "--starts", "2",
+RUN = ("run", "two.toml", "--warmup", "10", "--draws", "25", "--chains", "2", "--starts", "2",
        "--keep-draws", "5", "--no-report", "--progress", "none", "--out", "out")  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory):
     """A run of three samplers that stopped in the second."""
-    folder = tmp_path_factory.mktemp("stopped")
+    folder = problem_in(tmp_path_factory.mktemp("stopped"))
     keep, count = Store.keep, []
 
     def keeping(store, group, unkept):
@@ -103,7 +104,7 @@ def test_a_running_one_is_followed_to_its_end(out, monkeypatch):
 
 
 def test_a_finished_run_has_verdicts(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(problem_in(tmp_path))
     told = CliRunner().invoke(main, [*RUN, "--sampler", "mh"])
     assert told.exit_code == 0, told.output
     lines = watch("out")

@@ -9,7 +9,9 @@ import time
 import engine_tasks
 import pytest
 
+import fmu
 from fmu.engines.engine import LostTaskError, engine
+from tests.test_workers import SETTINGS, LinearProblem, assert_same
 
 pytest.importorskip("distributed")
 
@@ -40,6 +42,14 @@ def test_what_is_shared_is_sent_once(cluster, tmp_path):
 def test_a_task_whose_worker_was_killed_is_done_again(cluster, tmp_path):
     given = ["a", "mortal", "b", "c", "d"]
     assert cluster.lines(engine_tasks.die_once, str(tmp_path), given) == given
+
+
+def test_a_run_whose_worker_was_killed_draws_the_same(cluster, tmp_path):
+    alone = fmu.sample(LinearProblem(), "hmc", **SETTINGS)
+    address = cluster._client.scheduler.address
+    trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers=address, **SETTINGS)
+    assert (tmp_path / "died").exists()
+    assert_same(trace, alone)
 
 
 def test_workers_that_die_between_calls_are_replaced(cluster):

@@ -1,0 +1,5 @@
+"""Imports all that a run needs, in the process from which others are forked."""
+
+from tests.checkpoints.watched import sampled
+
+sampled(None)
