@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,9 +121,17 @@ class FullBlock:
         self._K_map = CoefficientMap(self.K_terms)
         self._M_map = CoefficientMap(self.M_terms)
         self.size = len(dofs)
-        dense = self.size <= DENSE_LIMIT
-        self._K_sum, self._M_sum = WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
         self.n_modes = self.trusted = _finite_modes(self.M_terms)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is prepared when needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_sums"}
+
+    @cached_property
+    def _sums(self) -> tuple[WeightedSum, WeightedSum]:
+        """What puts K and M together."""
+        dense = self.size <= DENSE_LIMIT
+        return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
@@ -135,8 +144,9 @@ class FullBlock:
             return lam, phi
         constant_mass, finite = all(term.constant for term in self.M_terms), None
         K_weights, M_weights = self._K_map(theta), self._M_map(theta)
+        K_sum, M_sum = self._sums
         for i in range(len(theta)):
-            K, M = self._K_sum(K_weights[i]), self._M_sum(M_weights[i])
+            K, M = K_sum(K_weights[i]), M_sum(M_weights[i])
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
@@ -178,10 +188,11 @@ class FullBlock:
             return Seen(lam, shapes)
         lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
         shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
+        K_sum, M_sum = self._sums
         for i, point in enumerate(theta):
             if not np.all(np.isfinite(phi[i])):
                 continue
-            K, M = self._K_sum(self._K_map(point[None])[0]), self._M_sum(self._M_map(point[None])[0])
+            K, M = K_sum(self._K_map(point[None])[0]), M_sum(self._M_map(point[None])[0])
             if self.size > _DENSE_SLOPES:
                 K, M = sp.csc_array(K), sp.csc_array(M)
             dK, dM = (_slopes_times(terms, point, phi[i]) for terms in (self.K_terms, self.M_terms))

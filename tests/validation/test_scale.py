@@ -78,7 +78,7 @@ def test_the_page_says_what_was_measured():
     assert "does not keep its promise" in text
     assert "| 100 800 | 2000 | 1 | – |" in text
     assert "the 300 solves of the 10 080 DOF would take about 0.5 h there" in text
-    assert "| certificate, largest error of a frequency; promised | 2.0e-3; 1e-3 |" in text
+    assert "| certificate, largest error of a frequency; promised | 0.002; 0.001 |" in text
     drawn = figures(found)
     assert set(drawn) == {"tolerance.png", "growth.png"}
     assert all(name in text for name in drawn)
