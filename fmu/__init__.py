@@ -18,50 +18,50 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fmu import cases as cases
     from fmu.analysis.check import check as check
-    from fmu.analysis.comparison import compare as compare
-    from fmu.analysis.diagnosis import diagnose as diagnose
-    from fmu.analysis.diagnostics import summary as summary
-    from fmu.analysis.evidence import evidence as evidence
-    from fmu.analysis.identifiability import identifiability as identifiability
-    from fmu.analysis.pairing_changes import pairing_changes as pairing_changes
-    from fmu.analysis.prediction import expectation as expectation
-    from fmu.analysis.search import find_map as find_map
-    from fmu.analysis.trace import load_trace as load_trace
-    from fmu.analysis.trace import save_trace as save_trace
-    from fmu.checkpoints.settings import Checkpoint as Checkpoint
+    from fmu.analysis.convergence.comparison import compare as compare
+    from fmu.analysis.convergence.diagnosis import diagnose as diagnose
+    from fmu.analysis.convergence.diagnostics import summary as summary
+    from fmu.analysis.data.identifiability import identifiability as identifiability
+    from fmu.analysis.data.prediction import expectation as expectation
+    from fmu.analysis.evidence.estimate import evidence as evidence
+    from fmu.analysis.maxima.search import find_map as find_map
+    from fmu.analysis.modes.pairing_changes import pairing_changes as pairing_changes
+    from fmu.analysis.trace.conversion import load_trace as load_trace
+    from fmu.analysis.trace.conversion import save_trace as save_trace
     from fmu.config import load as load
     from fmu.engines.engine import engine as engine
     from fmu.fem.black_box import BlackBoxModel as BlackBoxModel
-    from fmu.fem.frame import ElementGroup as ElementGroup
-    from fmu.fem.frame import Frame as Frame
-    from fmu.fem.joints import JointSpring as JointSpring
-    from fmu.fem.joints import PointMass as PointMass
-    from fmu.fem.section import Material as Material
-    from fmu.fem.section import Section as Section
-    from fmu.fem.separable import RigidArm as RigidArm
-    from fmu.fem.separable import SeparableModel as SeparableModel
-    from fmu.fem.terms import Term as Term
-    from fmu.fem.updates import Factor as Factor
-    from fmu.posterior.errors import FrequencyErrors as FrequencyErrors
-    from fmu.posterior.errors import MACErrors as MACErrors
-    from fmu.posterior.errors import ShapeErrors as ShapeErrors
-    from fmu.posterior.measurement import ModalData as ModalData
-    from fmu.posterior.one_sided_priors import HalfNormal as HalfNormal
-    from fmu.posterior.one_sided_priors import LogNormal as LogNormal
+    from fmu.fem.frame.frame import ElementGroup as ElementGroup
+    from fmu.fem.frame.frame import Frame as Frame
+    from fmu.fem.frame.joints import JointSpring as JointSpring
+    from fmu.fem.frame.joints import PointMass as PointMass
+    from fmu.fem.frame.section import Material as Material
+    from fmu.fem.frame.section import Section as Section
+    from fmu.fem.frame.updates import Factor as Factor
+    from fmu.fem.modes.separable import RigidArm as RigidArm
+    from fmu.fem.modes.separable import SeparableModel as SeparableModel
+    from fmu.fem.modes.terms import Term as Term
+    from fmu.posterior.data.modal_data import ModalData as ModalData
+    from fmu.posterior.errors.models import FrequencyErrors as FrequencyErrors
+    from fmu.posterior.errors.models import MACErrors as MACErrors
+    from fmu.posterior.errors.models import ShapeErrors as ShapeErrors
     from fmu.posterior.parameters import Parameter as Parameter
-    from fmu.posterior.priors import Normal as Normal
-    from fmu.posterior.priors import Uniform as Uniform
+    from fmu.posterior.priors.base import Normal as Normal
+    from fmu.posterior.priors.base import Uniform as Uniform
+    from fmu.posterior.priors.one_sided import HalfNormal as HalfNormal
+    from fmu.posterior.priors.one_sided import LogNormal as LogNormal
+    from fmu.posterior.priors.scipy_distributions import ScaledBeta as ScaledBeta
+    from fmu.posterior.priors.scipy_distributions import ScipyPrior as ScipyPrior
     from fmu.posterior.problem import UpdatingProblem as UpdatingProblem
-    from fmu.posterior.scipy_priors import ScaledBeta as ScaledBeta
-    from fmu.posterior.scipy_priors import ScipyPrior as ScipyPrior
     from fmu.report.export import export as export
     from fmu.report.html import write_report as write_report
+    from fmu.runs.settings import Checkpoint as Checkpoint
     from fmu.samplers.ensemble import Ensemble as Ensemble
-    from fmu.samplers.hamiltonian import HamiltonianMonteCarlo as HamiltonianMonteCarlo
+    from fmu.samplers.hmc.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
     from fmu.samplers.metropolis import MetropolisHastings as MetropolisHastings
     from fmu.samplers.proposals import RandomWalk as RandomWalk
     from fmu.samplers.slice import Slice as Slice
-    from fmu.samplers.tempering import Tempering as Tempering
+    from fmu.samplers.tempering.tempering import Tempering as Tempering
     from fmu.sampling import StoppedRun as StoppedRun
     from fmu.sampling import sample as sample
 
@@ -69,51 +69,51 @@ if TYPE_CHECKING:
 
 _HOME = {
     "BlackBoxModel": "fmu.fem.black_box",
-    "Checkpoint": "fmu.checkpoints.settings",
-    "ElementGroup": "fmu.fem.frame",
+    "Checkpoint": "fmu.runs.settings",
+    "ElementGroup": "fmu.fem.frame.frame",
     "Ensemble": "fmu.samplers.ensemble",
-    "Factor": "fmu.fem.updates",
-    "Frame": "fmu.fem.frame",
-    "FrequencyErrors": "fmu.posterior.errors",
-    "HalfNormal": "fmu.posterior.one_sided_priors",
-    "HamiltonianMonteCarlo": "fmu.samplers.hamiltonian",
-    "JointSpring": "fmu.fem.joints",
-    "LogNormal": "fmu.posterior.one_sided_priors",
-    "MACErrors": "fmu.posterior.errors",
-    "ShapeErrors": "fmu.posterior.errors",
-    "Material": "fmu.fem.section",
+    "Factor": "fmu.fem.frame.updates",
+    "Frame": "fmu.fem.frame.frame",
+    "FrequencyErrors": "fmu.posterior.errors.models",
+    "HalfNormal": "fmu.posterior.priors.one_sided",
+    "HamiltonianMonteCarlo": "fmu.samplers.hmc.hmc",
+    "JointSpring": "fmu.fem.frame.joints",
+    "LogNormal": "fmu.posterior.priors.one_sided",
+    "MACErrors": "fmu.posterior.errors.models",
+    "ShapeErrors": "fmu.posterior.errors.models",
+    "Material": "fmu.fem.frame.section",
     "MetropolisHastings": "fmu.samplers.metropolis",
-    "ModalData": "fmu.posterior.measurement",
-    "Normal": "fmu.posterior.priors",
+    "ModalData": "fmu.posterior.data.modal_data",
+    "Normal": "fmu.posterior.priors.base",
     "Parameter": "fmu.posterior.parameters",
-    "PointMass": "fmu.fem.joints",
+    "PointMass": "fmu.fem.frame.joints",
     "RandomWalk": "fmu.samplers.proposals",
-    "RigidArm": "fmu.fem.separable",
-    "ScaledBeta": "fmu.posterior.scipy_priors",
-    "ScipyPrior": "fmu.posterior.scipy_priors",
-    "Section": "fmu.fem.section",
-    "SeparableModel": "fmu.fem.separable",
+    "RigidArm": "fmu.fem.modes.separable",
+    "ScaledBeta": "fmu.posterior.priors.scipy_distributions",
+    "ScipyPrior": "fmu.posterior.priors.scipy_distributions",
+    "Section": "fmu.fem.frame.section",
+    "SeparableModel": "fmu.fem.modes.separable",
     "Slice": "fmu.samplers.slice",
     "StoppedRun": "fmu.sampling",
-    "Tempering": "fmu.samplers.tempering",
-    "Term": "fmu.fem.terms",
-    "Uniform": "fmu.posterior.priors",
+    "Tempering": "fmu.samplers.tempering.tempering",
+    "Term": "fmu.fem.modes.terms",
+    "Uniform": "fmu.posterior.priors.base",
     "UpdatingProblem": "fmu.posterior.problem",
     "check": "fmu.analysis.check",
-    "compare": "fmu.analysis.comparison",
-    "diagnose": "fmu.analysis.diagnosis",
+    "compare": "fmu.analysis.convergence.comparison",
+    "diagnose": "fmu.analysis.convergence.diagnosis",
     "engine": "fmu.engines.engine",
-    "evidence": "fmu.analysis.evidence",
-    "expectation": "fmu.analysis.prediction",
+    "evidence": "fmu.analysis.evidence.estimate",
+    "expectation": "fmu.analysis.data.prediction",
     "export": "fmu.report.export",
-    "find_map": "fmu.analysis.search",
-    "identifiability": "fmu.analysis.identifiability",
+    "find_map": "fmu.analysis.maxima.search",
+    "identifiability": "fmu.analysis.data.identifiability",
     "load": "fmu.config",
-    "load_trace": "fmu.analysis.trace",
-    "pairing_changes": "fmu.analysis.pairing_changes",
+    "load_trace": "fmu.analysis.trace.conversion",
+    "pairing_changes": "fmu.analysis.modes.pairing_changes",
     "sample": "fmu.sampling",
-    "save_trace": "fmu.analysis.trace",
-    "summary": "fmu.analysis.diagnostics",
+    "save_trace": "fmu.analysis.trace.conversion",
+    "summary": "fmu.analysis.convergence.diagnostics",
     "write_report": "fmu.report.html",
 }
 

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
-    from fmu.analysis.maxima import Maxima
-    from fmu.checkpoints import Checkpoint
-    from fmu.checkpoints.store import Store
+    from fmu.analysis.maxima.results import Maxima
     from fmu.engines.engine import Engine
     from fmu.progress import Report
-    from fmu.samplers.draws import RunResult
+    from fmu.runs import Checkpoint
+    from fmu.runs.store import Store
     from fmu.samplers.kernel import LogDensity, Sampler
+    from fmu.samplers.loop.draws import RunResult
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
 """The names of the samplers, without importing them."""
@@ -85,7 +85,7 @@ def sample(
     seed : int
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their shares
-        (`fmu.analysis.starts`); those of an updating problem are searched for if they are not given, and a plain
+        (`fmu.analysis.maxima.starts`); those of an updating problem are searched for if they are not given, and a plain
         log-density without maxima is started from the prior. ``"prior"``: draws from the prior. ``"start"``: at
         ``problem.start``. Or where the array says (SI units).
     groups : int, optional
@@ -95,7 +95,7 @@ def sample(
     until_ess : float, optional
         Go on after `draws`, with what was learnt in warm-up, until the verdict of `fmu.diagnose` is good and the
         bulk and tail ESS of every parameter are at least this. How many draws are missing is predicted from those
-        so far (`fmu.analysis.needed.draws_to_come`). The run is bit for bit that of as many draws.
+        so far (`fmu.analysis.convergence.needed.draws_to_come`). The run is bit for bit that of as many draws.
     max_draws : int, optional
         The most steps kept, whatever the verdict: 32 times `draws` if not given.
     maxima : Maxima, optional
@@ -118,11 +118,11 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        The trace, see `fmu.analysis.trace.to_trace`; its attributes include ``after_n_solves``, the solves after
+        The trace, see `fmu.analysis.trace.conversion.to_trace`; its attributes include ``after_n_solves``, the solves after
         the last draw, for predictions and what follows, and the certificate of the reduced model where there is
         one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
-        (`fmu.analysis.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`) and ``identifiability``
-        (`fmu.analysis.identifiability`) go with it.
+        (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.modes.pairing_changes`) and ``identifiability``
+        (`fmu.analysis.data.identifiability`) go with it.
 
     Raises
     ------
@@ -138,19 +138,19 @@ def sample(
     TooManyFailuresError
         If too large a share of the solves failed.
     """
-    from fmu.analysis.diagnosis import draws_missing, with_maxima
-    from fmu.analysis.failure_ledger import failure_rate_exceeded
-    from fmu.analysis.live import live_diagnostics
-    from fmu.analysis.starts import starts
-    from fmu.analysis.trace import names_of, to_trace
-    from fmu.checkpoints.maxima import keep_maxima, searched
+    from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
+    from fmu.analysis.convergence.live import live_diagnostics
+    from fmu.analysis.maxima.starts import starts
+    from fmu.analysis.trace.conversion import names_of, to_trace
+    from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
     from fmu.interruption import interruptible
     from fmu.posterior.parameters import require_name
     from fmu.progress import reporting
     from fmu.progress.phases import solves, told_to
+    from fmu.runs.maxima import keep_maxima, searched
     from fmu.samplers import Run, named
-    from fmu.samplers.run import Interrupted
-    from fmu.samplers.settings import whole_number
+    from fmu.samplers.loop.run import Interrupted
+    from fmu.samplers.loop.settings import whole_number
 
     if sampler is None:
         sampler = default_sampler(problem)
@@ -230,8 +230,8 @@ def sample(
 
 def _check(init: Any, arguments: dict[str, Any], settings: Any) -> None:
     """Raise ValueError, before maxima are searched for, if an argument of the run is wrong by itself."""
-    from fmu.samplers.run import n_groups
-    from fmu.samplers.settings import whole_number
+    from fmu.samplers.loop.run import n_groups
+    from fmu.samplers.loop.settings import whole_number
 
     for name, least in (("warmup", 0), ("chains", 1), ("seed", 0)):
         whole_number(name, arguments[name], least)
@@ -242,13 +242,13 @@ def _check(init: Any, arguments: dict[str, Any], settings: Any) -> None:
 
 def _store(checkpoint: Any, problem: LogDensity, settings: Any, arguments: dict[str, Any], says: Any) -> Store:
     """Return where the run is kept."""
-    from fmu.analysis.provenance import described
-    from fmu.analysis.trace import names_of
-    from fmu.checkpoints import Checkpoint
-    from fmu.checkpoints.identity import Identity
-    from fmu.checkpoints.store import Store
-    from fmu.samplers.run import n_groups
-    from fmu.samplers.settings import describe, whole_number
+    from fmu.analysis.trace.conversion import names_of
+    from fmu.analysis.trace.provenance import described
+    from fmu.runs import Checkpoint
+    from fmu.runs.identity import Identity
+    from fmu.runs.store import Store
+    from fmu.samplers.loop.run import n_groups
+    from fmu.samplers.loop.settings import describe, whole_number
 
     chains = whole_number("chains", arguments["chains"], 1)
     run = {
@@ -290,10 +290,10 @@ def default_sampler(problem: LogDensity) -> str:
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, full_solves: int) -> xr.DataTree:
     """Keep in a trace what the problem says beside the draws."""
     from fmu.analysis.certificate import certify
-    from fmu.analysis.diagnosis import with_maxima
-    from fmu.analysis.identifiability import with_identifiability
-    from fmu.analysis.modal_states import with_modes
-    from fmu.analysis.pairing_changes import with_pairing
+    from fmu.analysis.convergence.diagnosis import with_maxima
+    from fmu.analysis.data.identifiability import with_identifiability
+    from fmu.analysis.modes.pairing_changes import with_pairing
+    from fmu.analysis.trace.modal_states import with_modes
 
     if maxima is not None:
         trace = with_maxima(trace, maxima)
@@ -309,7 +309,7 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, ful
 
 def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> int:
     """Return the most steps that `sample` keeps; ValueError unless the numbers make sense together."""
-    from fmu.samplers.settings import positive_number, whole_number
+    from fmu.samplers.loop.settings import positive_number, whole_number
 
     if until_ess is None:
         if max_draws is not None:

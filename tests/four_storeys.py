@@ -8,7 +8,7 @@ quarter of all climbs leads.
 import numpy as np
 
 import fmu
-from fmu.fem.structure import PairedStructure
+from fmu.fem.pairing.paired_model import PairedStructure
 
 STOREYS, STIFFNESS, MASS = 4, 2e8, 1e5  # N/m, kg
 TRUTH = (1.5, 1.5, 2.0, 1.3)

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 import fmu
 from fmu import cli
-from fmu.analysis.diagnosis import maxima_of
-from fmu.analysis.trace import save_trace
+from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.trace.conversion import save_trace
 
 
 @pytest.fixture(scope="module")
@@ -412,9 +412,9 @@ def test_failed_points_are_reported(invoke, young, monkeypatch):
 
 def test_paper_hands_over_the_directory(invoke, monkeypatch, tmp_path):
     calls = []
-    module = ModuleType("fmu.report.paper")
+    module = ModuleType("fmu.paper")
     module.run_paper = lambda out, progress: calls.append((out, progress))
-    monkeypatch.setitem(sys.modules, "fmu.report.paper", module)
+    monkeypatch.setitem(sys.modules, "fmu.paper", module)
     result = invoke("paper", "--out", tmp_path / "tables")
     assert result.exit_code == 0
     assert calls == [(tmp_path / "tables", None)]
@@ -445,7 +445,7 @@ for arguments in (["--help"], ["run", "--help"], ["cases"], ["run", "bridge"]):
     except SystemExit:
         pass
     print("heavy:", arguments, heavy & set(sys.modules))
-import fmu.config.problem, fmu.samplers.run
+import fmu.config.problem, fmu.samplers.loop.run
 print("heavy:", (heavy | {"scipy.stats", "scipy.optimize"}) & set(sys.modules) - {"numpy", "scipy"})
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,12 +7,12 @@ import pytest
 
 import fmu
 from fmu import samplers
-from fmu.checkpoints.maxima import keep_maxima, kept_maxima
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress.phases import solves
+from fmu.runs.maxima import keep_maxima, kept_maxima
 from fmu.sampling import SAMPLERS
 from tests.linear import SLOPES, LinearModel
 
@@ -195,7 +195,7 @@ def test_maxima_are_kept_with_a_checkpoint(problem, tmp_path, monkeypatch):
         raise AssertionError("the maxima are kept")
 
     with monkeypatch.context() as patch:
-        patch.setattr("fmu.analysis.search.find_map", searched_again)
+        patch.setattr("fmu.analysis.maxima.search.find_map", searched_again)
         assert fmu.sample(problem, "mh", **settings)["posterior"].identical(first["posterior"])
     with pytest.raises(ValueError, match=r"holds another run: run\.init\.maxima"):
         fmu.sample(problem, "mh", **settings, maxima=fmu.find_map(problem, seed=2))

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis import effective
-from fmu.analysis.diagnostics import parameter_draws
+from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.diagnostics import parameter_draws
 
 WALKERS, STEPS, DISCARD = 32, 1200, 400
 

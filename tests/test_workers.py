@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from tests.linear import LinearModel
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.diagnostics import parameter_draws
+from fmu.analysis.convergence.diagnostics import parameter_draws
 from fmu.numbers import apart, typed
-from fmu.posterior.focus import PLAUSIBLE, Tolerance
+from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         measured mode with another computed mode; ``certificate_full_solves``, how often the full model had to
         answer during the run because a theta lay outside the reduced model's box;
         ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``, what was promised
-        (`fmu.posterior.focus.Tolerance`).
+        (`fmu.posterior.train_reduced.Tolerance`).
 
     Warns
     -----
@@ -62,7 +62,7 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
     theta = draws[rng.permutation(len(draws))[:n]]
 
-    from fmu.fem.modal import frequency_hz
+    from fmu.fem.modes.modal import frequency_hz
 
     structural = theta[:, : structure.n_parameters]
     parts = by_parts("certificate", structure.full_modes, structural, _AT_ONCE)

@@ -7,16 +7,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fmu.analysis.description import model_in_words, parameter_table, structure_drawing
+from fmu.analysis.data.identifiability import Identifiability, identifiability
+from fmu.analysis.data.prediction import measurement_in_words
+from fmu.analysis.data.prior_prediction import DRAWS, PriorPrediction, prior_prediction
+from fmu.analysis.data.repeatability import repeatability
+from fmu.analysis.data.uninformed import doubts as doubts_of_information
 from fmu.analysis.gradient_check import GradientCheck, check_gradient
-from fmu.analysis.identifiability import Identifiability, identifiability
-from fmu.analysis.initial_modes import InitialModes, initial_modes
-from fmu.analysis.modal_states import START, modal_states
-from fmu.analysis.mode_text import modes_as_text
-from fmu.analysis.prediction import measurement_in_words
-from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
-from fmu.analysis.repeatability import repeatability
-from fmu.analysis.uninformed import doubts as doubts_of_information
+from fmu.analysis.modes.initial_modes import InitialModes, initial_modes
+from fmu.analysis.modes.mode_text import modes_as_text
+from fmu.analysis.trace.description import model_in_words, parameter_table, structure_drawing
+from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.numbers import fixed, given, with_sd
 from fmu.text_table import text_table, wrapped
 
@@ -57,7 +57,7 @@ class Check:
     tests : tuple of str
         What is doubtful in the order of repeated tests, a sentence each.
     shapes : xarray.Dataset or None
-        The shapes at the start (`fmu.analysis.modal_states.modal_states`), where there is a structure to draw.
+        The shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), where there is a structure to draw.
     """
 
     name: str

@@ -121,8 +121,8 @@ def _timed(work: Callable[[], object]) -> float:
 
 def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any]) -> float:
     """Return how long a solve takes in a sampler, its own work counted, from the first steps of its warm-up."""
-    from fmu.samplers.group import DRAWS, WARMUP, Part, Setting, advance, first_snapshot
-    from fmu.samplers.run import n_groups
+    from fmu.samplers.loop.group import DRAWS, WARMUP, Part, Setting, advance, first_snapshot
+    from fmu.samplers.loop.run import n_groups
 
     setting = Setting(problem, settings, max(orders["warmup"], 1))
     rng = np.random.default_rng(0)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.numbers import significant
-from fmu.samplers.scaled import ScaledDensity
+from fmu.samplers.loop.scaled import ScaledDensity
 
 if TYPE_CHECKING:
     import pandas as pd

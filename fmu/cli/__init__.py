@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import click
 
-from fmu.cli import cases, check, compare, export, init, paper, report, run, schema, watch
+from fmu.cli.commands import cases, check, compare, export, init, paper, report, run, schema, watch
 from fmu.cli.errors import Commands
 
 

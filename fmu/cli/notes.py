@@ -13,9 +13,9 @@ import click
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
     """Show warnings of checkpoints, reduced models and rounding as notes on standard error; others as ever."""
-    from fmu.checkpoints.store import CheckpointWarning, OtherArithmeticWarning
-    from fmu.posterior.focus import ReductionWarning
     from fmu.posterior.rounding import RoundingWarning
+    from fmu.posterior.train_reduced import ReductionWarning
+    from fmu.runs.store import CheckpointWarning, OtherArithmeticWarning
 
     show = warnings.showwarning
 

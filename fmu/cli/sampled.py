@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from fmu.analysis.diagnosis import Diagnosis
-    from fmu.analysis.maxima import Maxima
-    from fmu.checkpoints.run_directory import RunDirectory
+    from fmu.analysis.convergence.diagnosis import Diagnosis
+    from fmu.analysis.maxima.results import Maxima
     from fmu.config.kept import KeptProblem
     from fmu.engines.engine import Engine
     from fmu.posterior.problem import UpdatingProblem
+    from fmu.runs.run_directory import RunDirectory
 
 _OF_THE_RUN = ("draws", "warmup", "chains", "groups", "seed", "init", "until_ess", "max_draws", "max_failure_rate")
 
@@ -61,7 +61,7 @@ def sampled(
     problem: UpdatingProblem, asked: KeptProblem, running: RunDirectory, engine: Engine, report: Report | None
 ) -> Sampled:
     """Sample a problem with all samplers asked for, but for those that are done, and write what comes of each."""
-    from fmu.analysis.search import STARTS, default_starts, find_map
+    from fmu.analysis.maxima.search import STARTS, default_starts, find_map
 
     orders = asked.orders
     starts = orders["starts"] or default_starts(problem)
@@ -87,9 +87,9 @@ def sampled(
 
 def tell(outcome: Sampled, directory: Path) -> int:
     """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
-    from fmu.analysis.comparison import side_by_side
-    from fmu.analysis.diagnosis import diagnose_all
-    from fmu.analysis.evidence_text import found_evidences
+    from fmu.analysis.convergence.comparison import side_by_side
+    from fmu.analysis.convergence.diagnosis import diagnose_all
+    from fmu.analysis.evidence.text import found_evidences
 
     traces, summaries = outcome.traces, outcome.summaries
     verdicts = diagnose_all(traces, summaries=summaries)
@@ -111,7 +111,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
 
 def _updated(trace: xr.DataTree) -> list[str] | None:
     """Return a column that says which parameters the data updated, None where that cannot be said."""
-    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
+    from fmu.analysis.data.information import COMBINED, DATA, PRIOR, information
 
     words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
     found = information(trace)
@@ -147,8 +147,8 @@ def _one(
     report: Report | None,
 ) -> str:
     """Put the trace of one sampler into the outcome; return in words where it was stopped, if it was."""
-    from fmu.analysis.diagnostics import summary
-    from fmu.analysis.trace import load_trace, save_trace
+    from fmu.analysis.convergence.diagnostics import summary
+    from fmu.analysis.trace.conversion import load_trace, save_trace
 
     path = running.path / f"{name}.nc"
     if name in asked.finished:
@@ -173,8 +173,8 @@ def _drawn(
     name: str, outcome: Sampled, running: RunDirectory, engine: Engine, report: Report | None
 ) -> tuple[xr.DataTree | None, str]:
     """Return the trace of one sampler, and in words where it was stopped, if it was."""
-    from fmu.checkpoints import Checkpoint
-    from fmu.samplers.run import TooManyFailuresError
+    from fmu.runs import Checkpoint
+    from fmu.samplers.loop.run import TooManyFailuresError
     from fmu.sampling import sample
 
     ledger, orders = running.path / f"failures-{name}.csv", outcome.orders
@@ -212,7 +212,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
     asked for; and then the chains advance in this process.
     """
     from fmu.engines.engine import InProcess
-    from fmu.fem.paired_black_box import PairedBlackBox
+    from fmu.fem.pairing.paired_black_box import PairedBlackBox
 
     if engine.workers > 1 and groups is None and isinstance(problem.model, PairedBlackBox):
         with problem.model.black_box.spread_over(engine):
@@ -227,7 +227,7 @@ def _short_of(
     """Return the samplers that did not come to the effective sample size with a good verdict."""
     if until_ess is None:
         return []
-    from fmu.analysis.diagnosis import is_enough
+    from fmu.analysis.convergence.diagnosis import is_enough
 
     return [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
 

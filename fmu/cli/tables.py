@@ -13,8 +13,8 @@ from fmu.text_table import text_table, wrapped
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmu.analysis.diagnosis import Diagnosis
-    from fmu.analysis.evidence_text import FoundEvidence
+    from fmu.analysis.convergence.diagnosis import Diagnosis
+    from fmu.analysis.evidence.text import FoundEvidence
 
 _FORMATS: dict[str, Callable[[float], str]] = {
     "rhat": lambda x: fixed(x, 4),

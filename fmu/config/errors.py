@@ -12,8 +12,8 @@ from fmu.config.fields import Name, Number, Numbers, ParameterName, Positive, Ta
 from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.formats.shown import names_shown
-from fmu.posterior.errors import ErrorModel, FrequencyErrors, MACErrors, ShapeErrors
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.models import ErrorModel, FrequencyErrors, MACErrors, ShapeErrors
 from fmu.posterior.parameters import Parameter
 
 Weights = list[Positive] | None

@@ -10,9 +10,9 @@ from pydantic import Field, StringConstraints
 
 from fmu.config.fields import FileName, Table
 from fmu.config.mistakes import BrokenError, Mistake
-from fmu.formats.modes import LEAST_MPC, Modes, ModesError
-from fmu.formats.pyoma import load_pyoma, pyoma_modes
-from fmu.formats.uff import read_uff
+from fmu.formats.modes.measured_modes import LEAST_MPC, Modes, ModesError
+from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes
+from fmu.formats.modes.uff import read_uff
 
 NodeNumber = Annotated[str, StringConstraints(pattern=r"^\d{1,9}$")]
 
@@ -38,7 +38,7 @@ class UffTable(_ModesTable):
 
 
 class OmaTable(_ModesTable):
-    """A result of pyOMA_2, written by ``fmu.formats.pyoma.save_pyoma``; its channels are the ``sensors``."""
+    """A result of pyOMA_2, written by ``fmu.formats.modes.pyoma.save_pyoma``; its channels are the ``sensors``."""
 
     def read(self, folder: Path, sensors: Sequence[tuple[Any, str]]) -> Modes:
         """Return the modes of the file."""

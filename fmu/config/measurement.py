@@ -12,12 +12,12 @@ from pydantic import Field, field_validator, model_validator
 from fmu.config.fields import FileName, Name, NumberOrNumbers, Positive, SensorTable, Table
 from fmu.config.measured_files import OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.model import Built
-from fmu.formats.modes import MOST_MODES, ModesError
-from fmu.formats.modes_csv import read_frequencies, read_shapes, read_tests
-from fmu.posterior.correlated import checked_covariance
-from fmu.posterior.measurement import ModalData
-from fmu.posterior.repeated import RepeatedTests, mean_shapes, shapes_sd
+from fmu.config.model.table import Built
+from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
+from fmu.formats.modes.measured_modes import MOST_MODES, ModesError
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
+from fmu.posterior.errors.correlated import checked_covariance
 
 FloatArray = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.config.fields import ParameterName
-from fmu.config.frame import Target
 from fmu.config.mistakes import Mistake, got
+from fmu.config.model.frame import Target
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.posterior.parameters import Parameter
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from fmu.config.fields import Positive, Table
-from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
-from fmu.posterior.priors import Normal, Prior, Uniform
-from fmu.posterior.scipy_priors import ScaledBeta
+from fmu.posterior.priors.base import Normal, Prior, Uniform
+from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
+from fmu.posterior.priors.scipy_distributions import ScaledBeta
 
 
 class UniformTable(Table):

@@ -11,18 +11,18 @@ from pydantic import Field, Tag
 from fmu.config import parameters as given
 from fmu.config.errors import ErrorTable, NoiseTable, beside_tests, built_noise, vanishing
 from fmu.config.fields import Name, Positive, Table, by_kind
-from fmu.config.frame import FrameTable
-from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
-from fmu.config.model import Built
+from fmu.config.model.frame import FrameTable
+from fmu.config.model.matrices import MatricesTable
+from fmu.config.model.python import PythonTable
+from fmu.config.model.table import Built
 from fmu.config.parameters import ParameterTable
-from fmu.config.python import PythonTable
 from fmu.engines.engine import Engine
-from fmu.fem.candidates import SOFTNESS
-from fmu.posterior.focus import LOOSEST_FREQUENCY
-from fmu.posterior.measurement import ModalData
+from fmu.fem.pairing.candidates import SOFTNESS
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.train_reduced import LOOSEST_FREQUENCY
 
 NamedError = Annotated[Literal["frequency", "modal-residual"], Tag("<text>")]
 ErrorModels = Annotated[list[ErrorTable], Field(min_length=1), Tag("<list>")]

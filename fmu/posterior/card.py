@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.fem.drawing import drawing, parameter_colours
-from fmu.fem.pairing import IndexPairing
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.separable import SeparableModel
-from fmu.fem.structure import PairedStructure
+from fmu.fem.frame.drawing import drawing, parameter_colours
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.rules import IndexPairing
+from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import change, given, rounded, significant
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.black_box import Failure as Failure
-from fmu.fem.failed_solves import why_no_frequencies
-from fmu.fem.model import ModalModel
-from fmu.posterior.joint import JointLikelihood
-from fmu.posterior.likelihood import FrequencyLikelihood
-from fmu.posterior.residual import ModalResidual
-from fmu.posterior.soft import SoftLikelihood
+from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.pairing.failed_solves import why_no_frequencies
+from fmu.posterior.errors.frequency import FrequencyLikelihood
+from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.mixture import SoftLikelihood
+from fmu.posterior.errors.residual import ModalResidual
 
 FloatArray = NDArray[np.float64]
 

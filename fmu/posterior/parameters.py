@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.numbers import typed
-from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
-from fmu.posterior.priors import Normal, Prior, Uniform
+from fmu.posterior.priors.base import Normal, Prior, Uniform
+from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 
 FloatArray = NDArray[np.float64]
 

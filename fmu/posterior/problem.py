@@ -10,20 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.engines.engine import Engine
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.candidates import SOFTNESS
-from fmu.fem.model import ModalModel
-from fmu.fem.paired_black_box import PairedBlackBox
-from fmu.fem.separable import SeparableModel
-from fmu.fem.structure import PairedStructure
-from fmu.posterior.assembly import Likelihood, check_names, likelihood_of, paired_model
-from fmu.posterior.errors import ErrorModel
+from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.candidates import SOFTNESS
+from fmu.fem.pairing.paired_black_box import PairedBlackBox
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.posterior.build import Likelihood, check_names, likelihood_of, paired_model
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.models import ErrorModel
+from fmu.posterior.errors.residual import ModalResidual
 from fmu.posterior.failures import Failure, FailureRecord, why_no_log_likelihood
-from fmu.posterior.focus import Tolerance, reduce_model
-from fmu.posterior.joint import JointLikelihood
-from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import JointPrior, Parameter
-from fmu.posterior.residual import ModalResidual
 from fmu.posterior.rounding import require_digits
+from fmu.posterior.train_reduced import Tolerance, reduce_model
 
 FloatArray = NDArray[np.float64]
 
@@ -42,23 +42,23 @@ class UpdatingProblem:
     parameters : sequence of Parameter
         Of the model, in the order of theta. Standard deviations that `error` infers come after them.
     pairing : {"shape", "index", "soft"}
-        Which computed mode answers to which measured one (`fmu.fem.pairing`), for a SeparableModel: by MAC with
+        Which computed mode answers to which measured one (`fmu.fem.pairing.rules`), for a SeparableModel: by MAC with
         the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
         weights exp(MAC/τ), so that the log-probability does not jump where modes veer: read what is given up for
-        that in `fmu.posterior.soft`.
+        that in `fmu.posterior.errors.mixture`.
     softness : float
         τ, of ``"soft"`` alone.
     reduction : bool or float
         Whether a SeparableModel is answered by a certified reduced model inside the bounds. A number, above 0 and
         at most 0.01, is the largest relative error that its frequencies may have; true stands for 1e-6. What the
-        log-probability may be off follows from that (`fmu.posterior.focus.Tolerance.of`).
+        log-probability may be off follows from that (`fmu.posterior.train_reduced.Tolerance.of`).
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. For
         frequencies the uncertainty of `data` holds if they have one, and then `beta` must not be given; otherwise
         it is 1, the paper's.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ε = f − f^m in Hz; or the residual of eq. (2) at the sensors, a pseudo-likelihood
-        (`fmu.posterior.residual`) that needs measured shapes and a SeparableModel; or what is to be summed of
+        (`fmu.posterior.errors.residual`) that needs measured shapes and a SeparableModel; or what is to be summed of
         `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
     name : str
     engine : Engine, optional
@@ -251,7 +251,7 @@ class UpdatingProblem:
         """Return what one more test would measure where the model has `frequencies`, Hz, shape (n, n_modes).
 
         `simulate_data` repeats the data, the mean of all tests; a single test scatters √n times as much
-        (`fmu.posterior.repeated.RepeatedTests.simulate`). The parameters are those of `simulate_data`.
+        (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are those of `simulate_data`.
 
         Raises
         ------

@@ -21,14 +21,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fmu.fem.modal import RIGID
-from fmu.fem.observed import Observed
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.structure import PairedStructure
-from fmu.fem.terms import Term, coefficients
+from fmu.fem.modes.modal import RIGID
+from fmu.fem.modes.terms import Term, coefficients
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.prediction import Observed
+from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
-from fmu.posterior.joint import JointLikelihood
-from fmu.posterior.likelihood import FrequencyLikelihood
+from fmu.posterior.errors.frequency import FrequencyLikelihood
+from fmu.posterior.errors.joint import JointLikelihood
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem

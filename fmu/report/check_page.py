@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from fmu.analysis.check import Check
-from fmu.analysis.uninformed import doubts as doubts_of_information
-from fmu.fem.drawing import UNCHANGED
+from fmu.analysis.data.uninformed import doubts as doubts_of_information
+from fmu.fem.frame.drawing import UNCHANGED
 from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
 from fmu.report.document import Details, Items, Page, Part, Picture, Pictures, Section, Table, Text, Verdict
 from fmu.report.files import OutputDirectory
@@ -93,7 +93,7 @@ def _model(found: Check) -> Section:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
         caption = "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors."
-        drawing = Markup(found.drawing) + _legend(found)  # fmu.fem.drawing escapes what it writes
+        drawing = Markup(found.drawing) + _legend(found)  # fmu.fem.frame.drawing escapes what it writes
         parts.append(Pictures((Picture(drawing, caption, _DRAWN),)))
     words = ("prior", "changes") if "changes" in found.parameters else ("prior",)
     header = ("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds", *words[1:])

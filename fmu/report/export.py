@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.diagnosis import Diagnosis, diagnose_all, maxima_of
-from fmu.analysis.diagnostics import parameter_draws, parameter_names
-from fmu.analysis.provenance import canonical_json
-from fmu.analysis.trace import load_trace
+from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
+from fmu.analysis.trace.conversion import load_trace
+from fmu.analysis.trace.provenance import canonical_json
 from fmu.config.kept import kept
-from fmu.fem.separable import SeparableModel
+from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant
 from fmu.report.exported import PROBLEM, VALUES, copy_companions, rename, updated_text, write_matrices
 from fmu.report.files import OutputDirectory

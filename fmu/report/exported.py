@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmu.fem.separable import SeparableModel
+    from fmu.fem.modes.separable import SeparableModel
 
 FloatArray = NDArray[np.float64]
 

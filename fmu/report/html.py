@@ -38,7 +38,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
         If it is no directory, holds no traces, or traces of different problems; or if files of other origin stand
         where the report shall be.
     """
-    from fmu.analysis.trace import load_trace
+    from fmu.analysis.trace.conversion import load_trace
 
     directory = Path(run_directory)
     if not directory.is_dir():

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fmu.analysis.comparison import side_by_side
-from fmu.analysis.diagnosis import Diagnosis, diagnose_all, maxima_of
-from fmu.analysis.diagnostics import parameter_names, summary, walkers_of
-from fmu.analysis.prediction import predict_frequencies
-from fmu.analysis.trace import check_trace
+from fmu.analysis.convergence.comparison import side_by_side
+from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.convergence.diagnostics import parameter_names, summary, walkers_of
+from fmu.analysis.data.prediction import predict_frequencies
+from fmu.analysis.trace.conversion import check_trace
 from fmu.report.plots.style import TITLES, unit_of
 from fmu.report.units import Unit
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from fmu.analysis.maxima import Maxima
+    from fmu.analysis.maxima.results import Maxima
 
 
 @dataclass(frozen=True, eq=False)

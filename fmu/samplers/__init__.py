@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from .draws import Draws, RunResult
-from .ensemble import Ensemble
-from .hamiltonian import HamiltonianMonteCarlo
-from .kernel import Info, Kernel, LogDensity, Sampler, State
-from .metropolis import MetropolisHastings
-from .proposals import Independence, LogNormalWalk, RandomWalk
-from .run import Run, run
-from .slice import Slice
-from .tempering import Tempering
+from fmu.samplers.ensemble import Ensemble
+from fmu.samplers.hmc.hmc import HamiltonianMonteCarlo
+from fmu.samplers.kernel import Info, Kernel, LogDensity, Sampler, State
+from fmu.samplers.loop.draws import Draws, RunResult
+from fmu.samplers.loop.run import Run, run
+from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.proposals import Independence, LogNormalWalk, RandomWalk
+from fmu.samplers.slice import Slice
+from fmu.samplers.tempering.tempering import Tempering
 
 __all__ = [
     "Draws",

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .evaluation import evaluate
-from .kernel import FloatArray, Info, LogDensity, State
-from .settings import one_of, positive_number, whole_number
+from fmu.samplers.evaluation import evaluate
+from fmu.samplers.kernel import FloatArray, Info, LogDensity, State
+from fmu.samplers.loop.settings import one_of, positive_number, whole_number
 
 MOVES = ("stretch", "de", "snooker")
 
@@ -157,6 +157,6 @@ def _mixture(moves: Any) -> tuple[tuple[str, float], ...]:
 def _move(name: str) -> Any:
     from emcee import moves
 
-    from .snooker import SnookerMove
+    from fmu.samplers.snooker import SnookerMove
 
     return {"stretch": moves.StretchMove, "de": moves.DEMove, "snooker": SnookerMove}[name]()

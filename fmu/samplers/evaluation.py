@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernel import BoolArray, FloatArray, IntArray, LogDensity
+from fmu.samplers.kernel import BoolArray, FloatArray, IntArray, LogDensity
 
 
 @dataclass(frozen=True)

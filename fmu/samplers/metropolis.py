@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from .evaluation import evaluate
-from .kernel import FloatArray, Info, LogDensity, State
-from .proposals import Proposal, RandomWalk
-from .slice import Slice
-from .tuning import START_SCALE, MetropolisTuner, SliceTuner
+from fmu.samplers.adaptation.tuners import START_SCALE, MetropolisTuner, SliceTuner
+from fmu.samplers.evaluation import evaluate
+from fmu.samplers.kernel import FloatArray, Info, LogDensity, State
+from fmu.samplers.proposals import Proposal, RandomWalk
+from fmu.samplers.slice import Slice
 
 
 @dataclass(frozen=True)

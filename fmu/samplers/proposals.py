@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .kernel import FloatArray
-from .settings import Scale, cholesky_factor, fits, positive_scale, vector
+from fmu.samplers.kernel import FloatArray
+from fmu.samplers.loop.settings import Scale, cholesky_factor, fits, positive_scale, vector
 
 
 class Proposal(Protocol):

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .evaluation import evaluate
-from .kernel import BoolArray, FloatArray, Info, IntArray, LogDensity, State
-from .settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
-from .tuning import START_WIDTH, SliceTuner
+from fmu.samplers.adaptation.tuners import START_WIDTH, SliceTuner
+from fmu.samplers.evaluation import evaluate
+from fmu.samplers.kernel import BoolArray, FloatArray, Info, IntArray, LogDensity, State
+from fmu.samplers.loop.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
 
 SCHEMES = ("hyperrectangle", "coordinate")
 

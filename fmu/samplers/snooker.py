@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from emcee.moves import RedBlueMove
 
-from .kernel import FloatArray
+from fmu.samplers.kernel import FloatArray
 
 
 class SnookerMove(RedBlueMove):

@@ -7,13 +7,13 @@ import pytest
 from scipy.signal import lfilter
 
 from fmu import cases
-from fmu.analysis.search import find_map
-from fmu.analysis.trace import to_trace
-from fmu.posterior.measurement import ModalData
+from fmu.analysis.maxima.search import find_map
+from fmu.analysis.trace.conversion import to_trace
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
-from fmu.samplers.run import Draws, RunResult
+from fmu.samplers.loop.run import Draws, RunResult
 from tests.linear import LinearModel
 
 

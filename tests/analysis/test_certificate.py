@@ -3,8 +3,8 @@ import pytest
 
 import fmu
 from fmu.analysis.certificate import CertificateWarning, certify
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.posterior.focus import Tolerance
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.posterior.train_reduced import Tolerance
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import scipy.sparse as sp
 
 import fmu
 from fmu.analysis.check import check
-from fmu.analysis.description import model_in_words
+from fmu.analysis.data.prior_prediction import prior_prediction
 from fmu.analysis.gradient_check import check_gradient
-from fmu.analysis.initial_modes import initial_modes
-from fmu.analysis.prior_prediction import prior_prediction
-from fmu.fem.separable import SeparableModel
-from fmu.fem.terms import Term
-from fmu.posterior.measurement import ModalData
+from fmu.analysis.modes.initial_modes import initial_modes
+from fmu.analysis.trace.description import model_in_words
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from tests.linear import LinearModel

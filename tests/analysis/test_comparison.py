@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmu.analysis.comparison import compare
-from fmu.analysis.diagnostics import convergence_failures, summary
+from fmu.analysis.convergence.comparison import compare
+from fmu.analysis.convergence.diagnostics import convergence_failures, summary
 
 COLUMNS = [
     "verdict",
@@ -85,7 +85,7 @@ def test_what_is_no_trace_is_named(make_trace, good):
 
 
 def test_cost_does_not_depend_on_the_chains_shape(make_result, plain):
-    from fmu.analysis.trace import to_trace
+    from fmu.analysis.trace.conversion import to_trace
 
     result = make_result(np.random.default_rng(32).standard_normal((4, 400, 2)), walkers=8)
     result = dataclasses.replace(result, wall_s=0.0)

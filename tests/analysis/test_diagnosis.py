@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis import effective
-from fmu.analysis.diagnosis import Diagnosis, diagnose, diagnose_all, judge, maxima_of, with_maxima
-from fmu.analysis.diagnostics import convergence_failures, rhat_over_walkers, summary
-from fmu.analysis.search import find_map
-from fmu.analysis.trace import load_trace, save_trace, to_trace
+from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose, diagnose_all, judge, maxima_of, with_maxima
+from fmu.analysis.convergence.diagnostics import convergence_failures, rhat_over_walkers, summary
+from fmu.analysis.maxima.search import find_map
+from fmu.analysis.trace.conversion import load_trace, save_trace, to_trace
 from fmu.samplers import RandomWalk
 
 

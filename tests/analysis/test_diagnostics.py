@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from fmu.analysis import effective
-from fmu.analysis.diagnostics import (
+from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
     rhat_over_walkers,
     summary,
 )
-from fmu.analysis.trace import to_trace
+from fmu.analysis.trace.conversion import to_trace
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 import xarray as xr
 from emcee.autocorr import integrated_time
 
-from fmu.analysis import effective
+from fmu.analysis.convergence import effective
 
 
 def flat(ensembles):

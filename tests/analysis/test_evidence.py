@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 import fmu
-from fmu.analysis.evidence import GROUP, Evidence, evidence
-from fmu.analysis.search import find_map
-from fmu.analysis.trace import load_trace, save_trace
+from fmu.analysis.evidence.estimate import GROUP, Evidence, evidence
+from fmu.analysis.maxima.search import find_map
+from fmu.analysis.trace.conversion import load_trace, save_trace
 
 SD, DIMENSIONS = 0.1, 3  # likelihood N(0, SD²) in each of the dimensions, standard normal prior
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmu.analysis.failure_ledger import FailedSolves, failure_rate_exceeded, failures_csv, failures_table
+from fmu.analysis.trace.failure_ledger import FailedSolves, failure_rate_exceeded, failures_csv, failures_table
 from fmu.posterior.failures import Failure
 
 NAMES, UNITS = ("E", "k"), ("Pa", "")

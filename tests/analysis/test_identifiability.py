@@ -5,17 +5,17 @@ import pytest
 from scipy.stats import truncnorm
 
 import fmu
-from fmu.analysis.identifiability import (
+from fmu.analysis.data.identifiability import (
     contraction,
     identifiability,
     kept_identifiability,
     truncated_sd,
     with_identifiability,
 )
-from fmu.analysis.search import find_map
-from fmu.analysis.trace import to_trace
+from fmu.analysis.maxima.search import find_map
+from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from tests.linear import SLOPES
 
 BETA = np.array([0.5, 1.0, 2.0])

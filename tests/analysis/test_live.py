@@ -5,9 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 import fmu
-from fmu.analysis import effective
-from fmu.analysis.diagnostics import parameter_draws, walkers_of
-from fmu.analysis.live import live_diagnostics
+from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
+from fmu.analysis.convergence.live import live_diagnostics
 
 
 class Correlated:

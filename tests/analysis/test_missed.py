@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from fmu.analysis.maxima import Maxima, PosteriorMaximum
-from fmu.analysis.missed import compared, draws_of_maxima, missed_maxima, nearest_maxima
+from fmu.analysis.maxima.missed import compared, draws_of_maxima, missed_maxima, nearest_maxima
+from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 
 
 def maximum(theta, log_prob, share, sd=(1.0, 1.0), gradient=(0.0, 0.0), effective=300.0):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.modal_states import modal_states
-from fmu.fem.modal import mac
+from fmu.analysis.trace.modal_states import modal_states
+from fmu.fem.modes.modal import mac
 
 
 @pytest.fixture(scope="module")

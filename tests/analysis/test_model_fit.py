@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fmu.analysis.diagnosis import judge
-from fmu.analysis.modal_states import MEASURED
-from fmu.analysis.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
-from fmu.analysis.trace import to_trace
+from fmu.analysis.convergence.diagnosis import judge
+from fmu.analysis.data.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.trace.conversion import to_trace
+from fmu.analysis.trace.modal_states import MEASURED
 
 
 @pytest.fixture

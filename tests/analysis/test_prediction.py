@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from fmu.analysis import effective
-from fmu.analysis.prediction import expectation, leave_one_out, predict_frequencies
-from fmu.analysis.trace import to_trace
+from fmu.analysis.convergence import effective
+from fmu.analysis.data.prediction import expectation, leave_one_out, predict_frequencies
+from fmu.analysis.trace.conversion import to_trace
 
 # The model of conftest.py: f = 100 + SLOPES @ theta.
 SLOPES = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]])

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from fmu.analysis.provenance import attributes, canonical_json, configuration, configuration_hash
+from fmu.analysis.trace.provenance import attributes, canonical_json, configuration, configuration_hash
 
 
 def test_canonical_json_does_not_depend_on_order_or_container():

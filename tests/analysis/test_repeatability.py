@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fmu.analysis.check import check
-from fmu.analysis.diagnosis import judge
-from fmu.analysis.repeatability import FALSE_ALARMS, repeatability
-from fmu.analysis.trace import to_trace
-from fmu.posterior.measurement import ModalData
+from fmu.analysis.convergence.diagnosis import judge
+from fmu.analysis.data.repeatability import FALSE_ALARMS, repeatability
+from fmu.analysis.trace.conversion import to_trace
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
 from tests.linear import LinearModel
 

@@ -7,13 +7,13 @@ import pytest
 from scipy.integrate import simpson
 
 import fmu
-from fmu.analysis.curvature import hessian_at
-from fmu.analysis.mass import LocalQuadratic, masses
-from fmu.analysis.maxima import Maxima
-from fmu.analysis.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map
-from fmu.posterior.measurement import ModalData
+from fmu.analysis.maxima.curvature import hessian_at
+from fmu.analysis.maxima.mass import LocalQuadratic, masses
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 

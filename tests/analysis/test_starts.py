@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.missed import draws_of_maxima, nearest_maxima
-from fmu.analysis.starts import DISPERSION, allotted, starts_at_maxima
+from fmu.analysis.maxima.missed import draws_of_maxima, nearest_maxima
+from fmu.analysis.maxima.starts import DISPERSION, allotted, starts_at_maxima
 from tests.four_storeys import TRUTH, four_storeys
 
 
@@ -122,7 +122,7 @@ def test_where_the_quadratic_is_wrong_a_start_is_drawn_in(frame, frame_maxima):
 
     density = Cliff()
     assert np.all(np.isfinite(density.log_prob(starts_at_maxima(density, frame_maxima, 1, 1, seed=1))))
-    only_first = fmu.analysis.maxima.Maxima(
+    only_first = fmu.analysis.maxima.results.Maxima(
         (frame_maxima[0],), *(getattr(frame_maxima, n) for n in ("names", "units", "labels", "lower", "upper",
                                                                 "start", "measured", "before"))
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fmu.analysis.trace import PRIOR_DRAWS, load_trace, save_trace, to_trace
+from fmu.analysis.trace.conversion import PRIOR_DRAWS, load_trace, save_trace, to_trace
 
 GROUPS = {
     "posterior",
@@ -210,7 +210,7 @@ def test_a_file_that_is_too_large_is_one_error(tmp_path):
     program = (
         "import resource, signal, sys\n"
         "import numpy as np, xarray as xr\n"
-        "from fmu.analysis.trace import save_trace\n"
+        "from fmu.analysis.trace.conversion import save_trace\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))\n"
         "trace = xr.DataTree(xr.Dataset({name: ('x', np.arange(2000.0)) for name in 'abc'}))\n"

@@ -5,16 +5,16 @@ import pytest
 
 import fmu
 from fmu.analysis.check import check
-from fmu.analysis.diagnosis import judge
-from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
-from fmu.analysis.information import COMBINED, DATA, PRIOR, information
-from fmu.analysis.trace import to_trace
-from fmu.analysis.uninformed import doubts, left_to_prior
-from fmu.posterior.errors import FrequencyErrors
-from fmu.posterior.measurement import ModalData
-from fmu.posterior.one_sided_priors import LogNormal
+from fmu.analysis.convergence.diagnosis import judge
+from fmu.analysis.data.identifiability import Identifiability, identifiability, with_identifiability
+from fmu.analysis.data.information import COMBINED, DATA, PRIOR, information
+from fmu.analysis.data.uninformed import doubts, left_to_prior
+from fmu.analysis.trace.conversion import to_trace
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.models import FrequencyErrors
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal, Uniform
+from fmu.posterior.priors.base import Normal, Uniform
+from fmu.posterior.priors.one_sided import LogNormal
 from fmu.posterior.problem import UpdatingProblem
 
 

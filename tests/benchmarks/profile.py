@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fmu
+from fmu.paper.plan import Plan
+from fmu.paper.run import run_experiment
 from fmu.report.markdown import table
-from fmu.report.paper.plan import Plan
-from fmu.report.paper.run import run_experiment
 
 FloatArray = NDArray[np.float64]
 

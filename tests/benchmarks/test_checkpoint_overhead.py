@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from fmu.checkpoints import Checkpoint
-from fmu.checkpoints.identity import Identity
-from fmu.checkpoints.store import Store
+from fmu.runs import Checkpoint
+from fmu.runs.identity import Identity
+from fmu.runs.store import Store
 from fmu.samplers import HamiltonianMonteCarlo, Run
 from tests.benchmarks.ratio import spread
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from fmu.fem.eigensolver import eigen
-from fmu.fem.modal import frequency_gradient, frequency_hz
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.reduction import craig_bampton, guyan
-from fmu.posterior.focus import plausible_points
+from fmu.fem.condensation import craig_bampton, guyan
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.posterior.train_reduced import plausible_points
 
 CASES = [(case, pairing) for case in ("cantilever-young", "cantilever-section") for pairing in ("shape", "index")]
 

@@ -7,12 +7,12 @@ import time
 import numpy as np
 
 import fmu
-from fmu.fem.frame import ElementGroup, Frame
-from fmu.fem.modal import frequency_hz
-from fmu.fem.model import BlockModel
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.posterior.focus import plausible_points
-from fmu.posterior.priors import Normal
+from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.modes.blocks import BlockModel
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.posterior.priors.base import Normal
+from fmu.posterior.train_reduced import plausible_points
 from tests import cantilever
 from tests.benchmarks.tower import tower_problem
 

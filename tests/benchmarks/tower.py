@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 import fmu
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Material, Section
-from fmu.posterior.priors import Normal
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Material, Section
+from fmu.posterior.priors.base import Normal
 
 STOREYS, ZONES = 70, 4
 X_AXES, Y_AXES = np.arange(6) * 6.0, np.arange(4) * 5.0
@@ -63,8 +63,8 @@ def tower_problem() -> fmu.UpdatingProblem:
         for name in names
     ]
     truth = np.array([3.0e10, 3.1e10, 3.4e10, 3.6e10, 3.5e10, 3.2e10, 3.0e10, 3.3e10])
-    from fmu.fem.eigensolver import eigen
-    from fmu.fem.modal import frequency_hz
+    from fmu.fem.modes.eigensolver import eigen
+    from fmu.fem.modes.modal import frequency_hz
 
     measured = frequency_hz(eigen(model.K(truth), model.M(truth), N_MODES)[0])
     return fmu.UpdatingProblem(

@@ -8,14 +8,14 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.analysis.identifiability import identifiability
-from fmu.analysis.initial_modes import initial_modes
-from fmu.analysis.pairing_doubts import COUNTERPARTS_GIVEN
-from fmu.analysis.uninformed import left_to_prior
+from fmu.analysis.data.identifiability import identifiability
+from fmu.analysis.data.uninformed import left_to_prior
+from fmu.analysis.modes.initial_modes import initial_modes
+from fmu.analysis.modes.pairing_doubts import COUNTERPARTS_GIVEN
 from fmu.config.problem import ProblemFile
-from fmu.fem.frame import DIRECTIONS
-from fmu.fem.pairing import count_rigid
-from fmu.posterior.maxima import local_maxima
+from fmu.fem.frame.frame import DIRECTIONS
+from fmu.fem.pairing.rules import count_rigid
+from fmu.posterior.maxima.local_maxima import local_maxima
 
 MEASURED = [6.38, 16.10, 33.13, 33.53, 35.65, 48.38, 49.43, 55.08, 63.04, 66.50]
 

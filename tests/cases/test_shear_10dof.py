@@ -7,10 +7,10 @@ from scipy import stats
 from scipy.linalg import eigh
 
 import fmu
-from fmu.fem.modal import mac
-from fmu.fem.pairing import RankPairing
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.formats.matrices import read_matrix
+from fmu.fem.modes.modal import mac
+from fmu.fem.pairing.rules import RankPairing
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.formats.matrices.read import read_matrix
 from tests.validation import ten_storeys
 
 FOLDER = fmu.cases.path("shear-10dof").parent / ten_storeys.FOLDER

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.analysis import effective
+from fmu.analysis.convergence import effective
 from tests.two_storeys import BETWEEN, SD, quadrature
 
 

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from fmu.checkpoints import identity
-from fmu.checkpoints.identity import FILE, Identity
+from fmu.runs import identity
+from fmu.runs.identity import FILE, Identity
 
 CONFIGURATION = {"problem": {"name": "beam", "lower": [0.0, -math.inf]}, "run": {"seed": 1, "groups": None}}
 

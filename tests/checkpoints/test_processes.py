@@ -11,8 +11,8 @@ from multiprocessing.connection import Connection
 import numpy as np
 import pytest
 
-from fmu.checkpoints.durable import digest
-from fmu.checkpoints.store import numbered, read_state
+from fmu.runs.files import digest
+from fmu.runs.store import numbered, read_state
 from tests.checkpoints.watched import DRAWS, STEPS, Watched, main, sampled
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.diagnostics import parameter_draws
-from fmu.analysis.live import live_diagnostics
-from fmu.checkpoints import Checkpoint
-from fmu.checkpoints.presence import FILE, announce, leave, present
-from fmu.checkpoints.reading import SILENT_S, RunReader
-from fmu.checkpoints.store import Store
+from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.analysis.convergence.live import live_diagnostics
+from fmu.runs import Checkpoint
+from fmu.runs.lock import FILE, announce, leave, present
+from fmu.runs.status import SILENT_S, RunReader
+from fmu.runs.store import Store
 from fmu.sampling import StoppedRun
 from tests.samplers.targets import CorrelatedGaussian
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.checkpoints import Checkpoint
-from fmu.checkpoints.identity import Identity
-from fmu.checkpoints.store import (
+from fmu.runs import Checkpoint
+from fmu.runs.identity import Identity
+from fmu.runs.store import (
     LEDGER,
     CheckpointWarning,
     OtherArithmeticWarning,
@@ -433,6 +433,6 @@ def test_nothing_stays_open(tmp_path):
 def test_another_kind_of_cpu_is_told(tmp_path, whole, monkeypatch):
     with pytest.raises(Killed):
         ran(tmp_path, progress=killed_at("draws", 35))
-    monkeypatch.setattr("fmu.checkpoints.store.arithmetic", lambda: "abacus")
+    monkeypatch.setattr("fmu.runs.store.arithmetic", lambda: "abacus")
     with pytest.warns(OtherArithmeticWarning, match=r"another kind of CPU or BLAS \(.*; here abacus\)"):
         assert_same(ran(tmp_path), whole)

@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 import fmu
-from fmu.checkpoints import Checkpoint
 from fmu.posterior.failures import Failure
+from fmu.runs import Checkpoint
 from tests.samplers.targets import CorrelatedGaussian
 
 WARMUP, DRAWS, CHAINS = 40, 60, 2

@@ -2,8 +2,8 @@
 
 import pytest
 
-import fmu.analysis.search
-from fmu.checkpoints.store import Store
+import fmu.analysis.maxima.search
+from fmu.runs.store import Store
 from tests.cli.runs import QUIET, invoke, of, problem_in
 
 FOUND = {}
@@ -12,7 +12,7 @@ FOUND = {}
 @pytest.fixture(scope="module")
 def _searched_once():
     """The maxima of a problem are searched for once: the tests are of what comes after."""
-    search = fmu.analysis.search.find_map
+    search = fmu.analysis.maxima.search.find_map
 
     def remembered(problem, starts=None, seed=1):
         key = (problem.name, starts, seed)
@@ -21,7 +21,7 @@ def _searched_once():
         return FOUND[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fmu.analysis.search, "find_map", remembered)
+        patch.setattr(fmu.analysis.maxima.search, "find_map", remembered)
         yield
 
 

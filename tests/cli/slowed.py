@@ -14,7 +14,7 @@ import time
 
 from fmu.cli import main
 from fmu.progress import phases
-from fmu.samplers import group
+from fmu.samplers.loop import group
 
 HOUR_S = 3600.0
 

@@ -3,8 +3,8 @@
 import pytest
 
 import fmu
-from fmu.checkpoints.run_directory import RunDirectory
-from fmu.checkpoints.store import Store
+from fmu.runs.run_directory import RunDirectory
+from fmu.runs.store import Store
 from tests.cli.runs import SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")

@@ -5,7 +5,7 @@ import signal
 import pytest
 
 import fmu
-from fmu.checkpoints.run_directory import RunDirectory
+from fmu.runs.run_directory import RunDirectory
 from tests.cli.runs import QUIET, assert_same, invoke, of, resume, run
 
 SAMPLERS = ("mh", "slice", "hmc")
@@ -61,7 +61,7 @@ def test_a_stop_in_the_search_for_maxima(folder, whole, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("fmu.analysis.search.find_map", interrupted)
+        patch.setattr("fmu.analysis.maxima.search.find_map", interrupted)
         stopped = run(*of("mh"))
     assert stopped.exit_code == 130
     assert stopped.stderr.splitlines()[-1] == "Stopped. To go on: fmu run --resume out"

@@ -10,13 +10,13 @@ import pytest
 from click.testing import CliRunner
 
 import fmu
-from fmu.checkpoints import Checkpoint
-from fmu.checkpoints.presence import announce
-from fmu.checkpoints.reading import RunReading, SamplerReading
-from fmu.checkpoints.sampler_reading import Progress
-from fmu.checkpoints.store import Store
 from fmu.cli import main
-from fmu.cli.watch import _lines
+from fmu.cli.commands.watch import _lines
+from fmu.runs import Checkpoint
+from fmu.runs.lock import announce
+from fmu.runs.sampler_reading import Progress
+from fmu.runs.status import RunReading, SamplerReading
+from fmu.runs.store import Store
 from tests.cli.runs import problem_in
 from tests.samplers.targets import CorrelatedGaussian
 
@@ -93,7 +93,7 @@ def test_a_running_one_is_followed_to_its_end(out, monkeypatch):
         if len(waited) == 2:
             (out / "checkpoints" / "at-work.json").unlink()
 
-    monkeypatch.setattr("fmu.cli.watch.time.sleep", sleep)
+    monkeypatch.setattr("fmu.cli.commands.watch.time.sleep", sleep)
     lines = watch("out", "--follow", "--every", 7)
     assert waited == [7.0, 7.0]
     heads = [line for line in lines if line.startswith("out: ")]

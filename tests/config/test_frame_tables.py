@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fmu.config import ConfigurationError, load
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
-from fmu.fem.modal import frequency_hz
-from fmu.fem.separable import RigidArm
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.separable import RigidArm
 
 HALL = """\
 name = "hall"

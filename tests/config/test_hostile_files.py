@@ -101,7 +101,7 @@ def complaint(path):
 
 
 def test_every_matrix_that_is_changed_at_random_was_right(tmp_path):
-    from fmu.formats.matrices import read_matrix
+    from fmu.formats.matrices.read import read_matrix
 
     for kind in hostile_matrices.KINDS:
         path = tmp_path / f"K{kind[kind.index('.') :] if not kind.startswith('abaqus') else '.mtx'}"

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu import cases
 from fmu.config import ConfigurationError, load
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.terms import Term
-from fmu.posterior.focus import Tolerance
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modes.terms import Term
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
+from fmu.posterior.train_reduced import Tolerance
 from tests import cantilever
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.formats.matrices import write_matrix
+from fmu.formats.matrices.read import write_matrix
 from tests.fem.massless_bridge import LOWER, START, UPPER, bridge, condensed
 
 TRUE = np.array([1.95e11, 2.1e11, 1.1])

@@ -14,7 +14,7 @@ from scipy.io import hb_write, savemat
 
 import fmu
 from fmu.config import ConfigurationError, load
-from fmu.formats.matrices import write_matrix
+from fmu.formats.matrices.read import write_matrix
 from tests import cantilever
 
 

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.config import ConfigurationError, load
-from fmu.formats.pyoma import save_pyoma
-from fmu.posterior.correlated import CorrelatedFrequencyError
-from fmu.posterior.measurement import ModalData
+from fmu.formats.modes.pyoma import save_pyoma
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.correlated import CorrelatedFrequencyError
 
 GIVEN = """\
 frequencies = [3.1, 9.8]
@@ -263,7 +263,8 @@ BROKEN = {
     'uff = { file = "test.uff" }\nsd = 0.1\nshapes = [[1.0]]': "measurement: shapes must not be given beside uff",
     'uff = { file = "test.uff", nodes = { tip = 3 } }\nsd = 0.1': "measurement.uff.nodes.tip",
     'oma = { file = "oma.npz" }': "measurement: sensors must be given beside oma, one a channel",
-    'oma = { file = "no-sd.csv" }\n' + SENSORS: "measurement.oma: must be a file of fmu.formats.pyoma.save_pyoma",
+    'oma = { file = "no-sd.csv" }\n'
+    + SENSORS: "measurement.oma: must be a file of fmu.formats.modes.pyoma.save_pyoma",
     'oma = { file = "oma.npz", modes = [3] }\n' + SENSORS: "measurement.oma: modes: must lie in 1..2 (got [3])",
 }
 

@@ -5,8 +5,8 @@ import tomllib
 import pytest
 
 from fmu import cases
+from fmu.config.model.targets import Target
 from fmu.config.schema import DIALECT, schema
-from fmu.config.targets import Target
 from fmu.config.template import KINDS, template
 
 jsonschema = pytest.importorskip("jsonschema")

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_array_equal
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from fmu.fem import basis_cache
-from fmu.fem.basis_cache import load_basis, store_basis
-from fmu.fem.threads import single_thread
+from fmu.fem.modes.threads import single_thread
+from fmu.fem.reduced import cache as basis_cache
+from fmu.fem.reduced.cache import load_basis, store_basis
 
 STATE = {"basis0": np.arange(6.0).reshape(2, 3), "trusted0": np.array(2.0)}
 KEY = {"problem": {"name": "beam", "start": 1.5}, "tolerances": [1e-6]}

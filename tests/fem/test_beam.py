@@ -6,7 +6,7 @@ import skfem
 from numpy.testing import assert_allclose
 from skfem.helpers import d, dd
 
-from fmu.fem import beam
+from fmu.fem.frame import beam
 
 LENGTHS = np.array([0.4, 1.7])
 BENDING_XY = [1, 5, 7, 11]

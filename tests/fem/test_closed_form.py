@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.modal import frequency_hz
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_hz
 
 L, E, NU, RHO = 1.5, 2e11, 0.25, 8000.0
 COMPACT = Section(A=4e-3, Iy=2e-6, Iz=5e-6, J=3e-6)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from fmu.fem.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, PointMass, Section
-from fmu.fem.separable import RigidArm, SeparableModel
+from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.modes.separable import RigidArm, SeparableModel
 from tests import cantilever
 
 SVG = "{http://www.w3.org/2000/svg}"

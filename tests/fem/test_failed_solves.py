@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fmu.fem.failed_solves import why_no_frequencies
-from fmu.fem.separable import SeparableModel
-from fmu.fem.structure import PairedStructure
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.failed_solves import why_no_frequencies
+from fmu.fem.pairing.paired_model import PairedStructure
 
 EYE = np.eye(3)
 COUPLED = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
@@ -68,7 +68,7 @@ def test_a_solver_that_gives_up(monkeypatch):
     def fails(*args, **options):
         raise np.linalg.LinAlgError("2 eigenvectors failed to converge")
 
-    monkeypatch.setattr("fmu.fem.eigensolver.sl.eigh", fails)
+    monkeypatch.setattr("fmu.fem.modes.eigensolver.sl.eigh", fails)
     assert np.all(np.isnan(posed.frequencies(THETA[None])))
     assert why_no_frequencies(posed, THETA) == (
         "the eigenvalue solver did not converge (eigenproblem of 3 DOF: 2 eigenvectors failed to converge)"

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.modal import frequency_hz
-from fmu.fem.model import BlockModel
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modes.blocks import BlockModel
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_hz
 
 SECTION = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

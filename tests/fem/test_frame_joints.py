@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.modes.eigensolver import eigen
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 TUBE = Section.tube(0.1, 0.005)

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from fmu.fem import null_space
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, Section
-from fmu.fem.modal import FullBlock, frequency_hz
-from fmu.fem.separable import SeparableModel
-from fmu.fem.stability import free_motions, require_stable
-from fmu.fem.terms import Term
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, Section
+from fmu.fem.frame.stability import free_motions, require_stable
+from fmu.fem.modes import null_space
+from fmu.fem.modes.modal import FullBlock, frequency_hz
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 TUBE = Section.tube(0.1, 0.005)

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, PointMass, Section
-from fmu.fem.modal import frequency_hz
-from fmu.fem.separable import RigidArm
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.separable import RigidArm
 from tests.fem.exact_frame import Member, frequencies
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem import reduced_basis, snapshots, structure, training
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modal import FullBlock
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.snapshots import Snapshots, proper_orthogonal_basis
-from fmu.fem.structure import PairedStructure
-from fmu.fem.training import Training, affordable, box_points
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modes.modal import FullBlock
+from fmu.fem.pairing import paired_model as structure
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced import basis as reduced_basis
+from fmu.fem.reduced import snapshots, training
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.snapshots import Snapshots, proper_orthogonal_basis
+from fmu.fem.reduced.training import Training, affordable, box_points
 
 PARTS, ELEMENTS = 10, 40
 

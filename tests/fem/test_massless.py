@@ -7,14 +7,14 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem import eigensolver, modal, null_space
-from fmu.fem.eigensolver import eigen
-from fmu.fem.null_space import DENSE_LIMIT, SingularMassError
-from fmu.fem.reduction import craig_bampton
-from fmu.fem.separable import SeparableModel
-from fmu.fem.stability import require_stable
-from fmu.fem.structure import PairedStructure
-from fmu.fem.terms import Term
+from fmu.fem.condensation import craig_bampton
+from fmu.fem.frame.stability import require_stable
+from fmu.fem.modes import eigensolver, modal, null_space
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.null_space import DENSE_LIMIT, SingularMassError
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.fem.pairing.paired_model import PairedStructure
 from tests.fem.massless_bridge import LOWER, START, UPPER, bridge, condensed
 
 ROTATIONS = ((3, "ry"), (8, "rx"), (4, "z"), (9, "y"))

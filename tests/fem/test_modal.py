@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from fmu.fem import eigensolver
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modal import FullBlock, frequency_gradient, frequency_hz, mac
-from fmu.fem.null_space import DENSE_LIMIT, SingularMassError
-from fmu.fem.separable import SeparableModel
-from fmu.fem.terms import Term, WeightedSum, weighted_sum
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modes import eigensolver
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import FullBlock, frequency_gradient, frequency_hz, mac
+from fmu.fem.modes.null_space import DENSE_LIMIT, SingularMassError
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term, WeightedSum, weighted_sum
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

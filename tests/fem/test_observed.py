@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.separable import RigidArm
-from fmu.fem.structure import PairedStructure
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modes.separable import RigidArm
+from fmu.fem.pairing.paired_model import PairedStructure
 
 START = np.array([2.1e11, 2.0e11, 8e-4])
 SENSORS = ((4, "x"), (8, "-z"), ("skin", "y"), ("skin", "z"))
@@ -151,5 +151,5 @@ def test_in_one_block_a_number_is_a_rank(monkeypatch):
     structure.train(0.8 * START, 1.2 * START, tolerance=1e-9)
     assert len(structure.reduced.blocks) == 1
     expected = structure.frequencies(points(4))
-    monkeypatch.setattr("fmu.fem.model.BlockModel.spectrum", None)
+    monkeypatch.setattr("fmu.fem.modes.blocks.BlockModel.spectrum", None)
     assert_allclose(structure.observed(points(4)).frequencies, expected, rtol=1e-9)

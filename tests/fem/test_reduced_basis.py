@@ -5,12 +5,12 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.modal import FullBlock, frequency_hz
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.separable import SeparableModel, selection
-from fmu.fem.snapshots import Snapshots, proper_orthogonal_basis, smallest_basis
-from fmu.fem.terms import Term
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modes.modal import FullBlock, frequency_hz
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.terms import Term
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.snapshots import Snapshots, proper_orthogonal_basis, smallest_basis
 
 COUNT = 4
 SIZES = (1, 2, 3, 16, 64, 513)

@@ -5,9 +5,9 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.reduction import craig_bampton, guyan, reusable, substructures
+from fmu.fem.condensation import craig_bampton, guyan, reusable, substructures
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.modes.eigensolver import eigen
 
 SECTION = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

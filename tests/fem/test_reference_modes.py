@@ -6,12 +6,12 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.model import BlockModel
-from fmu.fem.pairing import ShapePairing, count_rigid, reference_modes
-from fmu.fem.separable import SeparableModel, selection
-from fmu.fem.structure import PairedStructure
-from fmu.fem.terms import Term
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modes.blocks import BlockModel
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.terms import Term
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.rules import ShapePairing, count_rigid, reference_modes
 from tests import cantilever
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.structure import PairedStructure
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.pairing.paired_model import PairedStructure
 from tests import cantilever
 
 LOWER = np.array([3.5e-9, 3.5e-9, 4.5e-4, 4.5e-4])

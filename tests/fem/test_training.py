@@ -5,15 +5,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from fmu.fem import training
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modal import frequency_hz
-from fmu.fem.model import BlockModel
-from fmu.fem.pairing import IndexPairing, RankPairing, ShapePairing, reference_modes
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.separable import selection
-from fmu.fem.structure import PairedStructure
-from fmu.fem.training import EXACT_LIMIT, Training, box_points
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modes.blocks import BlockModel
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.separable import selection
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, reference_modes
+from fmu.fem.reduced import training
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.training import EXACT_LIMIT, Training, box_points
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

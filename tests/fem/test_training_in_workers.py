@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fmu
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.null_space import DENSE_LIMIT
-from fmu.fem.structure import PairedStructure
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modes.null_space import DENSE_LIMIT
+from fmu.fem.pairing.paired_model import PairedStructure
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from scipy.io import hb_write, mmwrite, savemat
 
-from fmu.formats import matrix_files
-from fmu.formats.matrices import read_labelled, read_matrix, write_matrix
+from fmu.formats.matrices import files as matrix_files
+from fmu.formats.matrices.read import read_labelled, read_matrix, write_matrix
 
 K = np.array([[4.0, -1.0, 0.0, 0.0], [-1.0, 3.0, 1 / 3, 0.0], [0.0, 1 / 3, 2.0, -0.1], [0.0, 0.0, -0.1, 1e12]])
 TWO = np.array([[2.0, -1.0], [-1.0, 2.0]])
@@ -265,7 +265,7 @@ def test_sizes_are_looked_at_before_reading(tmp_path, monkeypatch):
     for suffix in (".mat", ".npz", ".mtx.gz", ".h5", ".csv"):
         with pytest.raises(ValueError, match=r"at most 200000 entries, both triangles counted \(got 250000\)"):
             read_matrix(tmp_path / f"k{suffix}")
-    monkeypatch.setattr("fmu.formats.matrices.LARGEST_FILE", 100_000)
+    monkeypatch.setattr("fmu.formats.matrices.read.LARGEST_FILE", 100_000)
     with pytest.raises(ValueError, match="at most 100000 bytes"):
         read_matrix(tmp_path / "k.csv")
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.formats import modes as limits
-from fmu.formats.modes import ModesError, phase_collinearity, real_shapes
-from fmu.formats.modes_csv import read_frequencies, read_shapes
-from fmu.posterior.measurement import ModalData
+from fmu.formats.modes import measured_modes as limits
+from fmu.formats.modes.csv import read_frequencies, read_shapes
+from fmu.formats.modes.measured_modes import ModesError, phase_collinearity, real_shapes
+from fmu.posterior.data.modal_data import ModalData
 
 FREQUENCIES = """\
 mode,number,frequency,sd

@@ -10,12 +10,12 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.analysis.diagnostics import parameter_draws
-from fmu.fem.separable import SeparableModel
-from fmu.fem.terms import Term
-from fmu.formats.modes import ModesError
-from fmu.formats.pyoma import load_pyoma, pyoma_modes, save_pyoma
-from fmu.posterior.measurement import ModalData
+from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.formats.modes.measured_modes import ModesError
+from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes, save_pyoma
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.sampling import sample
@@ -140,6 +140,6 @@ def test_wrong_modes(result):
 
 
 def test_formats_import_no_other_program():
-    code = "import sys, fmu.posterior.measurement; print({'pyuff', 'pyoma2', 'sklearn'} & set(sys.modules))"
+    code = "import sys, fmu.posterior.data.modal_data; print({'pyuff', 'pyoma2', 'sklearn'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

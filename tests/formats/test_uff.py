@@ -6,11 +6,11 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import eigh
 
-from fmu.fem.separable import SeparableModel
-from fmu.fem.terms import Term
-from fmu.formats.modes import ModesError
-from fmu.formats.uff import read_uff
-from fmu.posterior.measurement import ModalData
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.formats.modes.measured_modes import ModesError
+from fmu.formats.modes.uff import read_uff
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 

@@ -5,10 +5,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import lsq_linear
 
-from fmu.posterior.ascent import GaussNewton, ascend, decrement
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.maxima.ascent import GaussNewton, ascend, decrement
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.fem.separable import SeparableModel
+from fmu.fem.modes.separable import SeparableModel
 
 
 @pytest.fixture(scope="module")

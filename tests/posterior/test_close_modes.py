@@ -16,11 +16,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.fem.observed import Observed
-from fmu.fem.structure import PairedStructure
-from fmu.posterior.joint import JointLikelihood
-from fmu.posterior.likelihood import FrequencyLikelihood, frequency_error
-from fmu.posterior.residual import ModalResidual
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.prediction import Observed
+from fmu.posterior.errors.frequency import FrequencyLikelihood, frequency_error
+from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.residual import ModalResidual
 
 SENSORS = ((0, "x"), (1, "x"), (2, "x"))
 Q = np.eye(3) - 2.0 / 9.0 * np.outer([1, 2, 2], [1, 2, 2])

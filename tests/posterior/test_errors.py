@@ -6,13 +6,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from scipy.integrate import quad
 
-from fmu.fem.observed import Observed
-from fmu.fem.separable import SeparableModel
-from fmu.fem.structure import PairedStructure
-from fmu.fem.terms import Term
-from fmu.posterior.errors import FrequencyErrors, MACErrors, ShapeErrors
-from fmu.posterior.joint import JointLikelihood
-from fmu.posterior.measurement import ModalData
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.prediction import Observed
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.models import FrequencyErrors, MACErrors, ShapeErrors
 from fmu.posterior.parameters import Parameter
 
 SENSORS = ((0, "x"), (1, "x"), (3, "x"))

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fmu
-from fmu.fem.separable import SeparableModel
+from fmu.fem.modes.separable import SeparableModel
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.failures import Failure, FailureRecord
-from fmu.posterior.measurement import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 

@@ -8,20 +8,20 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu import cases
-from fmu.fem import training
-from fmu.fem.modal import frequency_gradient, frequency_hz
-from fmu.fem.model import BlockModel
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.separable import SeparableModel
-from fmu.fem.structure import PairedStructure
-from fmu.fem.terms import Term
-from fmu.fem.training import Trained, Training
-from fmu.posterior import focus
-from fmu.posterior.focus import LOG_PROB_TOLERANCE, ReductionWarning, Tolerance, plausible_points
-from fmu.posterior.measurement import ModalData
+from fmu.fem.modes.blocks import BlockModel
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced import training
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.training import Trained, Training
+from fmu.posterior import train_reduced as focus
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.train_reduced import LOG_PROB_TOLERANCE, ReductionWarning, Tolerance, plausible_points
 
 CASES = [(case, pairing) for case in ("cantilever-young", "cantilever-section") for pairing in ("shape", "index")]
 SIZES = (1, 2, 3, 16, 64, 513)

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.posterior.joint import JointLikelihood
+from fmu.posterior.errors.joint import JointLikelihood
 
 TRUTH = np.array([1.1, 0.9])
 SENSORS = ((0, "x"), (2, "x"), (3, "x"))

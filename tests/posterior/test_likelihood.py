@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import dblquad, quad
 
-from fmu.posterior.likelihood import FrequencyError
+from fmu.posterior.errors.frequency import FrequencyError
 
 COMPUTED = np.array([[30.0, 200.0]])
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.posterior.focus import PLAUSIBLE, plausible_points
-from fmu.posterior.maxima import STARTS, local_maxima
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.maxima.local_maxima import STARTS, local_maxima
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.train_reduced import PLAUSIBLE, plausible_points
 
 
 class Squares:

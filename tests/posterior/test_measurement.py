@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
 
 
 def test_defaults():

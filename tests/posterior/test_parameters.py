@@ -6,10 +6,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import fmu
-from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
 from fmu.posterior.parameters import JointPrior, Parameter, share_alpha
-from fmu.posterior.priors import Normal, Uniform
-from fmu.posterior.scipy_priors import ScaledBeta, ScipyPrior
+from fmu.posterior.priors.base import Normal, Uniform
+from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
+from fmu.posterior.priors.scipy_distributions import ScaledBeta, ScipyPrior
 
 INF = np.inf
 

@@ -12,9 +12,9 @@ from scipy.integrate import quad
 from scipy.special import log_ndtr
 from scipy.stats import kstest, truncnorm
 
-from fmu.posterior.one_sided_priors import HalfNormal, LogNormal
-from fmu.posterior.priors import Normal, Uniform
-from fmu.posterior.scipy_priors import ScaledBeta, ScipyPrior
+from fmu.posterior.priors.base import Normal, Uniform
+from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
+from fmu.posterior.priors.scipy_distributions import ScaledBeta, ScipyPrior
 
 INF = np.inf
 INTERVALS = [

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal, Uniform
+from fmu.posterior.priors.base import Normal, Uniform
 from fmu.posterior.problem import UpdatingProblem
 
 # Weights of the central differences at 1, 2, … steps: errors O(step⁴), O(step⁶) and O(step⁸).

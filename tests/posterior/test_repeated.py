@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm, t
 
-from fmu.posterior.measurement import ModalData
-from fmu.posterior.repeated import RepeatedTests, mean_frequencies, mean_shapes, shapes_sd
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.repeated import RepeatedTests, mean_frequencies, mean_shapes, shapes_sd
 
 TESTS = np.array([[10.0, 20.1, 30.3], [10.2, 20.0, np.nan], [10.1, 20.5, 30.0]])
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modal import frequency_hz
-from fmu.fem.reduction import guyan
-from fmu.posterior.measurement import ModalData
+from fmu.fem.condensation import guyan
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.modes.modal import frequency_hz
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.residual import ModalResidual
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.residual import ModalResidual
 
 SENSORS = tuple((node, "z") for node in (2, 4, 6, 8))
 THETA = np.array([2.1e11, 4e-6, 7850.0])

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.fem.frame import ElementGroup, Frame, Material, Section
-from fmu.fem.joints import JointSpring
-from fmu.fem.separable import SeparableModel
+from fmu.fem.frame.frame import ElementGroup, Frame, Material, Section
+from fmu.fem.frame.joints import JointSpring
+from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior import rounding as module
-from fmu.posterior.focus import ReductionWarning
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.rounding import RoundingWarning, rounding
+from fmu.posterior.train_reduced import ReductionWarning
 
 N, SOFT, MASS = 6, 1e5, 10.0
 

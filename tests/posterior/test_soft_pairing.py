@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import logsumexp
 
 import fmu
-from fmu.fem.modal import mac
-from fmu.posterior.soft import SoftLikelihood
+from fmu.fem.modes.modal import mac
+from fmu.posterior.errors.mixture import SoftLikelihood
 from tests.veering import SENSORS, SHAPES, veering_model, veering_problem
 
 NOISE = fmu.Parameter("sigma", start=0.02, lower=1e-3, upper=1.0)

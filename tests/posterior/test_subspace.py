@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import orth
 
 import fmu
-from fmu.fem.observed import Observed
-from fmu.posterior.subspace import in_span
+from fmu.fem.pairing.prediction import Observed
+from fmu.posterior.errors.subspace import in_span
 from tests.veering import SENSORS, veering_problem
 
 TOGETHER = [fmu.MACErrors(sd=0.02, together=[("1", "2")])]

@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import fmu
-from fmu.analysis.identifiability import truncated_sd
-from fmu.fem.modal import frequency_hz
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.posterior.focus import FREQUENCY_TOLERANCE
+from fmu.analysis.data.identifiability import truncated_sd
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.posterior.train_reduced import FREQUENCY_TOLERANCE
 
 
 def springs(n, where, power):

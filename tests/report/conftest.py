@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.posterior.measurement import ModalData
+from fmu.paper.experiment import compute
+from fmu.paper.findings import Findings
+from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report.html import write_pages
-from fmu.report.paper.experiment import compute
-from fmu.report.paper.findings import Findings
-from fmu.report.paper.plan import PAPER_SAMPLERS, Length, Plan
 from tests.linear import LinearModel
 from tests.report.parsed import IMAGE, SCRIPT
 

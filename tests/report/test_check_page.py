@@ -5,7 +5,7 @@ import re
 import pytest
 
 import fmu
-from fmu.posterior.measurement import ModalData
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report.check_page import check_page, write_check

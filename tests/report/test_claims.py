@@ -5,9 +5,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from fmu.report.paper.claims import SEPARATED, judge, statement
-from fmu.report.paper.page import experiment_page
-from fmu.report.paper.summary_page import summary_page
+from fmu.paper.pages.page import experiment_page
+from fmu.paper.pages.summary_page import summary_page
+from fmu.paper.published.claims import SEPARATED, judge, statement
 
 RATES = {"mh": 0.02, "slice": 0.01, "hmc": 0.05, "emcee": 0.03}
 

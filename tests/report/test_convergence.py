@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fmu.analysis.diagnostics import summary
-from fmu.report.paper.convergence import (
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.paper.convergence import (
     lengths_up_to,
     running_error,
     shortened,
@@ -15,7 +15,7 @@ from fmu.report.paper.convergence import (
     solves_by_step,
     solves_needed,
 )
-from fmu.report.paper.reference import Reference, around_the_maxima, pooled
+from fmu.paper.reference import Reference, around_the_maxima, pooled
 
 REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given")
 

@@ -8,11 +8,11 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.cases.published import EXPERIMENTS
-from fmu.report.paper import spectrum
-from fmu.report.paper.closing import separated_modes
-from fmu.report.paper.errata import computed_errata, errata_page
-from fmu.report.paper.recomputed import recompute, recomputed_page
+from fmu.paper.pages.closing import separated_modes
+from fmu.paper.published import spectrum
+from fmu.paper.published.errata import computed_errata, errata_page
+from fmu.paper.published.recomputed import recompute, recomputed_page
+from fmu.paper.published.tables import EXPERIMENTS
 from tests import cantilever
 
 

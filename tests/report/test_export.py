@@ -10,8 +10,8 @@ import scipy.linalg
 from scipy.io import mmread
 
 import fmu
-from fmu.analysis.diagnosis import maxima_of
-from fmu.analysis.trace import save_trace
+from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.trace.conversion import save_trace
 from fmu.config.kept import keep
 from fmu.config.template import write_template
 from fmu.report.export import export

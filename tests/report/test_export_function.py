@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 import fmu
-from fmu.analysis.trace import save_trace
+from fmu.analysis.trace.conversion import save_trace
 from fmu.config.kept import keep
 from fmu.report.export import export
 

@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner
 
 import fmu
-from fmu.analysis.diagnosis import UNSEARCHED
-from fmu.analysis.trace import save_trace
+from fmu.analysis.convergence.diagnosis import UNSEARCHED
+from fmu.analysis.trace.conversion import save_trace
 from fmu.cli import main
 from fmu.report.document import Page
 from fmu.report.html import render, write_pages

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from fmu.report.paper.figures import ENOUGH, frequency_series, plot_convergence
-from fmu.report.paper.plan import SAMPLERS
+from fmu.paper.pages.figures import ENOUGH, frequency_series, plot_convergence
+from fmu.paper.plan import SAMPLERS
 from fmu.report.plots import COLOURS, TITLES, Frequencies, plot_corner, plot_frequency_errors, plot_traces
 
 LABELS = ["Ix1 / mm⁴", "Ix2 / mm⁴", "Ax1 / mm²", "Ax2 / mm²"]

@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from fmu.analysis.diagnosis import maxima_of
-from fmu.analysis.trace import load_trace
+from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.trace.conversion import load_trace
+from fmu.paper import run_paper
+from fmu.paper.run import file_names
 from fmu.report.files import MANIFEST
-from fmu.report.paper import run_paper
-from fmu.report.paper.run import file_names
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_figures_can_be_read(out):
 
 def test_foreign_files_stop_the_command_before_it_computes(plan, tmp_path, monkeypatch):
     (tmp_path / "errata.md").write_text("mine")
-    monkeypatch.setattr("fmu.report.paper.run.run_experiment", None)
+    monkeypatch.setattr("fmu.paper.run.run_experiment", None)
     with pytest.raises(ValueError, match=r"did not write .*\(errata.md\)"):
         run_paper(tmp_path, plan=plan, workers=1)
     assert files(tmp_path) == {"errata.md"}
@@ -78,7 +78,7 @@ def test_a_failing_experiment_leaves_the_results_as_they_were(plan, tmp_path, mo
     def fail(*_):
         raise RuntimeError("no luck")
 
-    monkeypatch.setattr("fmu.report.paper.run.run_experiment", fail)
+    monkeypatch.setattr("fmu.paper.run.run_experiment", fail)
     with pytest.raises(RuntimeError, match="no luck"):
         run_paper(tmp_path / "results", plan=replace(plan, seed=2), workers=1)
     assert list(tmp_path.iterdir()) == []

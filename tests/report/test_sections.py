@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fmu.analysis.diagnosis import UNSEARCHED
-from fmu.analysis.identifiability import contraction, kept_identifiability
-from fmu.analysis.modal_states import MEASURED
-from fmu.analysis.pairing_doubts import ALIKE
-from fmu.analysis.prediction import leave_one_out
+from fmu.analysis.convergence.diagnosis import UNSEARCHED
+from fmu.analysis.data.identifiability import contraction, kept_identifiability
+from fmu.analysis.data.prediction import leave_one_out
+from fmu.analysis.modes.pairing_doubts import ALIKE
+from fmu.analysis.trace.modal_states import MEASURED
 from fmu.report.document import Details, Items, Link, Omitted, Table, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating

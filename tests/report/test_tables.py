@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from fmu.report.paper.experiment import starts_in_the_posterior
-from fmu.report.paper.page import experiment_page
-from fmu.report.paper.plan import PAPER_SAMPLERS, SAMPLERS
-from fmu.report.paper.tables import agreement, comparison_table
+from fmu.paper.experiment import starts_in_the_posterior
+from fmu.paper.pages.page import experiment_page
+from fmu.paper.pages.tables import agreement, comparison_table
+from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS
 from tests import cantilever
 
 MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])

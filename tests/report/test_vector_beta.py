@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fmu.analysis.diagnosis import maxima_of
-from fmu.analysis.diagnostics import parameter_draws
-from fmu.report.paper.run import file_names
-from fmu.report.paper.summary_page import summary_page
-from fmu.report.paper.vector_beta import relative_weights, sample_weighted, side_by_side
-from fmu.report.paper.vector_beta_page import outcome, plot_vector_beta, vector_beta_page
+from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.paper.pages.summary_page import summary_page
+from fmu.paper.pages.vector_beta_page import outcome, plot_vector_beta, vector_beta_page
+from fmu.paper.run import file_names
+from fmu.paper.vector_beta import relative_weights, sample_weighted, side_by_side
 
 MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])
 

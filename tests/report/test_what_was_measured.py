@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.prediction import predict_frequencies
-from fmu.posterior.measurement import ModalData
+from fmu.analysis.data.prediction import predict_frequencies
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors import Normal
+from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report import plots
 from fmu.report.check_page import check_page

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from targets import ALL, Counting, SkewedGumbel, TruncatedGaussian
 
-from fmu.samplers.gradient import CentralDifference, ExactGradient
+from fmu.samplers.hmc.gradient import CentralDifference, ExactGradient
 
 
 def points(target, n=20):

@@ -9,9 +9,9 @@ from tempered_targets import LinearGaussian
 
 from fmu.engines.engine import InProcess
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, Tempering
-from fmu.samplers.run import Interrupted, TooManyFailuresError, n_groups
+from fmu.samplers.loop.run import Interrupted, TooManyFailuresError, n_groups
 
-loop = importlib.import_module("fmu.samplers.run")  # the package has a function of that name
+loop = importlib.import_module("fmu.samplers.loop.run")  # the package has a function of that name
 
 WALK = MetropolisHastings(RandomWalk(0.3))
 SAMPLERS = {

@@ -3,7 +3,8 @@ import pytest
 from moments import assert_right
 from targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
-from fmu.samplers import Independence, LogNormalWalk, MetropolisHastings, RandomWalk, run
+from fmu.samplers import Independence, LogNormalWalk, MetropolisHastings, RandomWalk
+from fmu.samplers.loop import run
 
 
 class Gamma(Target):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.record import Record, Steps
+from fmu.samplers.loop.record import Record, Steps
 
 
 def steps(first, n, chains=2, walkers=1, ndim=3, **more):

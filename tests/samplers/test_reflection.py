@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.metric import Metric
-from fmu.samplers.reflection import drift
+from fmu.samplers.hmc.metric import Metric
+from fmu.samplers.hmc.reflection import drift
 
 LOWER, UPPER = np.zeros(3), np.array([1.0, 2.0, 0.5])
 DENSE = np.array([[1.0, 0.6, -0.3], [0.6, 0.8, 0.1], [-0.3, 0.1, 0.5]])

@@ -16,7 +16,8 @@ from targets import (
     TwoModes,
 )
 
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, run
+from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice
+from fmu.samplers.loop import run
 
 
 def dense(ndim):

@@ -13,9 +13,9 @@ from fmu.samplers import (
     Run,
     Slice,
     named,
-    run,
 )
-from fmu.samplers.scaled import ScaledDensity
+from fmu.samplers.loop import run
+from fmu.samplers.loop.scaled import ScaledDensity
 
 WALK = MetropolisHastings(RandomWalk(0.3))
 SETTINGS = {"draws": 6, "warmup": 4, "chains": 3, "seed": 1, "init": "prior"}

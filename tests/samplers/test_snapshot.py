@@ -9,12 +9,12 @@ import pytest
 from targets import CorrelatedGaussian
 from tempered_targets import LinearGaussian
 
-from fmu.checkpoints.content import State, packed_state
+from fmu.runs.content import State, packed_state
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, Independence, MetropolisHastings, Slice, Tempering
-from fmu.samplers.group import Part, Setting, Standing, advance, first_snapshot
-from fmu.samplers.metric import Metric
-from fmu.samplers.snapshot import Snapshot, restored, taken
-from fmu.samplers.starts import starting_points
+from fmu.samplers.hmc.metric import Metric
+from fmu.samplers.loop.group import Part, Setting, Standing, advance, first_snapshot
+from fmu.samplers.loop.snapshot import Snapshot, restored, taken
+from fmu.samplers.loop.starts import starting_points
 
 WARMUP, DRAWS, CHAINS = 60, 8, 3
 

@@ -8,16 +8,16 @@ from targets import BoundedBeta, CorrelatedGaussian, TruncatedGaussian
 from tempered_targets import Failing, FarModes, InBox, LinearGaussian
 
 import fmu
-from fmu.analysis import effective
-from fmu.analysis.evidence import evidence
-from fmu.analysis.missed import missed_maxima
-from fmu.analysis.trace import to_trace
-from fmu.samplers import run
-from fmu.samplers.ladder import adapted, rejections, stages
-from fmu.samplers.rungs import side_by_side
-from fmu.samplers.scaled import ScaledDensity
-from fmu.samplers.tempered import PriorAndLikelihood, TemperedDensity
-from fmu.samplers.tempering import LOG_LIKELIHOOD, Tempering
+from fmu.analysis.convergence import effective
+from fmu.analysis.evidence.estimate import evidence
+from fmu.analysis.maxima.missed import missed_maxima
+from fmu.analysis.trace.conversion import to_trace
+from fmu.samplers.loop import run
+from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedDensity
+from fmu.samplers.tempering.ladder import adapted, rejections, stages
+from fmu.samplers.tempering.rungs import side_by_side
+from fmu.samplers.tempering.tempering import LOG_LIKELIHOOD, Tempering
 
 KERNELS = {
     "slice": "slice",
@@ -225,7 +225,7 @@ def test_a_ladder_is_cut_into_equal_parts_of_the_barrier():
 
 
 def test_round_trips_are_counted_at_both_ends():
-    from fmu.samplers.tempering import _turned
+    from fmu.samplers.tempering.tempering import _turned
 
     heading = np.array([[0, 1], [2, 0], [2, 1]])  # of two chains with three rungs
     turned, trips = _turned(heading)

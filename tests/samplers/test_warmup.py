@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.warmup import SHRINKAGE, DualAveraging, PooledMoments, Schedule, keeping_up
+from fmu.samplers.adaptation.schedule import SHRINKAGE, DualAveraging, PooledMoments, Schedule, keeping_up
 
 COVARIANCE = np.array([[1.0, 0.6, 0.0], [0.6, 0.8, -0.2], [0.0, -0.2, 0.5]])
 

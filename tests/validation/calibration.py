@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.effective import ess_mean
+from fmu.analysis.convergence.effective import ess_mean
 from fmu.engines.engine import Engine, InProcess
-from fmu.fem.model import ModalModel
+from fmu.fem.modes.blocks import ModalModel
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress import Report
 from fmu.samplers import Run

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
-from fmu.analysis.effective import ess_mean
+from fmu.analysis.convergence.effective import ess_mean
 from fmu.samplers import HamiltonianMonteCarlo, Run
 from tests.validation import ten_storeys
 from tests.validation.bands import UniformRanks

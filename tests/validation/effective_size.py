@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import chi2, rankdata
 
-from fmu.analysis.effective import ess_bulk, ess_mean
-from fmu.samplers import run
+from fmu.analysis.convergence.effective import ess_bulk, ess_mean
+from fmu.samplers.loop import run
 from tests.samplers.targets import SkewedGumbel, Target, TruncatedGaussian
 from tests.validation.contenders import Contender
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.mass import LocalQuadratic, masses
-from fmu.analysis.maxima import Maxima, PosteriorMaximum
+from fmu.analysis.maxima.mass import LocalQuadratic, masses
+from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from tests.two_storeys import quadrature
 
 FloatArray = NDArray[np.float64]

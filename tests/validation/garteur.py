@@ -20,9 +20,9 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu import cases
-from fmu.analysis.identifiability import contraction
-from fmu.analysis.maxima import Maxima
-from fmu.analysis.modal_states import MEAN
+from fmu.analysis.data.identifiability import contraction
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.trace.modal_states import MEAN
 from fmu.numbers import fixed, significant
 from fmu.report.markdown import table
 from fmu.report.plots.frequencies import plot_frequency_updates

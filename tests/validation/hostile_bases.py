@@ -11,7 +11,7 @@ from typing import NamedTuple
 import fmu
 from fmu import cases
 from fmu.config.template import files, template
-from fmu.formats.pyoma import save_pyoma
+from fmu.formats.modes.pyoma import save_pyoma
 
 PROBLEM = "problem.toml"
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.checkpoints import Checkpoint
-from fmu.checkpoints.identity import Identity
-from fmu.checkpoints.store import Store
+from fmu.runs import Checkpoint
+from fmu.runs.identity import Identity
+from fmu.runs.store import Store
 from fmu.samplers import Run, named
 
 LOSS_STEPS, LOSS_S = 100, 0.5

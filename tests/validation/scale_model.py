@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fmu
-from fmu.fem.eigensolver import eigen
-from fmu.fem.frame import DIRECTIONS, ElementGroup, Material, Section
-from fmu.fem.modal import frequency_hz
-from fmu.posterior.priors import Normal
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_hz
+from fmu.posterior.priors.base import Normal
 
 FloatArray = NDArray[np.float64]
 

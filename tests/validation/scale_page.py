@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from fmu.fem.training import affordable
+from fmu.fem.reduced.training import affordable
 from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.report.markdown import table
 from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, new_figure
@@ -92,7 +92,7 @@ def _demand(rows: Rows) -> str:
         f"A full solve takes {first['full_s']:.2g} s. Times online are a theta's, in a batch of "
         f"{first['chains']}. The tolerance is that of the frequencies over the whole box, at fresh points, "
         "corners and faces; what the log-probability may be off follows from it "
-        "(`fmu.posterior.focus.Tolerance`).\n\n"
+        "(`fmu.posterior.train_reduced.Tolerance`).\n\n"
         + table(header, lines)
         + ("\n\nWhat training says:\n\n" + "\n".join(said) if said else "\n\nTraining reached every tolerance.")
         + "\n\n![Basis and time against the tolerance](scale/tolerance.png)"

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 import fmu
-from fmu.fem.reduced_basis import ReducedBlock
-from fmu.fem.snapshots import Snapshots
-from fmu.fem.structure import PairedStructure
-from fmu.posterior import focus
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.snapshots import Snapshots
+from fmu.posterior import train_reduced as focus
 from tests.validation.scale_model import Size, scale_problem
 
 REPEATS, AT_MOST_S = 5, 20.0

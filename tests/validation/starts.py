@@ -21,11 +21,11 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.certificate import CertificateWarning
-from fmu.analysis.diagnostics import STANDING_LIMIT, parameter_draws
-from fmu.analysis.effective import by_walker
-from fmu.analysis.maxima import Maxima, percent
-from fmu.analysis.missed import NEGLIGIBLE, draws_of_maxima
-from fmu.analysis.movement import longest_stands
+from fmu.analysis.convergence.diagnostics import STANDING_LIMIT, parameter_draws
+from fmu.analysis.convergence.effective import by_walker
+from fmu.analysis.convergence.movement import longest_stands
+from fmu.analysis.maxima.missed import NEGLIGIBLE, draws_of_maxima
+from fmu.analysis.maxima.results import Maxima, percent
 from fmu.report.markdown import table
 from tests.four_storeys import SD, TRUTH, four_storeys
 

@@ -12,9 +12,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 import fmu
-from fmu.fem.model import ModalModel
-from fmu.fem.terms import Term
-from fmu.posterior.priors import Normal
+from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.modes.terms import Term
+from fmu.posterior.priors.base import Normal
 
 FloatArray = NDArray[np.float64]
 

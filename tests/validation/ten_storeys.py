@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fmu
-from fmu.fem.structure import PairedStructure
-from fmu.formats.matrices import write_matrix
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.formats.matrices.read import write_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.posterior.focus import Tolerance
+from fmu.posterior.train_reduced import Tolerance
 from tests.validation.scale import rows
 from tests.validation.scale_model import E, Size, frame, scale_problem
 from tests.validation.scale_page import figures, page

@@ -121,7 +121,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     -------
     Axes
     """
-    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
+    from fmu.analysis.data.prediction import measured_tests, measurement_in_words, predict_frequencies
 
     table, tests = predict_frequencies(trace), measured_tests(trace)
     series = []
@@ -146,7 +146,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
     """Return the model's frequencies before updating in Hz, None where the trace does not keep them."""
-    from fmu.analysis.modal_states import GROUP, START
+    from fmu.analysis.trace.modal_states import GROUP, START
 
     if GROUP in trace.children:
         return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
@@ -176,7 +176,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     ValueError
         If the trace has no predictive distribution of measurements.
     """
-    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
+    from fmu.analysis.data.prediction import measured_tests, measurement_in_words, predict_frequencies
 
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:

@@ -56,8 +56,8 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     from arviz_plots import plot_rank
     from arviz_plots.plot_collection import PlotCollection
 
-    from fmu.analysis.diagnostics import parameter_names, walkers_of
-    from fmu.analysis.effective import apart
+    from fmu.analysis.convergence.diagnostics import parameter_names, walkers_of
+    from fmu.analysis.convergence.effective import apart
 
     names, walkers = parameter_names(trace), walkers_of(trace)
     posterior = trace["posterior"].to_dataset()
@@ -91,8 +91,8 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
 
 def _independent(trace: xr.DataTree) -> float:
     """Return the smallest effective sample size of a parameter, NaN where one has none."""
-    from fmu.analysis.diagnostics import parameter_draws, walkers_of
-    from fmu.analysis.effective import ess_bulk
+    from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
+    from fmu.analysis.convergence.effective import ess_bulk
 
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
@@ -112,8 +112,8 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
     -------
     ndarray of Axes, shape (parameters,)
     """
-    from fmu.analysis.diagnostics import parameter_draws, parameter_names, walkers_of
-    from fmu.analysis.effective import autocorrelation
+    from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names, walkers_of
+    from fmu.analysis.convergence.effective import autocorrelation
 
     names, walkers = parameter_names(trace), walkers_of(trace)
     draws = parameter_draws(trace)

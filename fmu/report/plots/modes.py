@@ -47,7 +47,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``mac`` in its group ``modes`` (`fmu.analysis.modal_states`).
+        With ``mac`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
     state : str, optional
         Where: the posterior mean if not given.
     figure : Figure, optional
@@ -61,7 +61,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     ValueError
         If the trace keeps no MAC, or none of that state.
     """
-    from fmu.analysis.modal_states import MEAN
+    from fmu.analysis.trace.modal_states import MEAN
 
     state = MEAN if state is None else state
     modes = _modes(trace, "mac")
@@ -102,7 +102,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``displacement`` in its group ``modes`` (`fmu.analysis.modal_states`).
+        With ``displacement`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
     figure : Figure, optional
 
     Returns
@@ -114,7 +114,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     ValueError
         If the trace keeps no shapes.
     """
-    from fmu.analysis.modal_states import MEAN, START
+    from fmu.analysis.trace.modal_states import MEAN, START
 
     modes = _modes(trace, "displacement")
     coordinates, ends = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
@@ -158,7 +158,7 @@ def _in_pairs(n: int, figure: Figure | None) -> NDArray[Any]:
 
 
 def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
-    from fmu.analysis.modal_states import GROUP
+    from fmu.analysis.trace.modal_states import GROUP
 
     if GROUP not in trace.children or needed not in trace[GROUP]:
         raise ValueError(f"trace: must keep {needed} in its group {GROUP} (it has none)")

@@ -62,7 +62,7 @@ def plot_parameter_updates(
     ndarray of Axes, shape (units,)
         One for the parameters of each unit, inferred standard deviations of errors apart.
     """
-    from fmu.analysis.diagnostics import parameter_names, summary
+    from fmu.analysis.convergence.diagnostics import parameter_names, summary
 
     first = next(iter(traces.values()))
     names = parameter_names(first)

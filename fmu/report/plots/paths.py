@@ -49,7 +49,7 @@ def plot_traces(
     -------
     ndarray of Axes, shape (parameters, traces)
     """
-    from fmu.analysis.diagnostics import parameter_names
+    from fmu.analysis.convergence.diagnostics import parameter_names
 
     names = parameter_names(next(iter(traces.values())))
     figure = figure or new_figure(5.2 * len(traces) + 0.4, 1.55 * len(names) + 0.8)

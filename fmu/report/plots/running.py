@@ -53,8 +53,8 @@ def plot_running_means(
     -------
     ndarray of Axes, shape (parameters,)
     """
-    from fmu.analysis.diagnostics import parameter_names, summary, walkers_of
-    from fmu.analysis.running import lengths, running_means
+    from fmu.analysis.convergence.diagnostics import parameter_names, summary, walkers_of
+    from fmu.analysis.convergence.running import lengths, running_means
 
     names = parameter_names(trace)
     table = summary(trace) if table is None else table
@@ -90,8 +90,8 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     -------
     Axes
     """
-    from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_names
-    from fmu.analysis.running import running_rhat
+    from fmu.analysis.convergence.diagnostics import RHAT_LIMIT, parameter_names
+    from fmu.analysis.convergence.running import running_rhat
 
     figure = figure or new_figure(NARROW, 3.4)
     axes = figure.subplots()

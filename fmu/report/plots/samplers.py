@@ -38,7 +38,7 @@ def plot_efficiency(
     -------
     Axes
     """
-    from fmu.analysis.comparison import CONVERGED, compare
+    from fmu.analysis.convergence.comparison import CONVERGED, compare
 
     table = compare(traces) if table is None else table
     figure = figure or new_figure(NARROW, 0.62 * len(traces) + 0.9)

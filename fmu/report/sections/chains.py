@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.analysis.diagnostics import RHAT_LIMIT, parameter_draws
-from fmu.analysis.movement import energy_fraction
+from fmu.analysis.convergence.diagnostics import RHAT_LIMIT, parameter_draws
+from fmu.analysis.convergence.movement import energy_fraction
 from fmu.numbers import decimals, fixed, given, significant, span
 from fmu.report.document import Omitted, Part, Picture, Pictures, Section, Table, Text
 from fmu.report.plots.corner import plot_corner

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fmu.analysis.evidence_text import PSEUDO, WHAT, found_evidences, is_pseudo
+from fmu.analysis.evidence.text import PSEUDO, WHAT, found_evidences, is_pseudo
 from fmu.report.document import Omitted, Section, Table, Text
 from fmu.report.run import Run
 

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
-from fmu.posterior.focus import Tolerance
+from fmu.posterior.train_reduced import Tolerance
 from fmu.report.document import Code, Details, Omitted, Part, Section, Table, Text
 from fmu.report.run import Run
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.prediction import leave_one_out, measured_tests, measurement_in_words
-from fmu.analysis.repeatability import repeatability_warnings
+from fmu.analysis.data.prediction import leave_one_out, measured_tests, measurement_in_words
+from fmu.analysis.data.repeatability import repeatability_warnings
 from fmu.numbers import decimals, fixed, given, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.frequencies import plot_predictive_check

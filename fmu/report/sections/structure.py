@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
-from fmu.analysis.modal_states import GROUP, MEAN, START
-from fmu.analysis.model_fit import measured_mac
-from fmu.analysis.pairing_changes import pairing_changes
+from fmu.analysis.data.identifiability import Identifiability, contraction, kept_identifiability
+from fmu.analysis.data.model_fit import measured_mac
+from fmu.analysis.modes.pairing_changes import pairing_changes
+from fmu.analysis.trace.modal_states import GROUP, MEAN, START
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
 from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.information import COMBINED, DATA, PRIOR, information
-from fmu.analysis.maxima import Maxima
-from fmu.analysis.maxima_text import MOST_SHOWN, share_of_mass
-from fmu.analysis.prediction import measured_tests, measurement_in_words
+from fmu.analysis.data.information import COMBINED, DATA, PRIOR, information
+from fmu.analysis.data.prediction import measured_tests, measurement_in_words
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.maxima.text import MOST_SHOWN, share_of_mass
 from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, rounded, share, span
 from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.information import DATA, information, information_warnings
-from fmu.analysis.modal_states import MEAN
-from fmu.analysis.model_fit import INTERVAL, fit_warnings, measured_mac, shape_warnings
-from fmu.analysis.prediction import measured_tests, measurement_in_words
+from fmu.analysis.data.information import DATA, information, information_warnings
+from fmu.analysis.data.model_fit import INTERVAL, fit_warnings, measured_mac, shape_warnings
+from fmu.analysis.data.prediction import measured_tests, measurement_in_words
+from fmu.analysis.trace.modal_states import MEAN
 from fmu.numbers import fixed, share
 from fmu.report.document import Verdict
 from fmu.report.run import Run

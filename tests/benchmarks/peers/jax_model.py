@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 from numpy.typing import NDArray
 
-from fmu.fem.pairing import RankPairing
+from fmu.fem.pairing.rules import RankPairing
 from tests.benchmarks.peers.target import Target
 
 jax.config.update("jax_enable_x64", True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fmu.samplers import named, run
+from fmu.samplers import named
+from fmu.samplers.loop import run
 from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch
 from tests.benchmarks.peers.target import Target
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.effective import ess_bulk, mcse_mean, rhat
+from fmu.analysis.convergence.effective import ess_bulk, mcse_mean, rhat
 
 FloatArray = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import expit, log_expit
 
 import fmu
-from fmu.fem.pairing import RankPairing
-from fmu.fem.structure import PairedStructure
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.rules import RankPairing
 
 FloatArray = NDArray[np.float64]
 

@@ -1,0 +1,247 @@
+"""The verdict on a run: converged or not, and why; and, apart from it, whether the model fits."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fmu.analysis.convergence.diagnostics import (
+    autocorrelation_times_run,
+    convergence_failures,
+    parameter_names,
+    rhat_over_walkers,
+    summary,
+    walkers_of,
+)
+from fmu.analysis.convergence.needed import draws_to_come, required_ess
+from fmu.analysis.data.information import information_warnings
+from fmu.analysis.data.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.data.repeatability import repeatability_warnings
+from fmu.analysis.maxima.missed import compared
+from fmu.analysis.maxima.other_runs import missed_places
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.modes.pairing_changes import jump_warnings
+from fmu.analysis.trace.conversion import check_trace
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.posterior.problem import UpdatingProblem
+
+CONVERGED = "converged"
+UNSEARCHED = (
+    "as far as its own draws tell: no maxima are known, and chains that agree do not show one that none of them "
+    "visited; fmu.diagnose(trace, problem) searches for them"
+)
+GROUP = "maxima"
+"""Group of a trace that keeps the maxima known when it was made."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What can be said of a run.
+
+    Attributes
+    ----------
+    converged : bool
+        Whether nothing speaks against it.
+    reasons : tuple of str
+        Why not, one sentence each, the gravest first; empty if it has converged.
+    warnings : tuple of str
+        What speaks against the model, converged or not: parameters at their bounds, modes that are not fitted,
+        shapes unlike the measured ones, a pairing that jumps; and what speaks of the data: parameters that they
+        did not update, repeated tests that are not independent.
+    searched : bool
+        Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
+    stopped : str
+        How far a run came that was stopped before its end, in words; empty if it was not.
+    """
+
+    converged: bool
+    reasons: tuple[str, ...]
+    warnings: tuple[str, ...]
+    searched: bool = False
+    stopped: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """``"converged"``, or ``"not converged: "`` and the first reason."""
+        return CONVERGED if self.converged else f"not converged: {self.reasons[0]}"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is to be said beside the verdict: the reasons, or what a good one does not cover."""
+        said = (UNSEARCHED,) if self.converged and not self.searched else self.reasons
+        return (*said, self.stopped) if self.stopped else said
+
+    def __str__(self) -> str:
+        lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
+        if self.warnings:
+            lines += ["the model", *(f"  - {warning}" for warning in self.warnings)]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        def block(title: str, items: tuple[str, ...]) -> str:
+            entries = "".join(f"<li>{html.escape(item)}</li>" for item in items)
+            return f"<p><strong>{title}</strong></p>" + (f"<ul>{entries}</ul>" if entries else "")
+
+        text = block(CONVERGED if self.converged else "not converged", self.remarks)
+        return text + (block("the model", self.warnings) if self.warnings else "")
+
+
+def diagnose(
+    trace: xr.DataTree,
+    problem: UpdatingProblem | None = None,
+    others: Mapping[str, xr.DataTree] | Iterable[xr.DataTree] = (),
+) -> Diagnosis:
+    """Say whether a run has converged, and if not, why; and what speaks against the model.
+
+    A run has converged where nothing speaks against it: the rule of
+    `fmu.analysis.convergence.diagnostics.convergence_failures`, in which whatever is NaN fails; and no place that holds 1 % of
+    the probability was left out. Such places are known from `find_map` and from other
+    runs. Chains alone cannot tell: in one of several modes they agree with each other perfectly.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem, optional
+        What was sampled; its maxima are searched for. Those that the trace or the others keep are considered
+        anyhow.
+    others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional
+        Other runs on the same posterior.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    ValueError
+        If `trace` or one of `others` is no trace, or the problem or one of `others` has other parameters.
+    """
+    check_trace(trace)
+    if problem is not None and tuple(problem.names) != parameter_names(trace):
+        raise ValueError(
+            f"problem: must have the parameters {parameter_names(trace)} (got {tuple(problem.names)})"
+        )
+    named = dict(others) if isinstance(others, Mapping) else {str(k): other for k, other in enumerate(others, 1)}
+    for name, other in named.items():
+        check_trace(other, f"others.{name}")
+    known = [maxima_of(other) for other in (trace, *named.values())]
+    if problem is not None:
+        from fmu.analysis.maxima.search import find_map
+
+        known.append(find_map(problem))
+    return judge(trace, [maxima for maxima in known if maxima is not None], named)
+
+
+def judge(
+    trace: xr.DataTree,
+    known: Iterable[Maxima] = (),
+    others: Mapping[str, xr.DataTree] | None = None,
+    table: pd.DataFrame | None = None,
+) -> Diagnosis:
+    """Give the verdict on a trace, with the maxima that are known.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    known : iterable of Maxima
+        Results of `find_map` on the same posterior; of several, the one of the greatest mass counts.
+    others : mapping of str to xarray.DataTree, optional
+    table : pandas.DataFrame, optional
+        ``summary(trace)``, where it is at hand.
+    """
+    best = max(known, key=lambda maxima: maxima.log_evidence, default=None)
+    reasons, warnings = [], []
+    if best is not None:
+        against = compared(trace, best)
+        reasons += against.reasons
+        warnings += against.outweighed + search_warnings(trace, best[0].log_prob)
+    reasons += missed_places(trace, others or {}, best)
+    reasons += convergence_failures(trace, table)
+    warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
+    warnings += information_warnings(trace) + repeatability_warnings(trace)
+    steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
+    stopped = f"the run was stopped after {steps} draws, and can go on" if steps else ""
+    return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped)
+
+
+def diagnose_all(
+    traces: Mapping[str, xr.DataTree],
+    problem: UpdatingProblem | None = None,
+    summaries: Mapping[str, pd.DataFrame] | None = None,
+) -> dict[str, Diagnosis]:
+    """Diagnose several runs, each with what the others on the same posterior know.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+    problem : UpdatingProblem, optional
+        What was sampled, by all of them.
+    summaries : mapping of str to pandas.DataFrame, optional
+        ``summary(trace)`` of each, where they are at hand.
+    """
+    searched = []
+    if problem is not None:
+        from fmu.analysis.maxima.search import find_map
+
+        searched.append(find_map(problem))
+    found = {}
+    for name, trace in traces.items():
+        others = {key: other for key, other in traces.items() if key != name and _same_posterior(trace, other)}
+        kept = [maxima_of(other) for other in (trace, *others.values())]
+        known = searched + [maxima for maxima in kept if maxima is not None]
+        found[name] = judge(trace, known, others, None if summaries is None else summaries[name])
+    return found
+
+
+def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
+    """Say whether a run has converged and every ESS of its summary is at least `until_ess`; NaN is not."""
+    return found.converged and bool(table[["ess_bulk", "ess_tail"]].to_numpy().min() >= until_ess)
+
+
+def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> int:
+    """Return how many steps to draw before a run is looked at again; 0 if it needs no more.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    until_ess : float, optional
+        Bulk and tail ESS that every parameter is to have, beside a good verdict; if not given, nothing is missing.
+    maxima : Maxima, optional
+    """
+    if until_ess is None:
+        return 0
+    table = summary(trace)
+    if is_enough(judge(trace, [] if maxima is None else [maxima], table=table), table, until_ess):
+        return 0
+    required = max(until_ess, required_ess(trace["posterior"].sizes["chain"]))
+    ensembles = walkers_of(trace) > 1
+    lengths = autocorrelation_times_run(trace) if ensembles else None
+    walker_rhat = rhat_over_walkers(trace) if ensembles else None
+    return draws_to_come(int(trace.attrs["draws"]), table, required, lengths, walker_rhat)
+
+
+def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:
+    """Say whether two traces come from one posterior, as their configurations have it."""
+    first, second = (json.loads(trace.attrs["configuration"])["problem"] for trace in (one, other))
+    return bool(first == second)
+
+
+def maxima_of(trace: xr.DataTree) -> Maxima | None:
+    """Return the maxima that a trace keeps, None if it keeps none."""
+    return Maxima.from_dataset(trace[GROUP].to_dataset()) if GROUP in trace.children else None
+
+
+def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
+    """Return the trace with the maxima kept in it, so that every later verdict on it knows of them."""
+    import xarray as xr
+
+    kept = trace.copy()
+    kept[GROUP] = xr.DataTree(maxima.to_dataset())
+    return kept

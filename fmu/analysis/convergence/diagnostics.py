@@ -1,0 +1,227 @@
+"""How far a trace can be trusted: the summary table and the rule of convergence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.movement import energy_fraction, longest_stands
+from fmu.analysis.convergence.needed import ESS_LIMIT as ESS_LIMIT
+from fmu.analysis.convergence.needed import (
+    MCSE_LIMIT,
+    MIN_AUTOCORRELATION_TIMES,
+    WALKER_RHAT_LIMIT,
+    required_ess,
+)
+from fmu.analysis.convergence.needed import RHAT_LIMIT as RHAT_LIMIT
+from fmu.analysis.convergence.remedies import for_chains_apart, for_too_few_draws
+from fmu.analysis.trace.conversion import check_trace
+from fmu.numbers import apart, given
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+FloatArray = NDArray[np.float64]
+
+MIN_CHAINS = 2
+MIN_ENSEMBLES = 4
+DIVERGING_LIMIT = 1e-3
+ENERGY_LIMIT = 0.3
+STANDING_LIMIT, STANDING_DRAWS = 0.2, 20
+
+
+def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
+    """Return the names of the sampled parameters, in the order of theta."""
+    return tuple(str(name) for name in trace["posterior"].data_vars)
+
+
+def parameter_draws(trace: xr.DataTree) -> FloatArray:
+    """Return the retained draws, shape (chains, draws, ndim), SI units."""
+    posterior = trace["posterior"]
+    return np.stack(
+        [posterior[name].transpose("chain", "draw").to_numpy() for name in parameter_names(trace)], axis=-1
+    )
+
+
+def walkers_of(trace: xr.DataTree) -> int:
+    """Return the number of walkers a chain of the trace consists of."""
+    return int(trace.attrs["walkers"])
+
+
+def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
+    """Summarise the posterior and the reliability of its estimate.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    ci_prob : float
+        Probability inside the equal-tailed interval.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a parameter, SI units: ``mean``, ``sd``, the ends of the interval, whose columns carry its
+        probability in per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler),
+        ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile) and ``mcse_mean``. NaN where a quantity does
+        not exist: R-hat of one chain, everything of a constant. ``attrs["units"]`` maps parameters to units.
+
+    Raises
+    ------
+    ValueError
+        If `ci_prob` does not lie between 0 and 1, or `trace` is no trace.
+    """
+    import pandas as pd
+
+    check_trace(trace)
+    lower, upper = interval_columns(ci_prob)
+    walkers = walkers_of(trace)
+    names, draws = parameter_names(trace), parameter_draws(trace)
+    rows = []
+    for x in np.moveaxis(draws, -1, 0):
+        ends = np.quantile(x, [(1 - ci_prob) / 2, (1 + ci_prob) / 2])
+        rows.append(
+            {
+                "mean": x.mean(),
+                "sd": x.std(ddof=1),
+                lower: ends[0],
+                upper: ends[1],
+                "rhat": effective.rhat(x),
+                "ess_bulk": effective.ess_bulk(x, walkers),
+                "ess_tail": effective.ess_tail(x, walkers),
+                "mcse_mean": effective.mcse_mean(x, walkers),
+            }
+        )
+    table = pd.DataFrame(rows, index=pd.Index(names, name="parameter"))
+    table.attrs["units"] = {name: trace["posterior"][name].attrs.get("units", "") for name in names}
+    return table
+
+
+def interval_columns(ci_prob: float) -> tuple[str, str]:
+    """Return the names of an equal-tailed interval's columns, ``eti90_lb`` and ``eti90_ub`` for 0.9."""
+    if not 0 < ci_prob < 1:
+        raise ValueError(f"ci_prob: must lie between 0 and 1 (got {ci_prob!r})")
+    return f"eti{100 * ci_prob:g}_lb", f"eti{100 * ci_prob:g}_ub"
+
+
+def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
+    """Return R-hat with the walkers of an ensemble taken as chains, of the worst ensemble, shape (ndim,).
+
+    Walkers are no independent chains, and on a run of few autocorrelation times this raises false alarms; but
+    walkers that stay in separate modes show here, and not in R-hat over ensembles. Ensemble by ensemble, because
+    among all the walkers of a run a single one that is trapped carries too little weight.
+    """
+    walkers = walkers_of(trace)
+    draws = np.moveaxis(parameter_draws(trace), -1, 0)
+    return np.array([np.max([effective.rhat(w) for w in effective.by_walker(x, walkers)]) for x in draws])
+
+
+def autocorrelation_times_run(trace: xr.DataTree) -> FloatArray:
+    """Return how many autocorrelation times the steps make in the slowest ensemble, shape (ndim,)."""
+    walkers = walkers_of(trace)
+    draws = np.moveaxis(parameter_draws(trace), -1, 0)
+    steps = draws.shape[2] // walkers
+    return np.array([steps / np.max(effective.autocorrelation_times(x, walkers)) for x in draws])
+
+
+def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) -> list[str]:
+    """Say why a trace must not be called converged; an empty list means that nothing speaks against it.
+
+    The rule: at least two chains; no chain that stands still for a fifth of its draws; R-hat of every parameter
+    below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 a chain (Vehtari et al. 2021);
+    standard errors of the means below a tenth of the posterior sd. Of Hamiltonian trajectories at most one in a
+    thousand diverges, and E-BFMI of every chain is at least 0.3. For an ensemble sampler, whose ensembles are the
+    chains: at least four ensembles; and beside R-hat over ensembles at least 50 autocorrelation times of steps,
+    and walkers that mix (R-hat over walkers below 1.05). A quantity that is NaN fails its test.
+
+    What the draws do not show, a place that no chain came to, is the matter of `fmu.diagnose`.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    table : pandas.DataFrame, optional
+        ``summary(trace)``, where it is at hand.
+
+    Returns
+    -------
+    list of str
+        One sentence a failed test, the gravest first, and what to do about it (`fmu.analysis.convergence.remedies`).
+    """
+    check_trace(trace)
+    if table is None:
+        table = summary(trace)
+    is_ensemble = walkers_of(trace) > 1
+    chains = trace["posterior"].sizes["chain"]
+    failures = []
+    kind, needed = ("ensemble", MIN_ENSEMBLES) if is_ensemble else ("chain", MIN_CHAINS)
+    if chains < needed:
+        failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}, at least {needed} are needed: --chains 4")
+    failures += _standing(trace)
+    required, names = required_ess(chains), table.index
+    short = _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat")
+    for column, label in (("ess_bulk", "bulk ESS"), ("ess_tail", "tail ESS")):
+        short += _below(table[column].to_numpy(), required, names, label)
+    short += _above((table["mcse_mean"] / table["sd"]).to_numpy(), MCSE_LIMIT, names, "MCSE over sd")
+    lengths = walker_rhat = None
+    if is_ensemble:
+        lengths, walker_rhat = autocorrelation_times_run(trace), rhat_over_walkers(trace)
+        short += _below(lengths, MIN_AUTOCORRELATION_TIMES, names, "number of autocorrelation times")
+        short += _above(walker_rhat, WALKER_RHAT_LIMIT, names, "R-hat over walkers")
+    if short:
+        remedy = for_too_few_draws(trace, table, required, lengths, walker_rhat)
+        failures += [f"{reason}{remedy}" for reason in short]
+    return failures + _trajectories(trace)
+
+
+def _standing(trace: xr.DataTree) -> list[str]:
+    """Return a sentence on the chain, or walker of an ensemble, that stands still longest, if that is too long."""
+    walkers = walkers_of(trace)
+    stands = longest_stands(parameter_draws(trace), walkers)
+    steps = trace["posterior"].sizes["draw"] // walkers
+    chain, walker = (int(k) for k in np.unravel_index(np.argmax(stands), stands.shape))
+    if stands[chain, walker] < max(STANDING_LIMIT * steps, STANDING_DRAWS):
+        return []
+    who = f"chain {chain}" if walkers == 1 else f"walker {walker} of ensemble {chain}"
+    return [f"{who} stands still for {stands[chain, walker]} of its {steps} draws{for_chains_apart(trace)}"]
+
+
+def _trajectories(trace: xr.DataTree) -> list[str]:
+    """Return what speaks against Hamiltonian trajectories; an empty list for samplers without them."""
+    stats, failures = trace["sample_stats"], []
+    if "diverging" in stats:
+        diverging = stats["diverging"].to_numpy()
+        if not np.mean(diverging) <= DIVERGING_LIMIT:
+            failures.append(
+                f"{int(diverging.sum())} of {diverging.size} trajectories diverged; a shorter step helps: "
+                "fmu.HamiltonianMonteCarlo(target_accept=0.95)"
+            )
+    if "energy" in stats:
+        chains = [f"chain {k}" for k in range(stats.sizes["chain"])]
+        fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
+        failures += _below(fraction, ENERGY_LIMIT, chains, "E-BFMI")
+    return failures
+
+
+def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
+    """Return a sentence on the worst of `values` unless all are below `limit`."""
+    if np.all(values < limit):
+        return []
+    worst = int(np.argmax(values))  # the first NaN, if there is one
+    return [f"{label} {_beside(values[worst], limit)} of {names[worst]} is not below {given(limit)}"]
+
+
+def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
+    """Return a sentence on the worst of `values` unless all are at least `limit`."""
+    if np.all(values >= limit):
+        return []
+    worst = int(np.argmin(values))
+    return [f"{label} {_beside(values[worst], limit)} of {names[worst]} is below {given(limit)}"]
+
+
+def _beside(value: float, limit: float) -> str:
+    """Return a value that is seen to differ from the limit that it failed."""
+    return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

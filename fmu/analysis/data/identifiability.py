@@ -1,0 +1,276 @@
+"""What the measured modes can tell of the parameters, before a sampler is started."""
+
+from __future__ import annotations
+
+import html
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.trace.modal_states import MAXIMUM, START
+from fmu.numbers import fixed, share, significant
+from fmu.progress.phases import phase
+from fmu.text_table import distinct, text_table, wrapped
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.posterior.parameters import Parameter
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+GROUP = "identifiability"
+"""Group of a trace that keeps it."""
+INFORMED = 1.0
+"""Singular value above which the data say more about a direction than the prior does."""
+_NODES = 256
+_NAMED = 0.25
+_SENTENCES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """Which directions of the parameter space the measurement informs, linearised at one parameter vector.
+
+    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the covariance of the measurement and D the standard deviations of the
+    prior within its bounds, SᵀS is the Fisher information in prior standard deviations. Its singular value
+    decomposition orders directions by what the data add: along a direction of singular value s, a posterior with
+    a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse Problems 30,
+    114015, section 2). The bounds, which cut a posterior off besides, are not in this.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the parameters.
+    labels : tuple of str
+        Of the rows of `sensitivity`: the measured modes, or what was measured of each.
+    theta : ndarray, shape (ndim,), SI units
+        Where the model is linearised.
+    prior_sd : ndarray, shape (ndim,), SI units
+        Diagonal of D.
+    sensitivity : ndarray, shape (n_measured, ndim)
+        S: by how many standard deviations of its measurement each frequency, or component of a shape, changes for
+        one of the prior's. Where the errors are correlated, by how many of what the modes before it leave open.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    theta: FloatArray
+    prior_sd: FloatArray
+    sensitivity: FloatArray
+
+    @property
+    def singular_values(self) -> FloatArray:
+        """Singular values of S, shape (ndim,), descending; zero where there are more parameters than modes."""
+        return self._svd[0]
+
+    @property
+    def directions(self) -> FloatArray:
+        """Orthonormal directions, shape (ndim, ndim), a row each, in units of the prior's standard deviations."""
+        return self._svd[1]
+
+    @property
+    def _svd(self) -> tuple[FloatArray, FloatArray]:
+        values, directions = np.linalg.svd(self.sensitivity)[1:]
+        padded = np.zeros(len(self.names))
+        padded[: len(values)] = values
+        largest = np.argmax(np.abs(directions), axis=1)
+        sign = np.sign(directions[np.arange(len(directions)), largest])
+        return padded, directions * sign[:, None]
+
+    @property
+    def n_informed(self) -> int:
+        """Number of directions about which the data say more than the prior."""
+        return int(np.sum(self.singular_values > INFORMED))
+
+    @property
+    def fisher_information(self) -> FloatArray:
+        """JᵀΣ⁻¹J of the parameters themselves, shape (ndim, ndim), 1/SI units²."""
+        information: FloatArray = (self.sensitivity.T @ self.sensitivity) / np.outer(self.prior_sd, self.prior_sd)
+        return information
+
+    @property
+    def remaining_sd(self) -> FloatArray:
+        """Posterior over prior standard deviation of each parameter, shape (ndim,), in the linearised model."""
+        return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a direction: ``singular_value``, ``remaining_sd`` and the component of each parameter."""
+        import pandas as pd
+
+        s = self.singular_values
+        names = distinct(["singular_value", "remaining_sd", *self.names])
+        columns = dict(zip(names, (s, 1.0 / np.sqrt(1.0 + s**2), *self.directions.T), strict=True))
+        return pd.DataFrame(columns, index=pd.RangeIndex(1, len(s) + 1, name="direction"))
+
+    def sentences(self) -> list[str]:
+        """Say in words what the data constrain, and what is left to the prior and the bounds."""
+        n, k = len(self.names), self.n_informed
+        said = [f"The data constrain {k} of {n} directions of the parameter space more than the prior does."]
+        left = [share(1.0 / np.sqrt(1.0 + s**2)) + " of the prior's standard deviation" for s in self._svd[0]]
+        for direction, remains in list(zip(self.directions, left, strict=True))[k : k + _SENTENCES]:
+            said.append(
+                f"The combination {self.in_words(direction)} is left to the prior and the bounds: the data leave "
+                f"{remains}."
+            )
+        if n - k > _SENTENCES:
+            said.append(f"So are {n - k - _SENTENCES} more.")
+        if k == n:
+            said.append(f"The least of them is {self.in_words(self.directions[-1])}: the data leave {left[-1]}.")
+        return said
+
+    def in_words(self, direction: FloatArray) -> str:
+        """Name a direction by its larger components: ``"0.71 E3 − 0.70 E4"``."""
+        parts = [(x, name) for x, name in zip(direction, self.names, strict=True) if abs(x) >= _NAMED]
+        parts.sort(key=lambda part: -abs(part[0]))
+        text = "".join(f" {'−' if x < 0 else '+'} {fixed(abs(x), 2)} {name}" for x, name in parts)
+        return text.removeprefix(" + ").strip()
+
+    def __str__(self) -> str:
+        table = self.table()
+        rows = [[str(k), *map(significant, row)] for k, row in zip(table.index, table.to_numpy(), strict=True)]
+        text = text_table(["", *map(str, table.columns)], rows)
+        return "\n".join([*map(wrapped, self.sentences()), "", "Directions, in prior standard deviations", text])
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())
+        return said + str(self.table().to_html(float_format=significant))
+
+
+def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
+    """Linearise an updating problem and say which directions of its parameter space the data constrain.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        With errors in the modes. Standard deviations that are inferred are held.
+    theta : array_like, shape (ndim,), optional
+        Where: at the start if not given. SI units, within the bounds.
+
+    Returns
+    -------
+    Identifiability
+
+    Raises
+    ------
+    ValueError
+        If theta is not within the bounds, the model has no finite derivative there, or the problem's errors are
+        not those of modes (the modal residual).
+    """
+    likelihood: Any = getattr(problem, "likelihood", None)
+    if not hasattr(likelihood, "sensitivity"):
+        raise ValueError("problem: must be an UpdatingProblem with errors in the modes")
+    point = problem.start if theta is None else np.asarray(theta, dtype=float)
+    if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):
+        raise ValueError(f"theta: must be {problem.ndim} numbers within the bounds (got {point.tolist()})")
+    n = problem.n_structural
+    prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])
+    sensitivity = likelihood.sensitivity(point[None])[0] * prior_sd
+    if not np.all(np.isfinite(sensitivity)):
+        raise ValueError(f"theta: the modes must have finite derivatives (got none at {point.tolist()})")
+    labels = likelihood.labels(tuple(map(str, problem.data.labels)))
+    return Identifiability(problem.names[:n], problem.units[:n], labels, point[:n], prior_sd, sensitivity)
+
+
+def with_identifiability(
+    trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None
+) -> xr.DataTree:
+    """Return the trace with the identifiability at the start, and at the highest maximum if known, kept in it.
+
+    Where the model has no derivative there is none to keep: the draws must not be lost for that.
+    """
+    import xarray as xr
+
+    states = {START: problem.start} | ({} if maxima is None else {MAXIMUM: maxima[0].theta})
+    linearised = {}
+    with phase("identifiability", len(states)) as under_way:
+        for name, theta in states.items():
+            with suppress(ValueError):
+                linearised[name] = identifiability(problem, theta)
+            under_way.advance()
+    if not linearised:
+        return trace
+    found = list(linearised.values())
+    variables = {
+        name: (("state", *dims), np.array([getattr(one, name) for one in found]))
+        for name, dims in (
+            ("theta", ("parameter",)),
+            ("prior_sd", ("parameter",)),
+            ("sensitivity", ("mode", "parameter")),
+        )
+    }
+    coordinates = {
+        "state": list(linearised),
+        "parameter": list(found[0].names),
+        "unit": ("parameter", list(found[0].units)),
+        "mode": list(found[0].labels),
+    }
+    kept = trace.copy()
+    kept[GROUP] = xr.DataTree(xr.Dataset(variables, coords=coordinates))
+    return kept
+
+
+def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
+    """Return what `with_identifiability` kept, by the name of the state; empty if nothing was."""
+    if GROUP not in trace.children:
+        return {}
+    kept = trace[GROUP].to_dataset()
+    names, units, labels = (tuple(map(str, kept[name].to_numpy())) for name in ("parameter", "unit", "mode"))
+    arrays = [kept[name].to_numpy() for name in ("theta", "prior_sd", "sensitivity")]
+    return {
+        str(state): Identifiability(names, units, labels, *(array[i] for array in arrays))
+        for i, state in enumerate(kept["state"].to_numpy())
+    }
+
+
+def truncated_sd(parameter: Parameter) -> float:
+    """Return the standard deviation of a parameter's prior within its bounds, by Gauss–Legendre quadrature."""
+    lower, upper = parameter.prior.box(parameter.lower, parameter.upper)
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    x = 0.5 * (lower + upper) + 0.5 * (upper - lower) * node
+    log_pdf = parameter.prior.log_pdf(x)
+    weight = weight * np.exp(log_pdf - np.max(log_pdf))
+    mean = np.sum(weight * x) / np.sum(weight)
+    return float(np.sqrt(np.sum(weight * (x - mean) ** 2) / np.sum(weight)))
+
+
+def contraction(trace: xr.DataTree) -> pd.DataFrame:
+    """Compare the draws with the prior: what the data added, as it came out.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With a ``prior`` group.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a parameter, SI units: ``prior_sd``, ``posterior_sd`` and ``contraction``, 1 − the ratio of the
+        variances (Betancourt 2018, "Towards a principled Bayesian workflow"): near 1 the data determine the
+        parameter, near 0 they say nothing about it.
+
+    Raises
+    ------
+    ValueError
+        If the trace has no draws from the prior.
+    """
+    import pandas as pd
+
+    from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
+    from fmu.analysis.trace.conversion import check_trace
+
+    check_trace(trace)
+    if "prior" not in trace.children:
+        raise ValueError("trace: must have draws from the prior (it has no group prior)")
+    names = parameter_names(trace)
+    before = np.array([trace["prior"][name].to_numpy().std(ddof=1) for name in names])
+    after = parameter_draws(trace).std(axis=(0, 1), ddof=1)
+    columns = {"prior_sd": before, "posterior_sd": after, "contraction": 1.0 - (after / before) ** 2}
+    return pd.DataFrame(columns, index=pd.Index(names, name="parameter"))

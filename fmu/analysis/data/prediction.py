@@ -1,0 +1,210 @@
+"""What the posterior says about quantities that depend on the parameters: eq. (10) and (11) of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.convergence.diagnostics import interval_columns, parameter_draws, walkers_of
+from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
+from fmu.analysis.trace.conversion import GIVEN_OTHERS, ONE_MORE_TEST, check_trace
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+FloatArray = NDArray[np.float64]
+
+
+class Expectation(NamedTuple):
+    """A posterior mean and how well the draws determine it.
+
+    Attributes
+    ----------
+    value : float, or ndarray of shape (k,)
+        Mean of G over the retained draws, eq. (11).
+    mcse : float, or ndarray of shape (k,)
+        Monte-Carlo standard error of `value`; NaN where the draws do not tell it: G is the same at every draw, or
+        there are fewer than four.
+    """
+
+    value: float | FloatArray
+    mcse: float | FloatArray
+
+
+def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str) -> Expectation:
+    """Estimate the posterior expectation of a function of the parameters, eq. (11): (1/N_s) Σ_i G(E_i).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    G : callable or str
+        A function of the draws, (n, ndim) in SI units and in the order of the problem's parameters, that returns
+        (n,) or (n, k); or the name of a parameter, or of a variable of the posterior predictive
+        (``"model_frequency"``, ``"frequency"``, and of repeated tests ``"one_more_test"``, which has no mean
+        where a mode was measured by two tests only).
+
+    Returns
+    -------
+    Expectation
+        Numbers for a G of shape (n,), arrays of shape (k,) for one of shape (n, k).
+
+    Raises
+    ------
+    ValueError
+        If no variable has the name `G`, or the callable returns another shape or values that are not finite.
+    """
+    check_trace(trace)
+    values = _named(trace, G) if isinstance(G, str) else _computed(trace, G)
+    walkers = walkers_of(trace)
+    columns = values.reshape(*values.shape[:2], -1)
+    mean = columns.mean(axis=(0, 1))
+    mcse = np.array([mcse_mean(x, walkers) for x in np.moveaxis(columns, -1, 0)])
+    if values.ndim == 2:
+        return Expectation(float(mean[0]), float(mcse[0]))
+    return Expectation(mean, mcse)
+
+
+def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
+    """Compare the measured frequencies with the posterior predictive distribution, eq. (10).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        A trace of an `UpdatingProblem`.
+    ci_prob : float
+        Probability inside the equal-tailed intervals.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
+        (``eti90_lb``, ``eti90_ub``) of the model's frequency, without measurement noise; ``noisy_sd`` and the
+        interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with it; these are left out under
+        the modal residual, which has no measurement noise to predict with. Where the measured frequency is the
+        mean of repeated tests, a new measurement is the mean of as many tests again; ``test_eti90_lb`` and
+        ``test_eti90_ub`` are the ends of the interval of one more test.
+
+    Raises
+    ------
+    ValueError
+        If the trace holds no frequencies, or `ci_prob` does not lie between 0 and 1.
+    """
+    import pandas as pd
+
+    lower, upper = interval_columns(ci_prob)
+    model = expectation(trace, "model_frequency")
+    predictive = trace["posterior_predictive"]
+    ends = [(1 - ci_prob) / 2, (1 + ci_prob) / 2]
+    columns = {
+        "measured": trace["observed_data"]["frequency"].to_numpy(),
+        "mean": model.value,
+        "mcse_mean": model.mcse,
+    }
+    for prefix, name in (("", "model_frequency"), ("noisy_", "frequency")):
+        if name not in predictive:
+            continue
+        values = predictive[name].transpose("chain", "draw", "mode").to_numpy()
+        low, high = np.quantile(values, ends, axis=(0, 1))
+        columns |= {
+            f"{prefix}sd": values.std(axis=(0, 1), ddof=1),
+            f"{prefix}{lower}": low,
+            f"{prefix}{upper}": high,
+        }
+    if ONE_MORE_TEST in predictive:
+        values = predictive[ONE_MORE_TEST].transpose("chain", "draw", "mode").to_numpy()
+        columns[f"test_{lower}"], columns[f"test_{upper}"] = np.quantile(values, ends, axis=(0, 1))
+    return pd.DataFrame(columns, index=pd.Index(predictive["mode"].to_numpy(), name="mode"))
+
+
+def measured_tests(trace: xr.DataTree) -> FloatArray | None:
+    """Return the single tests (n_tests, n_modes) in Hz, NaN where one missed a mode; None if there is none."""
+    if "observed_data" not in trace.children or "tests" not in trace["observed_data"]:
+        return None
+    return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())
+
+
+def measurement_in_words(tests: FloatArray | None) -> str:
+    """Say what a measured frequency is: ``"a measurement"``, ``"the mean of 5 tests"``, ``"… 4 to 5 tests"``."""
+    if tests is None:
+        return "a measurement"
+    counts = np.sum(~np.isnan(tests), axis=0)
+    least, most = int(counts.min()), int(counts.max())
+    return f"the mean of {most} tests" if least == most else f"the mean of {least} to {most} tests"
+
+
+def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
+    """Estimate how well each measured mode is predicted by the others: PSIS-LOO (Vehtari, Gelman & Gabry 2017).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        A trace with a ``log_likelihood``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a mode: ``elpd``, the log-density of its measured frequency under the posterior of the other modes;
+        ``pareto_k``, the shape of the importance weights' tail; and ``reliable``, whether the weights carry the
+        estimate (k below 0.7, less for few draws). A mode that the others do not determine has few reliable
+        weights: with as many parameters as modes that is the rule, and the estimate an upper bound at best. NaN
+        and not reliable where the draws are too few, or stand still.
+
+    Raises
+    ------
+    ValueError
+        If the trace has no log-likelihood of modes.
+    """
+    import warnings
+
+    import arviz as az
+    import pandas as pd
+
+    check_trace(trace)
+    if "log_likelihood" not in trace.children:
+        raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
+    kept = list(map(str, trace["log_likelihood"].data_vars))
+    # correlated errors: the terms that sum to the joint do not say what each mode is like, given the others
+    name = GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0]
+    terms = trace["log_likelihood"][name].transpose("chain", "draw", "mode").to_numpy()
+    walkers = walkers_of(trace)
+    n = terms.shape[0] * terms.shape[1]
+    efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
+    elpd = k = np.full(terms.shape[2], np.nan)
+    good = np.nan
+    # ArviZ raises where so many draws are alike that the weights have no tail
+    with warnings.catch_warnings(), suppress(ValueError):
+        warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # it is in the table
+        if np.isfinite(efficiency):
+            found = az.loo(trace, pointwise=True, var_name=name, reff=efficiency)
+            elpd, k, good = found.elpd_i.to_numpy(), found.pareto_k.to_numpy(), found.good_k
+    columns = {"elpd": elpd, "pareto_k": k, "reliable": k <= good}
+    return pd.DataFrame(columns, index=pd.Index(trace["log_likelihood"]["mode"].to_numpy(), name="mode"))
+
+
+def _named(trace: xr.DataTree, name: str) -> FloatArray:
+    """Return the draws of a stored variable, shape (chains, draws) or (chains, draws, k)."""
+    known = []
+    for group in ("posterior", "posterior_predictive"):
+        if group in trace.children:
+            known += list(trace[group].data_vars)
+            if name in trace[group].data_vars:
+                return trace[group][name].transpose("chain", "draw", ...).to_numpy()
+    raise ValueError(f"G: must be a callable or one of {', '.join(map(str, known))} (got {name!r})")
+
+
+def _computed(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return G at every draw, shape (chains, draws) or (chains, draws, k)."""
+    draws = parameter_draws(trace)
+    n = draws.shape[0] * draws.shape[1]
+    values = np.asarray(G(draws.reshape(n, -1)), dtype=float)
+    if values.ndim not in (1, 2) or len(values) != n:
+        raise ValueError(f"G: must map ({n}, {draws.shape[2]}) to ({n},) or ({n}, k) (got shape {values.shape})")
+    if not np.all(np.isfinite(values)):
+        at = int(np.argmax(~np.isfinite(values.reshape(n, -1)).all(axis=1)))
+        raise ValueError(f"G: must be finite at every draw (got {values[at]} at {draws.reshape(n, -1)[at]})")
+    return values.reshape(*draws.shape[:2], *values.shape[1:])

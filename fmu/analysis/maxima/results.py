@@ -1,0 +1,241 @@
+"""The maxima of a posterior as a result: where they are, what they weigh, and how a trace keeps them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.maxima.mass import LocalQuadratic
+from fmu.analysis.maxima.text import MOST_SHOWN, in_words, maxima_as_text
+from fmu.analysis.trace.provenance import configuration_hash
+from fmu.text_table import distinct, text_table, wrapped
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorMaximum:
+    """A local maximum of the posterior within the bounds. SI units.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (ndim,)
+    log_prob : float
+        As ``problem.log_prob``.
+    frequencies : ndarray, shape (n_modes,)
+        Hz, paired with the measured modes.
+    starts : int
+        How many starts climbed to it.
+    at_bound : ndarray of int, shape (ndim,)
+        −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere.
+    gradient : ndarray, shape (ndim,)
+        Of the log-probability: not zero where a bound is active.
+    hessian : ndarray, shape (ndim, ndim)
+        −∇² log P or an approximation.
+    curvature : str
+        Which of them: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
+    mean, sd : ndarray, shape (ndim,)
+        Of the part of the posterior that belongs to this maximum.
+    log_mass : float
+        Logarithm of that part's integral ∫ P(D|θ) P(θ) dθ.
+    effective_draws : float
+        How many independent draws `mean`, `sd` and `log_mass` are worth; 0 where they come from the Laplace
+        approximation alone.
+    share : float
+        The mass over that of all maxima found.
+    """
+
+    theta: FloatArray
+    log_prob: float
+    frequencies: FloatArray
+    starts: int
+    at_bound: IntArray
+    gradient: FloatArray
+    hessian: FloatArray
+    curvature: str
+    mean: FloatArray
+    sd: FloatArray
+    log_mass: float
+    effective_draws: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Maxima:
+    """All local maxima that were found, the highest first; a sequence of `PosteriorMaximum`.
+
+    Attributes
+    ----------
+    maxima : tuple of PosteriorMaximum
+    names, units : tuple of str
+        Of the parameters.
+    labels : tuple of str
+        Of the measured modes.
+    lower, upper, start : ndarray, shape (ndim,)
+        The bounds, and the model before updating.
+    measured, before : ndarray, shape (n_modes,)
+        Frequencies in Hz: measured, and of the model before updating.
+    """
+
+    maxima: tuple[PosteriorMaximum, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    labels: tuple[str, ...]
+    lower: FloatArray
+    upper: FloatArray
+    start: FloatArray
+    measured: FloatArray
+    before: FloatArray
+
+    def __iter__(self) -> Iterator[PosteriorMaximum]:
+        return iter(self.maxima)
+
+    def __len__(self) -> int:
+        return len(self.maxima)
+
+    def __getitem__(self, index: int) -> PosteriorMaximum:
+        return self.maxima[index]
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the mass of all maxima together: an estimate of log P(D), as good as the maxima are all."""
+        return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
+
+    @property
+    def log_evidence_error(self) -> float:
+        """Standard error of `log_evidence` from the weights of the draws; NaN where there were none."""
+        weighed = [m for m in self.maxima if m.effective_draws > 0]
+        if not weighed:
+            return np.nan
+        return float(np.sqrt(sum(m.share**2 / m.effective_draws for m in weighed)))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of where the maxima are, how the posterior falls around them, and their shares."""
+        what = ("theta", "log_prob", "gradient", "hessian", "share")
+        return configuration_hash({name: [getattr(m, name) for m in self.maxima] for name in what})
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a maximum, SI units.
+
+        Columns ``log_prob``, ``share``, ``starts``, ``at_bounds`` (words); each parameter; its posterior mean and
+        standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.
+        A name that is taken by another column gets an underscore: a parameter ``share`` is in ``share_``.
+        """
+        import pandas as pd
+
+        best = self.maxima
+        columns: list[tuple[str, list[Any]]] = [
+            ("log_prob", [m.log_prob for m in best]),
+            ("share", [m.share for m in best]),
+            ("starts", [m.starts for m in best]),
+            ("at_bounds", [self.words_at_bounds(m) for m in best]),
+        ]
+        columns += [(name, [m.theta[k] for m in best]) for k, name in enumerate(self.names)]
+        for k, name in enumerate(self.names):
+            columns += [(f"{name}_mean", [m.mean[k] for m in best]), (f"{name}_sd", [m.sd[k] for m in best])]
+        columns += [(f"{label}_hz", [m.frequencies[k] for m in best]) for k, label in enumerate(self.labels)]
+        names = distinct([name for name, _ in columns])
+        index = pd.RangeIndex(1, len(best) + 1, name="maximum")
+        table = pd.DataFrame(dict(zip(names, (values for _, values in columns), strict=True)), index=index)
+        table.attrs["units"] = dict(zip(names[4 : 4 + len(self.names)], self.units, strict=True))
+        return table
+
+    def words_at_bounds(self, maximum: PosteriorMaximum) -> str:
+        """Name the active bounds: ``"Ix2 upper, Ax1 upper"``; empty if there is none."""
+        side = {-1: "lower", 1: "upper"}
+        return ", ".join(
+            f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
+        )
+
+    def words_of_theta(self, theta: FloatArray, sd: FloatArray | None = None) -> str:
+        """Name a parameter vector, as `in_words` does."""
+        return in_words(self.names, theta, self.units, sd)
+
+    def drop(self, theta: FloatArray) -> FloatArray:
+        """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
+        models = (LocalQuadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
+        return np.stack([model.drop(theta) for model in models])
+
+    def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
+        """Return a column a maximum beside the model before updating and the measurement, as words, to be read.
+
+        Digits follow from the posterior standard deviations; frequencies that differ are seen to.
+
+        Parameters
+        ----------
+        most : int
+            The highest so many are shown.
+        """
+        return maxima_as_text(self, most)
+
+    def at_bounds(self, most: int = MOST_SHOWN) -> list[str]:
+        """Say which of the highest maxima lie at bounds, a sentence each."""
+        words = [self.words_at_bounds(m) for m in self.maxima[:most]]
+        return [f"Maximum {k} lies at bounds: {said}." for k, said in enumerate(words, 1) if said]
+
+    def __str__(self) -> str:
+        table = self.side_by_side()
+        header = ["", *(str(name).removeprefix("maximum ") for name in table.columns)]
+        rows = [[str(name), *row] for name, row in zip(table.index, table.to_numpy().tolist(), strict=True)]
+        lines = [text_table(["maximum", *header[1:]], rows, words=(0, 1))]
+        return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.at_bounds())])
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.at_bounds())
+        return str(self.side_by_side().to_html()) + said
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return what `from_dataset` needs, as a trace keeps it."""
+        import xarray as xr
+
+        stacked = {name: np.array([getattr(m, name) for m in self.maxima]) for name in _DIMENSIONS}
+        return xr.Dataset(
+            {name: (("maximum", *dims), stacked[name]) for name, dims in _DIMENSIONS.items()}
+            | {name: ("parameter", getattr(self, name)) for name in ("lower", "upper", "start")}
+            | {name: ("mode", getattr(self, name)) for name in ("measured", "before")},
+            coords={
+                "maximum": np.arange(1, len(self) + 1),
+                "parameter": list(self.names),
+                "mode": list(self.labels),
+                "unit": ("parameter", list(self.units)),
+            },
+        )
+
+    @classmethod
+    def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
+        """Return what `to_dataset` was called on."""
+        columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS}
+        rows = [{name: column[i] for name, column in columns.items()} for i in range(dataset.sizes["maximum"])]
+        names, units, labels = (
+            tuple(map(str, dataset[name].to_numpy())) for name in ("parameter", "unit", "mode")
+        )
+        vectors = {name: dataset[name].to_numpy() for name in ("lower", "upper", "start", "measured", "before")}
+        return cls(tuple(PosteriorMaximum(**row) for row in rows), names, units, labels, **vectors)
+
+
+_DIMENSIONS: dict[str, tuple[str, ...]] = {
+    "theta": ("parameter",),
+    "log_prob": (),
+    "frequencies": ("mode",),
+    "starts": (),
+    "at_bound": ("parameter",),
+    "gradient": ("parameter",),
+    "hessian": ("parameter", "parameter_"),
+    "curvature": (),
+    "mean": ("parameter",),
+    "sd": ("parameter",),
+    "log_mass": (),
+    "effective_draws": (),
+    "share": (),
+}

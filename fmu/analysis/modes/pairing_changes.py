@@ -1,0 +1,271 @@
+"""How the pairing of computed with measured modes changed over the draws of a run."""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.analysis.trace.conversion import check_trace
+from fmu.analysis.trace.modal_states import GROUP as MODES
+from fmu.analysis.trace.modal_states import START
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.pairing.rules import RankPairing
+from fmu.numbers import share, significant
+from fmu.progress.phases import by_parts
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.fem.pairing.paired_model import PairedStructure
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+GROUP = "pairing"
+"""Group of a trace that keeps which computed mode answered to each measured one."""
+MOST_DRAWS = 2000
+"""Draws looked at: evenly spaced over the chains, and the most probable one."""
+_MEANS = {
+    "shape": "the log-probability jumps there if the two modes veer, not if they cross unmixed",
+    "index": "there the log-probability has a kink, and the frequency is that of another shape",
+    "soft": "there the candidates that share the measured mode change places, without a jump",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class PairingChanges:
+    """How often computed modes changed places over the draws of a run.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Of the measured modes.
+    swapped : ndarray, shape (n_modes, n_modes)
+        Share of all draws in which two measured modes come in the other order than in the model before updating.
+    rule : {"shape", "index", "soft"} or None
+        How modes are paired; None where the trace does not keep it, and then nothing is known of the following.
+    constant : bool
+        Whether the pairing cannot change: every mode is a fixed number of a block in which that was verified.
+    looked_at : int
+        How many draws `changed` and `gap` are about.
+    changed : ndarray, shape (n_modes,)
+        Share of these in which another computed mode (block, or number within it) answers to the measured one than
+        at the most probable draw.
+    jumps : int
+        In how many of these that holds for any mode.
+    gap : ndarray, shape (n_modes,)
+        How near in frequency another computed mode came, relative, at the nearest of these draws; infinite where
+        there is no other. Where the pairing is constant, of the paired modes alone, over all draws.
+    """
+
+    labels: tuple[str, ...]
+    swapped: FloatArray
+    rule: str | None
+    constant: bool
+    looked_at: int
+    changed: FloatArray
+    jumps: int
+    gap: FloatArray
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a measured mode: shares of draws, and the nearest other mode's distance, in per cent."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            {
+                "swapped_percent": 100.0 * self.swapped.max(axis=1, initial=0.0),
+                "swapped_with": [self._swapped_with(i) for i in range(len(self.labels))],
+                "other_mode_percent": 100.0 * self.changed,
+                "closest_percent": 100.0 * self.gap,
+            },
+            index=pd.Index(self.labels, name="mode"),
+        )
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say it in words, what matters most first."""
+        said = [*self._jumped(), *self._swaps()]
+        if not said:
+            said.append("No two measured modes changed their order, compared with the model before updating.")
+        if self.constant:
+            said.append("Every measured mode is answered by one computed mode throughout: that was verified.")
+        elif self.rule is not None and not self.jumps:
+            said.append(
+                f"Every measured mode is answered by one computed mode in all of {self.looked_at} draws looked at."
+            )
+        nearest = int(np.argmin(np.where(np.isnan(self.gap), np.inf, self.gap)))
+        if np.isfinite(self.gap[nearest]):
+            kind = "paired" if self.constant or self.rule is None else "computed"
+            said.append(
+                f"The nearest that another {kind} mode came to one that answers: "
+                f"{share(float(self.gap[nearest]))} in frequency, to mode {self.labels[nearest]}."
+            )
+        return tuple(said)
+
+    def __str__(self) -> str:
+        return "\n".join(self.sentences())
+
+    def _repr_html_(self) -> str:
+        items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in self.sentences())
+        shown = self.table().to_html(float_format=significant, border=0)
+        return f"<ul>{items}</ul>{shown}"
+
+    def _jumped(self) -> list[str]:
+        of = f"of {self.looked_at} draws looked at"
+        return [
+            f"Mode {self.labels[i]} is answered by another computed mode than at the most probable draw in "
+            f"{share(float(self.changed[i]))} {of}: {_MEANS[str(self.rule)]}."
+            for i in np.argsort(-self.changed, kind="stable")
+            if self.changed[i] > 0
+        ]
+
+    def _swaps(self) -> list[str]:
+        rows, columns = np.nonzero(np.triu(self.swapped) > 0)
+        order = np.argsort(-self.swapped[rows, columns], kind="stable")
+        return [
+            f"Modes {self.labels[i]} and {self.labels[j]} swapped in {share(float(self.swapped[i, j]))} of the "
+            "draws, compared with their order in the model before updating."
+            for i, j in zip(rows[order], columns[order], strict=True)
+        ]
+
+    def _swapped_with(self, i: int) -> str:
+        return ", ".join(self.labels[j] for j in np.flatnonzero(self.swapped[i] > 0)) or "–"
+
+
+def pairing_changes(trace: xr.DataTree) -> PairingChanges:
+    """Say how often computed modes changed places over the retained draws of a run.
+
+    Two different things: measured modes come in another *order* than in the model before updating, which is no
+    harm as long as each stays itself; and another *computed mode* answers to a measured one. Where modes are
+    paired by MAC one to one and veer, the log-probability jumps between the two, which samplers that follow
+    gradients do not expect; with ``pairing="soft"`` it does not (`fmu.posterior.errors.mixture`). Where they cross without
+    mixing (one symmetric, one antisymmetric) it goes on smoothly in any case.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        Of an updating problem.
+
+    Returns
+    -------
+    PairingChanges
+
+    Raises
+    ------
+    ValueError
+        If `trace` is no trace, or keeps no frequencies, at the draws or before updating.
+    """
+    check_trace(trace)
+    if "posterior_predictive" not in trace.children or MODES not in trace.children:
+        raise ValueError(
+            "trace: must be of an updating problem, with frequencies at the draws and before updating"
+        )
+    frequency = trace["posterior_predictive"]["model_frequency"].transpose("chain", "draw", "mode")
+    labels = tuple(map(str, frequency["mode"].to_numpy()))
+    f = frequency.to_numpy().reshape(-1, len(labels))
+    before = trace[MODES]["frequency"].sel(state=START).to_numpy()
+    swapped = np.zeros((len(labels), len(labels)))
+    gap = np.full(len(labels), np.inf)
+    for i in range(len(labels)):
+        apart = f - f[:, i : i + 1]
+        swapped[i] = np.mean(apart * (before - before[i]) < 0, axis=0)
+        gap[i] = np.min(np.delete(np.abs(apart), i, axis=1) / f[:, i : i + 1], initial=np.inf)
+    if GROUP not in trace.children:
+        return PairingChanges(labels, swapped, None, False, 0, np.full(len(labels), np.nan), 0, gap)
+    kept = trace[GROUP]
+    rule, constant = str(kept.attrs["rule"]), bool(kept.attrs["constant"])
+    block, rank = (kept[name].transpose("sample", "mode").to_numpy() for name in ("block", "rank"))
+    best = int(kept.attrs["most_probable"])
+    other = (block != block[best]) | (rank != rank[best])
+    if constant:
+        looked_at = len(f)
+    else:
+        looked_at, gap = len(block), kept["gap"].transpose("sample", "mode").to_numpy().min(axis=0).astype(float)
+    return PairingChanges(
+        labels, swapped, rule, constant, looked_at, other.mean(axis=0), int(np.sum(other.any(axis=1))), gap
+    )
+
+
+def jump_warnings(trace: xr.DataTree) -> list[str]:
+    """Say in how many draws the log-probability is on another side of a jump than at the most probable draw."""
+    if GROUP not in trace.children or trace[GROUP].attrs["rule"] != "shape":
+        return []
+    found = pairing_changes(trace)
+    if found.jumps == 0:
+        return []
+    modes = ", ".join(label for label, changed in zip(found.labels, found.changed, strict=True) if changed > 0)
+    return [
+        f"the pairing by MAC changes in {share(found.jumps / found.looked_at)} of the draws (measured "
+        f"{'modes' if ',' in modes else 'mode'} {modes}): where the modes veer the log-probability jumps, which "
+        'pairing="soft" does not'
+    ]
+
+
+def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
+    """Return the trace with the computed modes that answered kept in it, where the problem's model tells them.
+
+    ``block`` and ``rank`` (sample, mode), small integers, at most `MOST_DRAWS` draws, which ``chain`` and ``draw``
+    name; ``gap``, the relative distance in frequency of the nearest other computed mode. One draw alone, without a
+    gap, where the pairing is constant by construction: that costs one solve; otherwise two a draw.
+    """
+    import xarray as xr
+
+    structure: Any = problem.model
+    if not hasattr(structure, "candidates"):
+        return trace
+    draws = parameter_draws(trace)[..., : problem.n_structural]
+    theta = draws.reshape(-1, draws.shape[-1])
+    highest = int(np.argmax(trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy()))
+    constant = isinstance(structure.pairing, RankPairing) and bool(structure.within(theta).all())
+    picked = np.unique(np.linspace(0, len(theta) - 1, min(len(theta), MOST_DRAWS)).astype(int))
+    picked = np.array([highest]) if constant else np.union1d(picked, highest)
+    distinct, inverse = np.unique(theta[picked], axis=0, return_inverse=True)
+    parts = by_parts("pairing", structure.modes, distinct)
+    block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in ("block", "rank"))
+    dims = ("sample", "mode")
+    variables: dict[str, Any] = {
+        name: (dims, labels[inverse].astype(np.int16)) for name, labels in (("block", block), ("rank", rank))
+    }
+    if not constant:
+        gap = nearest_other(structure, distinct, block, rank)
+        variables["gap"] = (dims, gap[inverse].astype(np.float32))
+    chain, draw = np.divmod(picked, draws.shape[1])
+    coordinates: dict[str, Any] = {"mode": list(problem.data.labels)}
+    coordinates |= {"chain": ("sample", chain.astype(np.int32)), "draw": ("sample", draw.astype(np.int32))}
+    attributes = {
+        "rule": structure.rule.name,
+        "constant": int(constant),
+        "most_probable": int(np.searchsorted(picked, highest)),
+    }
+    kept = trace.copy()
+    kept[GROUP] = xr.DataTree(xr.Dataset(variables, coords=coordinates, attrs=attributes))
+    return kept
+
+
+def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
+    """Return the relative distance in frequency of each mode to the nearest other candidate, shape (n, n_modes).
+
+    Parameters
+    ----------
+    structure : PairedStructure
+    theta : ndarray, shape (n, n_parameters)
+    block, rank : ndarray of int, shape (n, n_modes)
+        Of the modes.
+    """
+    found = by_parts("pairing", structure.candidates, theta)
+    hz = frequency_hz(np.concatenate([eigenvalues for eigenvalues, _, _ in found]))
+    _, blocks, ranks = found[0]
+    gap = np.full(block.shape, np.inf)
+    for i in range(block.shape[1]):
+        own = (blocks == block[:, i : i + 1]) & (ranks == rank[:, i : i + 1])
+        f = np.sum(np.where(own, hz, 0.0), axis=1, keepdims=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            apart = np.abs(hz / f - 1.0)
+        gap[:, i] = np.min(np.where(own | np.isnan(apart), np.inf, apart), axis=1, initial=np.inf)
+    return gap

@@ -1,0 +1,252 @@
+"""From a sampler's run to an ArviZ trace, and from there to a netCDF file and back.
+
+Every sampler goes through the one conversion here, so that all traces have the same groups, names and
+dimensions ``(chain, draw, *)``. The draw dimension of an ensemble holds steps x walkers, step-major; the number
+of walkers is in the trace's attributes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.evidence.estimate import tempering_group
+from fmu.analysis.trace.provenance import attributes
+from fmu.analysis.trace.replay import DistinctDraws
+from fmu.interruption import shielded
+from fmu.posterior.errors.correlated import CorrelatedFrequencyError
+from fmu.runs.files import write_durably
+from fmu.samplers.tempering.tempering import LOG_LIKELIHOOD
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.samplers.kernel import LogDensity
+    from fmu.samplers.loop.run import Draws, RunResult
+
+GIVEN_OTHERS = "frequency_given_others"
+ONE_MORE_TEST = "one_more_test"
+PRIOR_DRAWS = 2000
+PRIOR_STREAM, NOISE_STREAM, START_STREAM = 0, 1, 2
+_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
+
+
+def to_trace(
+    result: RunResult, density: LogDensity, start: Any = None, *, predictions: bool = True
+) -> xr.DataTree:
+    """Convert a run to an ArviZ trace.
+
+    Parameters
+    ----------
+    result : RunResult
+        What `fmu.samplers.loop.run.run` returned.
+    density : LogDensity
+        The density that was sampled. An `UpdatingProblem` gives all the groups below; of a plain log-density only
+        those that need no frequencies, with coordinates named ``x0``, ``x1``, ...
+    start : ndarray or mapping, optional
+        Where the chains started, if a word does not say it: the positions that the user gave, or which maxima. It
+        belongs to the configuration and its hash.
+    predictions : bool
+        Whether to solve the draws again for the groups that need frequencies.
+
+    Returns
+    -------
+    xarray.DataTree
+        Groups ``posterior`` and ``warmup_posterior`` (one variable a parameter, SI units), ``sample_stats`` and
+        ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, or ``residual`` under the modal residual; one
+        term a mode, and where errors are correlated also ``frequency_given_others``), ``posterior_predictive``
+        (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
+        ``model_frequency`` without it, Hz; of repeated tests ``frequency`` is the mean of as many new tests, and
+        ``one_more_test`` a single one), ``prior`` (draws from the prior inside the bounds), ``observed_data``
+        (``frequency``, and ``tests``, a row a test, where it is their mean) and ``constant_data`` (``lower``,
+        ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel
+        tempering ``tempering``
+        (`fmu.analysis.evidence.estimate.tempering_group`). The attributes say how the draws came about.
+    """
+    import xarray as xr
+
+    names = names_of(density)
+    units = tuple(getattr(density, "units", ("",) * density.ndim))
+    groups = {
+        "posterior": _variables(result.posterior.position, names, units),
+        "sample_stats": _stats(result.posterior),
+        "warmup_posterior": _variables(result.warmup.position, names, units),
+        "warmup_sample_stats": _stats(result.warmup),
+        "constant_data": _constants(density, names),
+    }
+    if hasattr(density, "sample_prior"):
+        prior = density.sample_prior(generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
+        groups["prior"] = _variables(prior[np.newaxis], names, units)
+    if LOG_LIKELIHOOD in result.posterior.stats:
+        groups["tempering"] = tempering_group(result)
+    if predictions and hasattr(density, "frequencies"):
+        groups |= _frequency_groups(result, density)
+    trace = xr.DataTree.from_dict(groups)
+    trace.attrs = attributes(result, density, start)
+    return trace
+
+
+def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
+    """Write a trace to a netCDF file, which appears complete or not at all.
+
+    It is made in memory first: the HDF5 library cannot close a file for which the disk has no room, and says so
+    again and again.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    path : path-like
+        Replaced if it exists.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OSError
+        If it cannot be written: the disk is full, for example. What was there before still is.
+    """
+    path = Path(path)
+    with shielded():
+        content = trace.to_netcdf(engine="h5netcdf")
+        try:
+            write_durably(path, content)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, os.fspath(path)) from error
+    return path
+
+
+def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
+    """Read a trace that `save_trace` wrote, whole, into memory.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+
+    Returns
+    -------
+    xarray.DataTree
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is no netCDF file, or holds no trace of this package.
+    """
+    import xarray as xr
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"path: must be a trace written by fmu (no such file: {path})")
+    try:
+        trace = xr.load_datatree(path, engine="h5netcdf")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"path: must be a trace written by fmu (not a readable netCDF file: {path})") from error
+    check_trace(trace, str(path))
+    return trace
+
+
+def check_trace(trace: Any, origin: str = "trace") -> None:
+    """Raise ValueError unless `trace` has what the analysis relies on; `origin` names it in the message."""
+    needed = ("posterior", "sample_stats")
+    missing = [group for group in needed if group not in getattr(trace, "children", {})]
+    missing += [name for name in ("sampler", "walkers", "wall_s") if name not in getattr(trace, "attrs", {})]
+    if missing:
+        raise ValueError(f"{origin}: must be a trace written by fmu (it has no {', '.join(missing)})")
+
+
+def names_of(density: LogDensity) -> tuple[str, ...]:
+    """Return the parameters' names; ``x0``, ``x1``, ... where the density has none."""
+    return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
+
+
+def generator(seed: int, stream: int) -> np.random.Generator:
+    """Return a generator of the run's seed tree that shares no stream with the chains, tasks 0, 1, ..."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
+
+
+def _sample_coordinates(values: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
+    """Return the coordinates of an array of shape (chains, draws, ...)."""
+    return {"chain": np.arange(values.shape[0]), "draw": np.arange(values.shape[1])}
+
+
+def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tuple[str, ...]) -> xr.Dataset:
+    """Return one variable a parameter from positions of shape (chains, draws, ndim)."""
+    import xarray as xr
+
+    variables = {
+        name: (("chain", "draw"), position[..., i], {"units": unit})
+        for i, (name, unit) in enumerate(zip(names, units, strict=True))
+    }
+    return xr.Dataset(variables, coords=_sample_coordinates(position))
+
+
+def _stats(draws: Draws) -> xr.Dataset:
+    """Return the sampler's statistics, one variable each, but for those of every rung."""
+    import xarray as xr
+
+    variables = {name: (("chain", "draw"), v) for name, v in draws.stats.items() if name != LOG_LIKELIHOOD}
+    return xr.Dataset(variables, coords=_sample_coordinates(draws.position))
+
+
+def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
+    """Return the bounds, the start vector and the weights of the measured frequencies."""
+    import xarray as xr
+
+    variables: dict[str, Any] = {
+        name: ("parameter", np.asarray(getattr(density, name), dtype=float))
+        for name in ("lower", "upper", "start")
+        if hasattr(density, name)
+    }
+    coordinates: dict[str, Any] = {"parameter": list(names)}
+    if hasattr(getattr(density, "likelihood", None), "beta"):
+        variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float))
+        coordinates["mode"] = list(density.data.labels)
+        error = getattr(density.likelihood, "error", None)
+        if isinstance(error, CorrelatedFrequencyError):
+            variables["covariance_hz2"] = (("mode", "other_mode"), error.covariance_hz2)
+            coordinates["other_mode"] = coordinates["mode"]
+    return xr.Dataset(variables, coords=coordinates)
+
+
+def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
+    """Return the groups that need the model's frequencies at the draws; each distinct draw is solved once."""
+    import xarray as xr
+
+    coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
+    distinct = DistinctDraws.of(result.posterior.position, result.walkers)
+    frequency = distinct.evaluate(problem.frequencies)
+    dims = ("chain", "draw", "mode")
+    hertz = {"units": "Hz"}
+    predicted = {"model_frequency": (dims, frequency, hertz)}
+    if hasattr(problem.likelihood, "error"):
+        error = problem.likelihood.error
+        terms = {"frequency": (dims, error.log_prob_terms(frequency))}
+        if isinstance(error, CorrelatedFrequencyError):
+            terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
+    else:
+        name = "modes" if hasattr(problem.likelihood, "noise") else "residual"
+        terms = {name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
+    # a pseudo-likelihood, and shapes alone, have no measurement noise of frequencies to predict with
+    if getattr(problem.likelihood, "simulates", False):
+        noise = generator(result.seed, NOISE_STREAM)
+        theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
+        replicate = problem.simulate_data(noise, hz, theta)
+        predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
+        if problem.data.tests is not None:
+            single = problem.simulate_test(noise, hz, theta)
+            predicted[ONE_MORE_TEST] = (dims, single.reshape(frequency.shape), hertz)
+    observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
+    if problem.data.tests is not None:
+        observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
+    return {
+        "log_likelihood": xr.Dataset(terms, coords=coordinates),
+        "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
+        "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
+    }

@@ -1,0 +1,111 @@
+"""Where a trace comes from: settings, versions and a hash of everything that determines the draws."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from fmu.samplers.kernel import LogDensity
+    from fmu.samplers.loop.run import RunResult
+
+PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")
+
+
+def canonical_json(value: Any) -> str:
+    """Return the one JSON text of `value`: sorted keys, no spaces, shortest floats that round-trip.
+
+    NumPy scalars and arrays are written as the Python numbers and lists that they hold, tuples as lists.
+
+    Raises
+    ------
+    TypeError
+        If `value` holds something that is neither JSON nor NumPy.
+    """
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    """Turn a NumPy array or scalar into lists and numbers."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"a configuration must hold JSON values and NumPy arrays only (got {type(value).__name__})")
+
+
+def described(
+    density: LogDensity, sampler: str, settings: Mapping[str, Any], run: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what determines draws: the problem, the sampler with its settings, and the arguments of the run."""
+    describe = getattr(density, "configuration", None)
+    problem = (
+        describe()
+        if describe is not None
+        else {"density": type(density).__qualname__, "lower": density.lower, "upper": density.upper}
+    )
+    return {"problem": problem, "sampler": {"name": sampler, "settings": settings}, "run": dict(run)}
+
+
+def configuration(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
+    """Return everything that determines the draws of a run.
+
+    `start` says where the chains started, where the word ``result.init`` does not.
+    """
+    run = {
+        "draws": result.draws,
+        "warmup": result.warmup_draws,
+        "chains": result.chains,
+        "groups": result.groups,
+        "walkers": result.walkers,
+        "seed": result.seed,
+        "init": result.init if start is None else start,
+    }
+    return described(density, result.sampler, result.settings, run)
+
+
+def configuration_hash(settings: Mapping[str, Any]) -> str:
+    """Return the SHA-256 (hexadecimal) of the canonical JSON of `settings`."""
+    return hashlib.sha256(canonical_json(settings).encode()).hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that the numbers depend on."""
+    return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in PACKAGES}
+
+
+def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
+    """Return the attributes of a trace's root, all of them numbers or text, as netCDF wants them.
+
+    ``n_solves`` and ``n_gradients`` count the retained draws; what the warm-up cost stands apart in
+    ``warmup_n_solves`` and ``warmup_n_gradients``. ``wall_s`` is the time of sampling, warm-up included.
+    """
+    settings = configuration(result, density, start)
+    costs = {
+        f"{prefix}{name}": int(np.sum(draws.stats.get(name, 0)))  # a warm-up of no steps has no statistics
+        for prefix, draws in (("", result.posterior), ("warmup_", result.warmup))
+        for name in ("n_solves", "n_gradients")
+    }
+    return {
+        "problem": str(getattr(density, "name", type(density).__qualname__)),
+        "sampler": result.sampler,
+        "settings": canonical_json(result.settings),
+        "learnt": canonical_json(result.learnt),
+        "seed": result.seed,
+        "draws": result.draws,
+        "warmup": result.warmup_draws,
+        "chains": result.chains,
+        "groups": result.groups,
+        "walkers": result.walkers,
+        "init": result.init,
+        "configuration": canonical_json(settings),
+        "configuration_hash": configuration_hash(settings),
+        "versions": canonical_json(versions()),
+        "wall_s": float(result.wall_s),
+        "warmup_wall_s": float(result.warmup_wall_s),
+        **costs,
+    }

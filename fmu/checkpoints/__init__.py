@@ -1,5 +1,0 @@
-"""Runs on disk while they go on: draws as they come, and the state of the chains, to go on from after any end."""
-
-from __future__ import annotations
-
-from fmu.checkpoints.settings import Checkpoint as Checkpoint

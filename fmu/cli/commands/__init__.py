@@ -1,0 +1,4 @@
+"""One file a command.
+
+Reading order: run, check, report; then the others.
+"""

@@ -1,0 +1,215 @@
+"""``[model] type = "matrices"``: stiffness and mass terms, from files as other programs export them or by rows.
+
+`fmu.formats.matrices.read` says which files are read and how to come by them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import numpy as np
+import scipy.sparse as sp
+from pydantic import Field, model_validator
+
+from fmu.config.fields import FileName, Name, SensorTable, Table
+from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.model.table import Built, without_targets
+from fmu.fem.frame.stability import require_stable
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.terms import Term
+from fmu.formats.matrices.abaqus import HELD
+from fmu.formats.matrices.files import Labelled
+from fmu.formats.matrices.read import read_labelled, symmetric_matrix
+from fmu.formats.shown import names_shown
+from fmu.numbers import typed
+
+if TYPE_CHECKING:
+    from fmu.config.parameters import ParameterTable
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+MOST_TERMS = 1000
+
+
+class TermTable(Table):
+    """One matrix, in SI units, times the product of parameters to their powers."""
+
+    file: FileName | None = None
+    """From the folder of this file."""
+    matrix: Annotated[list[list[float]], Field(min_length=1)] | None = None
+    """Instead of a file, of a small model: its rows."""
+    variable: FileName | None = None
+    """Which matrix, where a file holds several."""
+    triangle: bool | Literal["lower", "upper"] = False
+    """Whether each pair of symmetric entries is there once."""
+    factor: float = 1.0
+    """Times a number."""
+    powers: dict[Name, float] = {}
+    """Times these parameters to these powers."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.file is None) == (self.matrix is None):
+            raise ValueError("must have either file or matrix")
+        if self.matrix is not None and self.variable is not None:
+            raise ValueError("variable must not be given beside matrix")
+        return self
+
+    @property
+    def source(self) -> str:
+        """The key that says where the matrix is."""
+        return "matrix" if self.file is None else "file"
+
+    def read(self, folder: Path) -> Labelled:
+        """Return the matrix; ValueError with what is wrong with it."""
+        if self.file is not None:
+            return read_labelled(folder / self.file, self.variable, self.triangle)
+        rows = self.matrix or []
+        if len({len(row) for row in rows}) > 1:
+            raise ValueError(got("must have rows of one length", [len(row) for row in rows]))
+        return Labelled(symmetric_matrix(np.array(rows), self.triangle), None)
+
+
+class MatricesTable(Table):
+    """K(theta) and M(theta) as sums of matrices; ``free = true`` if nothing holds the structure, on purpose."""
+
+    type: Literal["matrices"]
+    stiffness: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
+    mass: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
+    dofs: list[SensorTable] | None = None
+    free: bool = False
+
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return the powers of parameters that do not exist, and the parameters that no term has."""
+        names = [parameter.name for parameter in parameters]
+        found, used = [], set()
+        for where, term in self._terms():
+            used |= set(term.powers)
+            found += [
+                Mistake(f"{where}.powers", got(f"must name one of {names_shown(names)}", name))
+                for name in term.powers
+                if name not in names
+            ]
+        for i, table in enumerate(parameters):
+            if table.name not in used:
+                found.append(Mistake(f"parameters.{i}.name", got("must be in the powers of a term", table.name)))
+        return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
+
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Read the matrices beside the file and return the model; BrokenError with what is wrong with them."""
+        read: list[Labelled] = []
+        found: list[Mistake] = []
+        for where, table in self._terms():
+            try:
+                read.append(table.read(folder))
+            except ValueError as error:
+                key, _, rule = str(error).partition(": ")
+                at = (key, rule) if key in ("variable", "triangle") else (table.source, str(error))
+                found.append(Mistake(f"{where}.{at[0]}", at[1]))
+        if found:
+            raise BrokenError(found)
+        matrices, dofs = self._on_the_same_dofs(read)
+        terms = [
+            Term(matrix * table.factor, tuple(table.powers.get(p.name, 0.0) for p in parameters))
+            for matrix, (_, table) in zip(matrices, self._terms(), strict=True)
+        ]
+        n = len(self.stiffness)
+        try:
+            model = SeparableModel(terms[:n], terms[n:], dofs)
+            require_stable(model, [table.start for table in parameters], self.free)
+        except ValueError as error:
+            raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error
+        return Built(model, {})
+
+    def _terms(self) -> list[tuple[str, TermTable]]:
+        """Return the terms with their places in the file, stiffness first."""
+        both = (("stiffness", self.stiffness), ("mass", self.mass))
+        return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
+
+    def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return the parameters whose power does not exist everywhere between their bounds."""
+        found = []
+        for where, term in self._terms():
+            for i, table in enumerate(parameters):
+                power = term.powers.get(table.name, 1.0)
+                if (power < 0.0 or not power.is_integer()) and not table.is_positive():
+                    rule = f"must be positive, as {where}.powers has it to the power {typed(power)}"
+                    found.append(Mistake(f"parameters.{i}.lower", got(rule, table.lower)))
+        return found
+
+    def _of_dofs(self) -> list[Mistake]:
+        found, seen = [], set()
+        for i, (node, direction) in enumerate(self.dofs or []):
+            if direction not in DIRECTIONS:
+                rule = got(f"must be a node and one of {', '.join(DIRECTIONS)}", [node, direction])
+                found.append(Mistake(f"model.dofs.{i}", rule))
+            if (node, direction) in seen:
+                found.append(Mistake(f"model.dofs.{i}", got("must not be that of another row", [node, direction])))
+            seen.add((node, direction))
+        return found
+
+    def _on_the_same_dofs(self, read: Sequence[Labelled]) -> tuple[list[Any], list[tuple[Any, str]]]:
+        """Return the matrices on the degrees of freedom of all, and their names.
+
+        Where the files name them, a matrix may lack those that it is zero at. Those that Abaqus marks as held by a
+        support, with 1e36 in the stiffness, are left out.
+        """
+        labels = [one.dofs for one in read if one.dofs is not None]
+        matrices = [one.matrix for one in read]
+        if labels:
+            self._check_labels(read)
+            everything = {dof for names in labels for dof in names}
+            dofs: list[tuple[Any, str]] = sorted(everything, key=lambda dof: (dof[0], DIRECTIONS.index(dof[1])))
+            index = {dof: i for i, dof in enumerate(dofs)}
+            at = ([index[dof] for dof in names] for names in labels)
+            rows = [selection(rows, len(dofs)) for rows in at]
+            matrices = [
+                sp.csr_array(place.T @ matrix @ place) for place, matrix in zip(rows, matrices, strict=True)
+            ]
+        else:
+            self._check_sizes(read)
+            named = self.dofs or [[i, "x"] for i in range(matrices[0].shape[0])]
+            dofs = [(node, str(direction)) for node, direction in named]
+        largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
+        free = np.flatnonzero(largest < HELD)
+        if len(free) == 0:
+            raise BrokenError([Mistake("model.stiffness", f"must have a diagonal below {typed(HELD)} somewhere")])
+        return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free]
+
+    def _check_labels(self, read: Sequence[Labelled]) -> None:
+        found = [
+            Mistake(f"{where}.{table.source}", "must name its degrees of freedom, as the other files do")
+            for (where, table), one in zip(self._terms(), read, strict=True)
+            if one.dofs is None
+        ]
+        if self.dofs is not None:
+            found.append(Mistake("model.dofs", "must not be given: the files name the degrees of freedom"))
+        if found:
+            raise BrokenError(found)
+
+    def _check_sizes(self, read: Sequence[Labelled]) -> None:
+        n = read[0].matrix.shape[0]
+        found = [
+            Mistake(
+                f"{where}.{table.source}",
+                f"must have {n} rows, as model.stiffness.0 has (got {one.matrix.shape[0]})",
+            )
+            for (where, table), one in zip(self._terms(), read, strict=True)
+            if one.matrix.shape[0] != n
+        ]
+        if self.dofs is not None and len(self.dofs) != n:
+            found.append(
+                Mistake("model.dofs", f"must name {n} degrees of freedom, one a row (got {len(self.dofs)})")
+            )
+        if found:
+            raise BrokenError(found)
+
+    def _in_words(self, error: str) -> str:
+        """Return what is wrong with a model in the words of the file, with what to do about it."""
+        text = error.replace("K_terms", "stiffness").replace("M_terms", "mass") + ", at the start"
+        if "can move without strain" in text and not self.free:
+            text += "; free = true if nothing holds it on purpose"
+        return text

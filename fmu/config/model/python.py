@@ -1,0 +1,170 @@
+"""``[model] type = "python"``: a function of the user's own, as `fmu.fem.black_box` asks for it.
+
+``function = "module:function"`` is looked for in ``module.py`` (or the package ``module/``) in the folder of the
+TOML file first, then among what is installed. To load such a file is to run the code that it names.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints
+
+from fmu.config.fields import Table
+from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
+from fmu.config.model.table import Built, without_targets
+from fmu.fem.black_box import BlackBoxModel
+from fmu.formats.files import too_large, why_no_file
+from fmu.formats.shown import in_words
+
+if TYPE_CHECKING:
+    from fmu.config.parameters import ParameterTable
+
+WHERE = "model.function"
+LARGEST_MODULE = 2**24
+"""Bytes of a module's source, which Python reads as a whole."""
+
+
+class PythonTable(Table):
+    """A function from theta to frequencies in Hz, or to frequencies, shapes and gradients.
+
+    ``batched = true`` if it takes many theta at once; ``step``, relative to the range of each parameter, of the
+    central differences that stand in for a gradient.
+    """
+
+    type: Literal["python"]
+    function: Annotated[str, StringConstraints(max_length=500, pattern=FUNCTION)]
+    batched: bool = False
+    step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
+
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return the keys of parameters that a function has no use for."""
+        return without_targets(parameters)
+
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Import the function and return the model; BrokenError if there is none."""
+        function = imported(self.function, folder)
+        model = BlackBoxModel(function, len(parameters), batched=self.batched, step=self.step, name=self.function)
+        return Built(model, {})
+
+
+class Imported:
+    """A function of a module beside a file. In another process it is imported again, from the same folder.
+
+    Parameters
+    ----------
+    function : callable
+    place : str
+        ``module:function``.
+    folder : Path
+    """
+
+    def __init__(self, function: Callable[..., Any], place: str, folder: Path) -> None:
+        self.__wrapped__ = function
+        self._place, self._folder = place, folder
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function."""
+        return self.__wrapped__(*arguments)
+
+    def __repr__(self) -> str:
+        return f"Imported({self._place!r})"
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path]]:
+        return imported, (self._place, self._folder)
+
+
+def imported(place: str, folder: Path) -> Callable[..., Any]:
+    """Return the function at ``module:function``, from a folder or from what is installed.
+
+    Parameters
+    ----------
+    place : str
+    folder : Path
+        While the module is imported, and only then, it can import what is beside it. Nothing of it stays among the
+        modules that other files of the same names would find.
+
+    Returns
+    -------
+    callable
+        It travels to other processes.
+
+    Raises
+    ------
+    BrokenError
+        If there is no such module or function, or importing it fails.
+    """
+    name, _, attribute = place.partition(":")
+    beside = _beside(name, folder.resolve())
+    if beside is not None and too_large(beside, LARGEST_MODULE):
+        raise BrokenError([Mistake(WHERE, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
+    try:
+        with _importing_from(folder.resolve(), name) if beside is not None else nullcontext():
+            module = importlib.import_module(name)
+        function: Any = module
+        for part in attribute.split("."):
+            function = getattr(function, part, None)
+    except ModuleNotFoundError as error:
+        missing = str(error.name)
+        if beside is None and (name == missing or name.startswith(f"{missing}.")):
+            rule = got("must be in a module beside the file or installed", name)
+            raise BrokenError([Mistake(WHERE, rule)]) from error
+        raise _not_importable(name, error) from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # GeneratorExit and others of the user's own among them
+        raise _not_importable(name, error) from error
+    if function is None:
+        raise BrokenError([Mistake(WHERE, got(f"must be in the module {name}", attribute))])
+    if not callable(function):
+        raise BrokenError([Mistake(WHERE, f"must be a function (got {place}, of type {type(function).__name__})")])
+    return function if beside is None else Imported(function, place, folder.resolve())
+
+
+def _not_importable(name: str, error: BaseException) -> BrokenError:
+    rule = f"must be in a module that can be imported ({name}: {in_words(error)})"
+    return BrokenError([Mistake(WHERE, rule)])
+
+
+def _beside(name: str, folder: Path) -> Path | None:
+    """Return the file of a module in a folder; None if there is none."""
+    path = folder.joinpath(*name.split("."))
+    files = (path / "__init__.py", path.with_name(f"{path.name}.py"))
+    return next((file for file in files if not why_no_file(file)), None)
+
+
+@contextmanager
+def _importing_from(folder: Path, name: str) -> Iterator[None]:
+    """Put a folder first on the path; afterwards forget what was imported from it, and leave no bytecode there."""
+
+    def of_folder(module: Any) -> bool:
+        if not issubclass(type(module), ModuleType):  # anything may be put among the modules
+            return False
+        file = object.__getattribute__(module, "__dict__").get("__file__")
+        return isinstance(file, str) and Path(file).resolve().is_relative_to(folder)
+
+    top = name.partition(".")[0]
+    namesakes = {}
+    if not of_folder(sys.modules.get(top)):
+        namesakes = {n: m for n, m in sys.modules.items() if n == top or n.startswith(f"{top}.")}
+    for namesake in namesakes:
+        del sys.modules[namesake]
+    path, before, bytecode = list(sys.path), set(sys.modules), sys.dont_write_bytecode
+    sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        sys.dont_write_bytecode = bytecode
+        for imported_name in set(sys.modules) - before:
+            if of_folder(sys.modules[imported_name]):
+                del sys.modules[imported_name]
+        sys.modules.update(namesakes)

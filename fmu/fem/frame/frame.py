@@ -1,0 +1,213 @@
+"""Frames of beam elements: nodes, groups of elements, supports, masses and springs -> a SeparableModel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.fem.frame import beam
+from fmu.fem.frame.joints import DIRECTIONS as DIRECTIONS
+from fmu.fem.frame.joints import JointSpring as JointSpring
+from fmu.fem.frame.joints import PointMass as PointMass
+from fmu.fem.frame.numbering import Numbering, require_node
+from fmu.fem.frame.section import Material as Material
+from fmu.fem.frame.section import Section as Section
+from fmu.fem.frame.updates import PROPERTIES as PROPERTIES
+from fmu.fem.frame.updates import Factor as Factor
+from fmu.fem.frame.updates import Ownership, Quantity, Target, ownership
+from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel
+from fmu.fem.modes.terms import Term, merge_terms
+
+FloatArray = NDArray[np.float64]
+
+# What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
+_STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("E", "J")}
+_MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
+
+
+@dataclass(frozen=True)
+class ElementGroup:
+    """Beam elements that share a section, a material and, in an update, their parameters.
+
+    Attributes
+    ----------
+    name : str
+    elements : array_like of int, shape (n, 2)
+        Node numbers (from 0) of both ends.
+    section : Section
+    material : Material
+    y_direction : tuple of float, length 3, optional
+        A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean. Without it local y is
+        horizontal, so that Iy resists bending in the vertical plane, global z being up; of vertical elements
+        it is global y.
+    """
+
+    name: str
+    elements: ArrayLike
+    section: Section
+    material: Material
+    y_direction: tuple[float, float, float] | None = None
+
+    def value(self, name: str) -> float:
+        """Return the initial value of a property of `PROPERTIES`."""
+        return float(getattr(self.material if name in ("E", "rho") else self.section, name))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A structure of beam elements.
+
+    Attributes
+    ----------
+    nodes : array_like, shape (n_nodes, 3)
+        Coordinates in m.
+    groups : sequence of ElementGroup
+    supports : mapping of int to sequence of str
+        Fixed directions ("x" … "rz") of a node.
+    masses : sequence of PointMass
+    arms : mapping of hashable to RigidArm
+        Places beside the nodes at which sensors may sit, by name.
+    springs : sequence of JointSpring
+        To the ground and between nodes, and ties.
+    """
+
+    nodes: ArrayLike
+    groups: Sequence[ElementGroup]
+    supports: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    masses: Sequence[PointMass] = ()
+    arms: Mapping[Any, RigidArm] = field(default_factory=dict)
+    springs: Sequence[JointSpring] = ()
+
+    def separable(self, updates: Mapping[str, Sequence[Target] | Factor] | None = None) -> SeparableModel:
+        """Assemble K(theta) and M(theta).
+
+        Parameters
+        ----------
+        updates : mapping of parameter name to sequence of targets, or to Factor
+            What each parameter stands for, in the order of theta. A target is
+
+            - ``(property, group)``: ``"E"``, ``"rho"``, ``"A"``, ``"Iy"``, ``"Iz"`` or ``"J"`` of a group of
+              elements. E acts on bending, axial and, through G = E/(2(1+ν)), torsional stiffness; Iy and Iz act
+              on bending stiffness, rotary inertia and torsional inertia; A on axial stiffness and
+              translational mass;
+            - ``("mass", name)``, ``("inertia", name)`` or ``("inertia", name, direction)`` of a point mass;
+            - ``("stiffness", name)`` or ``("stiffness", name, direction)`` of a spring;
+
+            without a direction all that it has, without a name those of all: ``("E",)``. The parameter is the
+            value of all its targets, in SI units; as ``Factor(targets)`` it multiplies the value that each of
+            them has in the frame.
+
+        Returns
+        -------
+        SeparableModel
+
+        Raises
+        ------
+        ValueError
+            For a target that does not exist or is updated twice, two groups, masses or springs of one name, an
+            element, support, mass, spring or arm at a node that does not exist, tied nodes at different places,
+            or a free node with neither element nor mass.
+        """
+        owned = ownership(updates or {}, self.groups, self.masses, self.springs)
+        nodes = self._coordinates()
+        numbering = Numbering.of(len(nodes), self.supports, self.springs)
+        self._check(nodes, numbering)
+        K_terms: list[Term] = []
+        M_terms: list[Term] = []
+        for index, group in enumerate(self.groups):
+            ends = np.asarray(group.elements, dtype=int)
+            axis = nodes[ends[:, 1]] - nodes[ends[:, 0]]
+            length = np.linalg.norm(axis, axis=1)
+            y_direction = beam.horizontal(axis) if group.y_direction is None else group.y_direction
+            axes = beam.local_axes(axis, y_direction)
+            for recipe, unit, terms in (
+                (_STIFFNESS, beam.stiffness_terms(length), K_terms),
+                (_MASS, beam.mass_terms(length), M_terms),
+            ):
+                for name, properties in recipe.items():
+                    scale, powers = owned.coefficient((Quantity(p, index), group.value(p)) for p in properties)
+                    if name == "GJ":
+                        scale /= 2 * (1 + group.material.nu)
+                    matrix = _assemble(beam.to_global(unit[name], axes) * scale, ends, len(nodes))
+                    terms.append(Term(numbering.restricted(matrix), powers))
+        K_terms += [Term(numbering.restricted(m), powers) for m, powers in self._spring_matrices(nodes, owned)]
+        M_terms += [Term(numbering.restricted(m), powers) for m, powers in self._mass_matrices(len(nodes), owned)]
+        elements = np.concatenate([np.asarray(group.elements, dtype=np.int64) for group in self.groups])
+        return SeparableModel(
+            merge_terms(K_terms),
+            merge_terms(M_terms),
+            numbering.names,
+            Geometry(nodes, elements, [m.node for m in self.masses], [spring.nodes for spring in self.springs]),
+            self.arms,
+            numbering.ties,
+        )
+
+    def _coordinates(self) -> FloatArray:
+        nodes = np.asarray(self.nodes, dtype=float)
+        if nodes.ndim != 2 or nodes.shape[1] != 3 or not np.all(np.isfinite(nodes)):
+            raise ValueError(f"nodes: must be finite x, y, z of every node (got shape {nodes.shape})")
+        return nodes
+
+    def _check(self, nodes: FloatArray, numbering: Numbering) -> None:
+        n_nodes = len(nodes)
+        has_mass = np.zeros(6 * n_nodes, dtype=bool)
+        for group in self.groups:
+            ends = np.asarray(group.elements)
+            if ends.ndim != 2 or ends.shape[1] != 2 or not np.issubdtype(ends.dtype, np.integer):
+                received = f"shape {ends.shape} of {ends.dtype}"
+                raise ValueError(f"group {group.name!r}: elements must be pairs of node numbers (got {received})")
+            for node in map(int, ends.ravel()):
+                require_node(f"group {group.name!r}", node, n_nodes)
+                has_mass[6 * node : 6 * node + 6] = True
+        for mass in self.masses:
+            require_node("masses", mass.node, n_nodes)
+            if not all(0.0 <= value < np.inf for value in (mass.mass, *mass.inertia)):
+                raise ValueError(f"masses: mass and inertia must be finite and not negative (got {mass})")
+            has_mass[6 * mass.node : 6 * mass.node + 6] |= [mass.value(d) > 0.0 for d in DIRECTIONS]
+        for place, arm in self.arms.items():
+            require_node(f"arm {place!r}", arm.node, n_nodes)
+        for spring in self.springs:
+            spring.require_coincident(nodes)
+        carried = np.zeros(6 * n_nodes, dtype=bool)
+        carried[numbering.owner[has_mass]] = True
+        # It would make the mass matrix singular.
+        loose = np.unique(numbering.free[~carried[numbering.free]] // 6).tolist()
+        if loose:
+            raise ValueError(
+                f"nodes: a node without an element must be fixed, tied or have mass (got nodes {loose})"
+            )
+
+    def _mass_matrices(self, n_nodes: int, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
+        lumped: dict[tuple[float, ...], FloatArray] = {}
+        for index, mass in enumerate(self.masses):
+            for k, direction in enumerate(DIRECTIONS):
+                quantity = Quantity("mass", index) if k < 3 else Quantity("inertia", index, direction)
+                scale, powers = owned.coefficient([(quantity, mass.value(direction))])
+                lumped.setdefault(powers, np.zeros(6 * n_nodes))[6 * mass.node + k] += scale
+        return [(sp.csr_array(sp.diags_array(diagonal)), powers) for powers, diagonal in lumped.items()]
+
+    def _spring_matrices(self, nodes: FloatArray, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
+        found = []
+        for index, spring in enumerate(self.springs):
+            for direction, value in spring.stiffness.items():
+                scale, powers = owned.coefficient([(Quantity("stiffness", index, direction), value)])
+                weights = spring.elongation(direction, nodes)
+                column = sp.csr_array(
+                    (list(weights.values()), (list(weights), [0] * len(weights))), shape=(6 * len(nodes), 1)
+                )
+                found.append((sp.csr_array(scale * column @ column.T), powers))
+        return found
+
+
+def _assemble(matrices: FloatArray, ends: NDArray[np.int64], n_nodes: int) -> sp.csr_array:
+    dofs = (6 * ends[:, :, None] + np.arange(6)).reshape(len(ends), 12)
+    rows = np.repeat(dofs, 12, axis=1).ravel()
+    columns = np.tile(dofs, (1, 12)).ravel()
+    matrix = sp.coo_array((matrices.ravel(), (rows, columns)), shape=(6 * n_nodes,) * 2).tocsr()
+    matrix.eliminate_zeros()
+    return matrix

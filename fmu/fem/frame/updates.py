@@ -1,0 +1,165 @@
+"""What the parameters of a frame stand for: properties of element groups, point masses and springs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+from fmu.fem.frame.joints import DIRECTIONS, JointSpring, PointMass
+
+Target = Sequence[str]
+"""(property,), (property, name) or (property, name, direction)."""
+
+PROPERTIES = ("E", "rho", "A", "Iy", "Iz", "J")
+"""Of a group of elements."""
+ROTATIONS = DIRECTIONS[3:]
+_KIND = dict.fromkeys(PROPERTIES, "group") | {"mass": "mass", "inertia": "mass", "stiffness": "spring"}
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A parameter without dimension that multiplies what the frame has, in place of a value for it.
+
+    Attributes
+    ----------
+    targets : sequence of tuple of str
+        As in `fmu.Frame.separable`. They may differ in their values and even in what they are.
+    """
+
+    targets: Sequence[Target]
+
+
+class Quantity(NamedTuple):
+    """One value of a frame: a property of a group, mass or spring by its number, perhaps in a direction."""
+
+    property: str
+    number: int
+    direction: str = ""
+
+
+class Owner(NamedTuple):
+    """The parameter that a quantity belongs to, and whether it multiplies it or is its value."""
+
+    parameter: int
+    factor: bool
+
+
+class Group(Protocol):
+    """A group of elements, as far as updates go."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ownership:
+    """Which quantities of a frame belong to which parameter.
+
+    Attributes
+    ----------
+    owner : mapping of Quantity to Owner
+    n_parameters : int
+    """
+
+    owner: Mapping[Quantity, Owner]
+    n_parameters: int
+
+    def coefficient(self, quantities: Iterable[tuple[Quantity, float]]) -> tuple[float, tuple[float, ...]]:
+        """Return the product of quantities with their values as a constant and the powers of the parameters."""
+        scale, powers = 1.0, [0.0] * self.n_parameters
+        for quantity, value in quantities:
+            owner = self.owner.get(quantity)
+            if owner is not None:
+                powers[owner.parameter] += 1.0
+            if owner is None or owner.factor:
+                scale *= value
+        return scale, tuple(powers)
+
+
+def ownership(
+    updates: Mapping[str, Sequence[Target] | Factor],
+    groups: Sequence[Group],
+    masses: Sequence[PointMass],
+    springs: Sequence[JointSpring],
+) -> Ownership:
+    """Return which quantities belong to which parameter; see `fmu.Frame.separable`.
+
+    Raises
+    ------
+    ValueError
+        For names that are not distinct, a target that does not exist, one that two parameters have, or a factor
+        of what is zero.
+    """
+    things: dict[str, Sequence[Any]] = {"group": groups, "mass": masses, "spring": springs}
+    for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):
+        names = [thing.name for thing in things[kind] if thing.name or kind == "group"]
+        if len(set(names)) < len(names):
+            raise ValueError(f"{plural}: names must be distinct (got {names})")
+    owner: dict[Quantity, Owner] = {}
+    for j, (parameter, targets) in enumerate(updates.items()):
+        factor = isinstance(targets, Factor)
+        for target in targets.targets if isinstance(targets, Factor) else targets:
+            for quantity in _quantities(parameter, target, things, factor):
+                if quantity in owner:
+                    raise ValueError(f"{parameter}: {_in_words(quantity, things)} is updated already")
+                owner[quantity] = Owner(j, factor)
+    return Ownership(owner, len(updates))
+
+
+def _quantities(
+    parameter: str, target: Target, things: Mapping[str, Sequence[Any]], factor: bool
+) -> list[Quantity]:
+    name, of, direction = target[0], target[1] if len(target) > 1 else None, target[2:]
+    if name not in _KIND:
+        raise ValueError(f"{parameter}: property must be one of {tuple(_KIND)} (got {name!r})")
+    kind = _KIND[name]
+    picked = [(i, thing) for i, thing in enumerate(things[kind]) if of is None or thing.name == of]
+    if not picked or of == "":
+        known = sorted(thing.name for thing in things[kind] if thing.name)
+        raise ValueError(f"{parameter}: {kind} must be one of {known} (got {of!r})")
+    if name in PROPERTIES or name == "mass":
+        if direction:
+            raise ValueError(f"{parameter}: {name} has no direction (got {direction[0]!r})")
+        found = [Quantity(name, i) for i, _ in picked]
+    else:
+        found = [q for i, thing in picked for q in _directed(parameter, name, i, thing, direction)]
+        rotations = {q.direction in ROTATIONS for q in found}
+        if len(rotations) > 1 and not factor:
+            rule = "stiffness in N/m and in N·m/rad cannot have one value: name a direction, or use a factor"
+            raise ValueError(f"{parameter}: {rule}")
+    if factor:
+        for quantity in found:
+            if value_of(quantity, things[kind][quantity.number]) == 0.0:
+                raise ValueError(f"{parameter}: {_in_words(quantity, things)} is 0, a factor changes nothing")
+    return found
+
+
+def _directed(parameter: str, name: str, i: int, thing: Any, direction: Sequence[str]) -> list[Quantity]:
+    if name == "stiffness":
+        known, has = tuple(thing.stiffness), tuple(thing.stiffness)
+    else:
+        known, has = ROTATIONS, tuple(d for d in ROTATIONS if thing.value(d) > 0.0)
+    if not direction and not has:
+        raise ValueError(f"{parameter}: {name} of {thing.name!r} is 0: name a direction")
+    for d in direction:
+        if d not in known:
+            raise ValueError(f"{parameter}: direction of {thing.name!r} must be one of {known} (got {d!r})")
+    return [Quantity(name, i, d) for d in direction or has]
+
+
+def value_of(quantity: Quantity, thing: Any) -> float:
+    """Return the value that a quantity of a group, mass or spring has in the frame."""
+    if quantity.property == "stiffness":
+        return float(thing.stiffness[quantity.direction])
+    if quantity.property in ("mass", "inertia"):
+        return float(thing.value(quantity.direction or "x"))
+    return float(thing.value(quantity.property))
+
+
+def _in_words(quantity: Quantity, things: Mapping[str, Sequence[Any]]) -> str:
+    kind = _KIND[quantity.property]
+    along = f" along {quantity.direction}" if quantity.direction else ""
+    return f"{quantity.property}{along} of {kind} {things[kind][quantity.number].name!r}"

@@ -1,0 +1,249 @@
+"""The lowest modes of K φ = λ M φ, to the digits that K and M have.
+
+A dense solver that makes M the unit matrix errs in every λ by rounding of the highest one, 1e-16 λ_max: where
+stiff joints and fine meshes make λ_max 1e16 times as large as λ_1, that is all of λ_1. Here K is made the unit
+matrix, and the largest μ = 1/λ of M φ = μ K φ are found. They err by rounding of μ_1, that of the lowest mode. M
+may be singular: degrees of freedom without mass have μ = 0, and follow as in statics.
+
+A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, by its
+eigenvalues at a unit diagonal. They have λ = 0 exactly. The elastic modes are M-orthogonal to them, so that with
+P = I − N Nᵀ M, a few degrees of freedom f held that make the structure statically determinate, and φ = P [y; 0],
+
+    K_ff y = λ (Pᵀ M P)_ff y,
+
+which is definite again (Farhat & Géradin 1998, *Int. J. Numer. Meth. Eng.* 43, 675–696, on self-equilibrated loads
+and generalised inverses of free structures).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+import scipy.sparse.linalg as ssl
+from numpy.typing import NDArray
+
+from fmu.fem.modes.null_space import (
+    DENSE_LIMIT,
+    NEGATIVE,
+    ZERO,
+    SingularMassError,
+    lowest,
+    rank,
+    scaled,
+    symmetric_factor,
+    unit_diagonal,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+# Modes above this share of the lowest are taken from the Ritz problem of their own space: the inverse problem errs
+# by rounding of the lowest.
+_WIDE = 1e4
+# How far above zero an estimate of the lowest eigenvalue has to be to say that none is zero.
+_CAUTION = 10.0
+
+
+def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest modes of K φ = λ M φ.
+
+    Parameters
+    ----------
+    K, M : sparse arrays, shape (n_dof, n_dof)
+        Symmetric; M positive semidefinite: degrees of freedom may have no mass. K may be singular (a free
+        structure): its motions without strain have λ = 0 exactly.
+    count : int
+        How many modes.
+    finite : int, optional
+        How many modes have a finite frequency, the rank of M, if that is known; to find it out costs a
+        factorisation of M.
+
+    Returns
+    -------
+    eigenvalues : ndarray, shape (count,), (rad/s)², ascending
+    shapes : ndarray, shape (n_dof, count), with φᵀ M φ = 1
+
+    Raises
+    ------
+    ValueError
+        If the structure has fewer than `count` degrees of freedom.
+    SingularMassError
+        If it has fewer modes of finite frequency, M is negative for some motion, a motion has neither stiffness
+        nor mass, or the solver fails.
+    """
+    n = K.shape[0]
+    if not 1 <= count <= n:
+        raise ValueError(f"count: must lie in 1..{n}, the degrees of freedom (got {count})")
+    try:
+        if finite is None:
+            finite = rank(M)
+        if count > finite:
+            raise SingularMassError(f"M gives {finite} modes of finite frequency, {count} are needed")
+        if n <= DENSE_LIMIT or count >= n - 1:
+            K, M = _dense(K), _dense(M)
+        S, scale = unit_diagonal(K)
+        unit, top = abs(M).max(), np.max(scale)
+        with np.errstate(all="ignore"):
+            lam, y = _of_scaled(S, scaled(M / unit, scale / top), count)
+            lam, y = lam / top**2 / unit, (scale / top)[:, None] * y / np.sqrt(unit)
+    except (np.linalg.LinAlgError, RuntimeError) as error:
+        raise SingularMassError(f"eigenproblem of {n} DOF: {error}") from error
+    if not (np.all(np.isfinite(lam)) and np.all(np.isfinite(y))):
+        raise SingularMassError(f"eigenproblem of {n} DOF: the eigenvalues overflow")
+    return lam, y
+
+
+def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the modes of a K with unit diagonal; both matrices are dense or both sparse."""
+    factor = _safely_factored(S)
+    if factor is None:
+        nu, vectors = lowest(S)
+        if nu[0] <= -NEGATIVE:
+            return _polished(S, M, _highest(_shifted(S, M), M, count))
+        if np.any(nu < ZERO):
+            return _of_free(S, M, _mass_normalised(M, vectors[:, nu < ZERO]), count)
+        factor = _Factor(S)
+    return _polished(S, M, _highest(factor, M, count))
+
+
+def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the modes of a structure with the motions N without strain, shape (n, r), Nᵀ M N = 1."""
+    n, r = N.shape
+    if count <= r:
+        return np.zeros(count), N[:, :count]
+    free = np.sort(sl.qr(N.T, mode="r", pivoting=True)[1][r:])
+    MN = M @ N
+
+    def elastic(x: FloatArray) -> FloatArray:
+        return x - N @ (MN.T @ x)
+
+    factor = _Factor(S[free][:, free])
+    X = np.zeros((n, count - r))
+    if not sp.issparse(M):
+        rest = M - MN @ MN.T
+        X[free] = _highest(factor, rest[np.ix_(free, free)], count - r)
+    else:
+
+        def solve(load: FloatArray) -> FloatArray:
+            x = np.zeros(n)
+            x[free] = factor.solve((load - MN @ (N.T @ load))[free])
+            return elastic(x)
+
+        X = _highest_sparse(solve, M, count - r)
+    lam, X = _polished(S, M, X, elastic)
+    return np.concatenate([np.zeros(r), lam]), np.concatenate([N, X], axis=1)
+
+
+class _Factor:
+    """The factors of a definite matrix; LinAlgError if it is none."""
+
+    def __init__(self, matrix: Any) -> None:
+        self.L: FloatArray | None = None
+        self.solve: Callable[[FloatArray], FloatArray]
+        if not sp.issparse(matrix):
+            L = np.linalg.cholesky(matrix)
+            self.L, self.solve = L, lambda load: sl.lapack.dpotrs(L, load, lower=1)[0]
+            return
+        factor = symmetric_factor(matrix)
+        if not np.all(factor.U.diagonal() > 0.0):  # by Sylvester's law of inertia
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+        self.solve = factor.solve
+
+
+def _safely_factored(S: Any) -> _Factor | None:
+    """Return the factors of S; None if it is not definite, or may not be but for rounding."""
+    try:
+        factor = _Factor(S)
+    except (np.linalg.LinAlgError, RuntimeError):
+        return None
+    # inverse iteration: its estimate of the lowest eigenvalue is not below it
+    x = np.random.default_rng(0).standard_normal(S.shape[0])
+    for _ in range(4):
+        x = factor.solve(x / np.linalg.norm(x))
+    return factor if np.linalg.norm(x) * _CAUTION * ZERO < 1.0 else None
+
+
+def _shifted(S: Any, M: Any) -> _Factor:
+    """Return the factors of S + s M for a shift s that makes it definite: K is negative for some motion."""
+    start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
+    for power in range(24):
+        try:
+            return _Factor(S + start * 10.0**power * M)
+        except (np.linalg.LinAlgError, RuntimeError):
+            continue
+    raise SingularMassError("K is not positive definite for the motions that M gives no mass")
+
+
+def _mass_normalised(M: Any, N: FloatArray) -> FloatArray:
+    """Return a basis of the columns of N with Nᵀ M N = 1."""
+    G = N.T @ (M @ N)
+    if np.linalg.eigvalsh(G)[0] <= ZERO * np.trace(G):
+        raise SingularMassError("a motion without strain moves no mass")
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(G), N.T).T)
+
+
+def _highest(factor: _Factor, M: Any, count: int) -> FloatArray:
+    """Return the vectors of the highest μ of M x = μ A x for the factors of A, shape (n, count), highest first."""
+    if factor.L is None:
+        return _highest_sparse(factor.solve, M, count)
+    C, failed = sl.lapack.dsygst(M, factor.L, itype=1, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"dsygst returned {failed}")
+    n = len(C)
+    _, Y = sl.eigh(C, lower=True, subset_by_index=[n - count, n - 1], driver="evr", check_finite=False)
+    if Y.shape[1] < count:  # what LAPACK does on overflow, without a word
+        raise np.linalg.LinAlgError(f"{Y.shape[1]} of {count} eigenvalues found")
+    X, _ = sl.lapack.dtrtrs(factor.L, Y, lower=1, trans=1)
+    return np.asarray(X[:, ::-1])
+
+
+def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Any, count: int) -> FloatArray:
+    """Return the same by Lanczos iterations of A⁻¹ M, started so that a repeated solve repeats its bits."""
+    n = M.shape[0]
+    with_mass = np.flatnonzero(M.diagonal() > 0.0)
+    if len(with_mass) <= DENSE_LIMIT:  # Lanczos would run out of vectors: the flexibility where there is mass
+        energy, V = np.linalg.eigh(M[with_mass][:, with_mass].toarray())
+        loads = np.zeros((n, len(with_mass)))
+        loads[with_mass] = V * np.sqrt(np.maximum(energy, 0.0))
+        moved = np.stack([solve(load) for load in loads.T], axis=1)
+        C = loads.T @ moved
+        return np.asarray(moved @ np.linalg.eigh(0.5 * (C + C.T))[1][:, : -count - 1 : -1])
+    inverse = ssl.LinearOperator((n, n), matvec=solve, dtype=float)
+    start = solve(M @ np.random.default_rng(0).standard_normal(n))
+    mu, X = ssl.eigsh(M, count, M, sigma=0.0, OPinv=inverse, v0=start, tol=1e-12)
+    # where M is singular, Lanczos leaves in its vectors what M does not see: one more iteration takes it out
+    return np.stack([solve(M @ X[:, k]) for k in np.argsort(mu)], axis=1)
+
+
+def _polished(
+    S: Any, M: Any, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
+) -> tuple[FloatArray, FloatArray]:
+    """Return Rayleigh's quotients and mass-normalised vectors of a space, given lowest mode first.
+
+    Rayleigh's quotient is good to the square of a vector's error. High modes that the lowest ones left inaccurate
+    are the Ritz vectors of their own space.
+    """
+    for _ in range(2):
+        X = elastic(X)
+        X = X / np.sqrt(np.sum(X * (M @ X), axis=0))
+        X = np.linalg.solve(np.linalg.cholesky(X.T @ (M @ X)), X.T).T
+    lam = np.sum(X * (S @ X), axis=0)
+    if not np.all(np.isfinite(lam)):
+        raise np.linalg.LinAlgError("the eigenvalues overflow")
+    first = 0
+    while (wide := first + int(np.sum(np.abs(lam[first:]) <= _WIDE * np.abs(lam[first])))) < len(lam):
+        Y = X[:, wide:]
+        A = Y.T @ (S @ Y)
+        lam[wide:], U = np.linalg.eigh(0.5 * (A + A.T))
+        X[:, wide:] = Y @ U
+        first = wide
+    order = np.argsort(lam, kind="stable")
+    return lam[order], X[:, order]
+
+
+def _dense(matrix: Any) -> FloatArray:
+    return matrix.toarray() if sp.issparse(matrix) else np.asarray(matrix)

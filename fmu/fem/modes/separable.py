@@ -1,0 +1,295 @@
+"""Structures of the form K(theta) = Σ c_k(theta) K_k, M(theta) = Σ c_m(theta) M_m.
+
+Every structure given by beam elements or by exported matrices has this form; the coefficients are constants or
+monomials of the parameters, so that derivatives are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+
+from fmu.fem.modes.terms import Term, coefficients, named_term, weighted_sum
+from fmu.numbers import typed
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Where a structure is, for drawings; the mechanics are in the matrices.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (n_nodes, 3), m
+        A degree of freedom named ``(node, direction)`` belongs to row `node`.
+    elements : ndarray of int, shape (n_elements, 2)
+        Both ends of each line to draw.
+    masses : sequence of int
+        Nodes with a point mass.
+    springs : sequence of (int, int or None)
+        Both ends of each spring, the second one None for the ground.
+    """
+
+    nodes: FloatArray
+    elements: IntArray
+    masses: Sequence[int] = ()
+    springs: Sequence[tuple[int, int | None]] = ()
+
+
+@dataclass(frozen=True)
+class RigidArm:
+    """A place rigidly joined to a node: a sensor on the skin of a beam, the centre of a mass.
+
+    Attributes
+    ----------
+    node : hashable
+        Of the model's degrees of freedom.
+    offset : tuple of float, length 3, m
+        From the node to the place, global axes.
+    """
+
+    node: Any
+    offset: tuple[float, float, float]
+
+    def motion(self, direction: str) -> dict[str, float]:
+        """Return how a motion of the place depends on those of its node, to first order: u + θ × r."""
+        x, y, z = self.offset
+        return {direction: 1.0} | {
+            "x": {"ry": z, "rz": -y},
+            "y": {"rz": x, "rx": -z},
+            "z": {"rx": y, "ry": -x},
+        }.get(direction, {})
+
+
+class SeparableModel:
+    """A structure whose matrices are sums of fixed matrices with monomial coefficients.
+
+    Parameters
+    ----------
+    K_terms, M_terms : sequence of Term
+        Stiffness (N/m, N·m/rad, …) and mass terms on the same free degrees of freedom.
+    dofs : sequence of tuple (node, direction), optional
+        Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. Without names every
+        one counts as a translation of its own node.
+    geometry : Geometry, optional
+        For drawings of the structure and its mode shapes.
+    arms : mapping of hashable to RigidArm, optional
+        Places beside the nodes at which sensors may sit, by name.
+    ties : mapping of tuple to tuple, optional
+        Further names (node, direction) of degrees of freedom: of what moves as one of `dofs`.
+
+    Attributes
+    ----------
+    names : tuple of str or None
+        The parameters, where they were named; see `from_terms`.
+
+    Raises
+    ------
+    ValueError
+        If there is no stiffness or mass term, or a term's shape or symmetry is wrong.
+    """
+
+    def __init__(
+        self,
+        K_terms: Sequence[Term],
+        M_terms: Sequence[Term],
+        dofs: Sequence[tuple[Any, str]] | None = None,
+        geometry: Geometry | None = None,
+        arms: Mapping[Any, RigidArm] | None = None,
+        ties: Mapping[tuple[Any, str], tuple[Any, str]] | None = None,
+    ) -> None:
+        if not K_terms or not M_terms:
+            raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
+        self.K_terms = tuple(K_terms)
+        self.M_terms = tuple(M_terms)
+        self.n_dof = int(K_terms[0].matrix.shape[0])
+        self.n_parameters = len(K_terms[0].powers)
+        self.dofs = tuple(dofs) if dofs is not None else tuple((i, "x") for i in range(self.n_dof))
+        self.geometry = geometry
+        self.arms = dict(arms or {})
+        self.ties = dict(ties or {})
+        self.names: tuple[str, ...] | None = None
+        _check_terms(self)
+
+    @classmethod
+    def from_terms(
+        cls,
+        parameters: Sequence[str],
+        stiffness: Sequence[Any],
+        mass: Sequence[Any],
+        dofs: Sequence[tuple[Any, str]] | None = None,
+        geometry: Geometry | None = None,
+    ) -> SeparableModel:
+        """Return the model of matrices with the parameters that multiply them, by name.
+
+        ``SeparableModel.from_terms(["k1", "t"], stiffness=[K0, (K1, "k1"), (K2, {"t": 3})], mass=[M])`` has
+        K = K0 + k1 K1 + t³ K2.
+
+        Parameters
+        ----------
+        parameters : sequence of str
+            In the order of theta; an `UpdatingProblem` of the model wants the same.
+        stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
+            A matrix alone is constant; with a name it is multiplied by that parameter; with powers by name, by
+            their product.
+        dofs, geometry : optional
+            See the class.
+
+        Returns
+        -------
+        SeparableModel
+
+        Raises
+        ------
+        ValueError
+            If a term names no parameter of the model, and whatever the class raises.
+        """
+        names = tuple(parameters)
+        K_terms, M_terms = (
+            [named_term(term, names, f"{key}.{k}") for k, term in enumerate(given)]
+            for key, given in (("stiffness", stiffness), ("mass", mass))
+        )
+        model = cls(K_terms, M_terms, dofs, geometry)
+        model.names = names
+        return model
+
+    def __repr__(self) -> str:
+        return (
+            f"SeparableModel({self.n_dof} DOF, {len(self.K_terms)} stiffness and {len(self.M_terms)} mass terms, "
+            f"{len(self.blocks)} decoupled blocks, {self.n_parameters} parameters)"
+        )
+
+    def K(self, theta: ArrayLike) -> Any:
+        """Return the sparse stiffness matrix at `theta`, shape (n_parameters,), SI units."""
+        return weighted_sum(
+            self.K_terms, coefficients(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
+        )
+
+    def M(self, theta: ArrayLike) -> Any:
+        """Return the sparse mass matrix at `theta`, shape (n_parameters,), SI units."""
+        return weighted_sum(
+            self.M_terms, coefficients(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
+        )
+
+    @cached_property
+    def blocks(self) -> tuple[IntArray, ...]:
+        """Degrees of freedom of each decoupled part of the structure, ascending.
+
+        Connected components of the graph of nonzeros of all |K_k| + |M_m|: the eigenproblem splits exactly.
+        Entries that only rounding (a rotated element) keeps from being zero do not connect.
+        """
+        rows, columns = [], []
+        for term in (*self.K_terms, *self.M_terms):
+            entries = term.matrix.tocoo()
+            diagonal = np.abs(term.matrix.diagonal())
+            size = np.sqrt(diagonal[entries.row] * diagonal[entries.col])
+            keep = np.abs(entries.data) > 1e-12 * size
+            rows.append(entries.row[keep])
+            columns.append(entries.col[keep])
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        graph = sp.coo_array((np.ones(len(row)), (row, column)), shape=(self.n_dof, self.n_dof))
+        count, label = connected_components(graph.tocsr(), directed=False)
+        return tuple(np.flatnonzero(label == k) for k in range(count))
+
+    @cached_property
+    def translations(self) -> IntArray:
+        """Indices of the translational degrees of freedom."""
+        return np.array([i for i, (_, d) in enumerate(self.dofs) if d in ("x", "y", "z")], dtype=np.int64)
+
+    def dof(self, node: Any, direction: str) -> int:
+        """Return the index of a degree of freedom.
+
+        Raises
+        ------
+        ValueError
+            If the model has no such free degree of freedom.
+        """
+        try:
+            return self.dof_of[(node, direction)]
+        except KeyError:
+            raise ValueError(
+                f"sensor: the model has no free degree of freedom (got node {node!r}, {direction!r})"
+            ) from None
+
+    def observation(self, sensors: Sequence[tuple[Any, str]]) -> Any:
+        """Return what sensors see of a motion of the degrees of freedom.
+
+        Parameters
+        ----------
+        sensors : sequence of (place, direction)
+            A place is a node or one of `arms`. A direction is that of a degree of freedom, with a minus before it
+            if the sensor counts the other way: ``"z"``, ``"-z"``.
+
+        Returns
+        -------
+        scipy.sparse.csr_array, shape (n_sensors, n_dof)
+
+        Raises
+        ------
+        ValueError
+            If a sensor sees no free degree of freedom.
+        """
+        rows = [self._seen_by(sensor) for sensor in sensors]
+        row = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+        column = [dof for r in rows for dof in r]
+        weight = [w for r in rows for w in r.values()]
+        return sp.csr_array((weight, (row, column)), shape=(len(rows), self.n_dof), dtype=float)
+
+    def sees(self, sensor: tuple[Any, str]) -> bool:
+        """Say whether a sensor sees a free degree of freedom, see `observation`."""
+        try:
+            return bool(self._seen_by(sensor))
+        except ValueError:
+            return False
+
+    def _seen_by(self, sensor: tuple[Any, str]) -> dict[int, float]:
+        place, direction = sensor
+        sign, direction = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+        if place not in self.arms:
+            return {self.dof(place, direction): sign}
+        arm = self.arms[place]
+        seen = {
+            self.dof_of[arm.node, d]: sign * weight
+            for d, weight in arm.motion(direction).items()
+            if weight and (arm.node, d) in self.dof_of
+        }
+        if not seen:
+            raise ValueError(f"sensor: sees no free degree of freedom (got {place!r}, {direction!r})")
+        return seen
+
+    @cached_property
+    def dof_of(self) -> dict[tuple[Any, str], int]:
+        """Index of the degree of freedom of every name (node, direction), those of `ties` among them."""
+        index = {name: i for i, name in enumerate(self.dofs)}
+        return index | {name: index[other] for name, other in self.ties.items()}
+
+
+def selection(dofs: ArrayLike, n_dof: int) -> Any:
+    """Return the rows that pick degrees of freedom (q,) out of a motion, a csr_array of shape (q, n_dof)."""
+    picked = np.asarray(dofs, dtype=np.int64)
+    return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
+
+
+def _check_terms(model: SeparableModel) -> None:
+    if len(model.dofs) != model.n_dof:
+        raise ValueError(f"dofs: must name {model.n_dof} degrees of freedom (got {len(model.dofs)})")
+    for name, terms in (("K_terms", model.K_terms), ("M_terms", model.M_terms)):
+        for k, term in enumerate(terms):
+            if term.matrix.shape != (model.n_dof, model.n_dof):
+                raise ValueError(f"{name}.{k}: must have shape {(model.n_dof,) * 2} (got {term.matrix.shape})")
+            if len(term.powers) != model.n_parameters:
+                raise ValueError(f"{name}.{k}: must have {model.n_parameters} powers (got {len(term.powers)})")
+            if not np.all(np.isfinite(term.powers)):
+                raise ValueError(f"{name}.{k}: powers must be finite (got {term.powers})")
+            difference = abs(term.matrix - term.matrix.T).max()
+            if not difference <= 1e-9 * abs(term.matrix).max():
+                raise ValueError(f"{name}.{k}: must be symmetric and finite (asymmetry {typed(difference)})")

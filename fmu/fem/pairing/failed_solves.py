@@ -1,0 +1,88 @@
+"""Why a model gave no frequencies at a parameter vector, in words of structural dynamics.
+
+Solvers say NaN and go on, and spend no time on reasons: a theta that failed is looked at again, alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import NEGATIVE, FullBlock
+from fmu.fem.modes.null_space import SingularMassError
+from fmu.fem.modes.terms import coefficients, weighted_sum
+from fmu.fem.modes.threads import single_thread
+from fmu.fem.pairing.paired_black_box import PairedBlackBox
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.numbers import significant, typed
+
+FloatArray = NDArray[np.float64]
+
+NOT_FINITE = "frequencies are not finite"
+
+
+def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
+    """Say why a paired model has no finite frequencies at a theta; None where it has them.
+
+    Parameters
+    ----------
+    model : PairedStructure, PairedBlackBox or ModalModel
+        A function of the user's own is not called again: it may be slow, or fail another way.
+    theta : ndarray, shape (n_parameters,)
+        Where it failed a moment ago.
+    """
+    if isinstance(model, PairedBlackBox):
+        return model.black_box.reason_at(theta)
+    with np.errstate(all="ignore"):
+        if isinstance(model, PairedStructure):
+            with single_thread():
+                found = _of_structure(model, theta)
+            if found is not None:
+                return found
+        frequencies = model.frequencies(theta[None])[0]
+    if np.all(np.isfinite(frequencies)):
+        return None
+    return f"{NOT_FINITE} ({', '.join(map(typed, frequencies))} Hz)"
+
+
+def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
+    """Look at the full model: a reduced one that fails leaves the theta to it."""
+    structure = model.structure
+    for b, count in model.rule.counts(model.full).items():
+        block: Any = model.full.blocks[b]
+        found = _of_block(block, theta, count)
+        if found is not None:
+            reason, dof = found
+            return reason if dof is None else f"{reason} at node {structure.dofs[dof][0]} {structure.dofs[dof][1]}"
+    return None
+
+
+def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
+    """Return what is wrong with a block, and at which degree of freedom if it is at one."""
+    K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
+    for name, matrix in (("K", K), ("M", M)):
+        if not np.all(np.isfinite(matrix.data)):
+            return f"{name} is not finite", None
+    try:
+        lam, _ = eigen(K, M, count)
+    except SingularMassError as error:
+        mass = M.diagonal()
+        least = int(np.argmin(mass))
+        if mass[least] < 0.0:
+            return f"M is not positive semidefinite: its diagonal is {significant(mass[least])}", int(
+                block.dofs[least]
+            )
+        said = str(error)
+        return (
+            f"the eigenvalue solver did not converge ({said})" if said.startswith("eigenproblem") else said
+        ), None
+    if not np.all(np.isfinite(lam)):
+        return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
+    # beside the largest of those solved for, as in frequency_hz
+    if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
+        return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
+    return None

@@ -1,0 +1,234 @@
+"""The modes of a black-box model that answer to the measured ones, and their gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
+from fmu.fem.modes.memory import Memory
+from fmu.fem.modes.modal import mac
+from fmu.fem.pairing.paired_model import PAIRINGS
+from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.rules import assign
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class PairedBlackBox:
+    """The frequencies of a black-box model's modes that answer to the measured ones.
+
+    Parameters
+    ----------
+    black_box : BlackBoxModel
+    pairing : {"shape", "index"}
+        ``"shape"``: by MAC, one to one, where shapes are measured and the function gives them; otherwise, and with
+        ``"index"``, by number.
+    start : ndarray, shape (n_parameters,)
+        The function has to work here.
+    numbers : tuple of int
+        Number (from 1) of each measured mode in the order in which the function returns them.
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Measured shapes.
+    lower, upper, scale : ndarray, shape (n_parameters,)
+        Bounds that central differences stay within, and the scale of each parameter.
+
+    Attributes
+    ----------
+    by_shape : bool
+        Whether modes are paired by MAC.
+    solves_per_gradient : int
+        What a gradient with its frequencies costs: 1, or 2 n_parameters + 1 by central differences.
+
+    Raises
+    ------
+    ValueError
+        For an unknown pairing, or if the function fails at the start or gives too few modes.
+    """
+
+    def __init__(
+        self,
+        black_box: BlackBoxModel,
+        *,
+        pairing: str,
+        start: FloatArray,
+        numbers: tuple[int, ...],
+        shapes: FloatArray | None,
+        lower: FloatArray,
+        upper: FloatArray,
+        scale: FloatArray,
+    ) -> None:
+        if pairing not in PAIRINGS:
+            raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
+        self.black_box = black_box
+        self.n_parameters = black_box.n_parameters
+        self.n_modes = len(numbers)
+        self.numbers = numbers
+        self.lower, self.upper, self.scale = lower, upper, scale
+        self._memory = Memory()
+        try:
+            answer = black_box.at(start)
+            self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
+            self._columns(answer)
+            has_shapes = answer.shapes is not None and shapes is not None and len(answer.shapes) == len(shapes)
+            self._n_sensors = len(shapes) if has_shapes else None  # type: ignore[arg-type]
+        except AnswerError as error:
+            raise ValueError(f"model.function: {error} at the start {start.tolist()}") from error
+        except ValueError as error:
+            raise ValueError(f"model.function: {error}") from error
+        self.solves_per_gradient = 1 if answer.gradient is not None else 2 * self.n_parameters + 1
+
+    def __repr__(self) -> str:
+        return f"PairedBlackBox({self.black_box!r}, by {'MAC' if self.by_shape else 'number'})"
+
+    @property
+    def by_shape(self) -> bool:
+        """Whether modes are paired by MAC, rather than by number."""
+        return self.reference is not None
+
+    @property
+    def reasons(self) -> list[Failure]:
+        """The first points at which the function failed, and why."""
+        return self.black_box.reasons
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes); NaN where the function failed."""
+        return self._paired(theta)[0]
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
+
+        The function's own gradient, or central differences: the perturbations of eq. (15) of the paper, of the
+        frequencies themselves. At a bound, or where the function fails on one side, they are one-sided.
+        """
+        frequencies, gradient, _ = self._paired(theta)
+        missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
+        if missing.any():
+            gradient[missing] = self._differences(
+                theta[missing], frequencies[missing], lambda points, _: self.frequencies(points)
+            )
+        return frequencies, gradient
+
+    @property
+    def gives_shapes(self) -> bool:
+        """Whether the function gives shapes, at as many sensors as were measured."""
+        return self._n_sensors is not None
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.
+
+        Those of shapes are central differences, as are those of frequencies that the function does not give.
+
+        Raises
+        ------
+        ValueError
+            If the function gives no shapes.
+        """
+        if self._n_sensors is None:
+            raise ValueError("model.function: must give shapes where they have errors (it gives none)")
+        frequencies, slopes, shapes = self._paired(theta)
+        if not gradient:
+            return Observed(frequencies, shapes)
+        values = np.concatenate([frequencies[:, None], shapes], axis=1)
+        n, rows, m = values.shape
+
+        def nearby(points: FloatArray, of: IntArray) -> FloatArray:
+            f, _, s = self._paired(points)
+            # shapes have either sign: that of the point between
+            s = s * np.where(np.sum(s * shapes[of], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+            return np.concatenate([f[:, None], s], axis=1).reshape(len(points), -1)
+
+        all_slopes = self._differences(theta, values.reshape(n, -1), nearby).reshape(n, rows, m, -1)
+        own = ~np.isnan(slopes).all(axis=(1, 2))
+        return Observed(
+            frequencies, shapes, np.where(own[:, None, None], slopes, all_slopes[:, 0]), all_slopes[:, 1:]
+        )
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what identifies the model, in plain Python types."""
+        return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
+
+    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none.
+
+        Where it answered before, it is not called again.
+        """
+        n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
+        rows = np.full((n, m * (1 + p + s)), np.nan)
+        missing = []
+        for i, point in enumerate(theta):
+            known = self._memory.row(point)
+            if known is None:
+                missing.append(i)
+            else:
+                rows[i] = known
+        if missing:
+            for i, answer in zip(missing, self.black_box.answers(theta[missing]), strict=True):
+                if answer is not None:
+                    self._take(theta[i], answer, rows[i])
+        f, df, phi = np.split(rows, [m, m * (1 + p)], axis=1)
+        return f, df.reshape(n, m, p), phi.reshape(n, s, m)
+
+    def _take(self, theta: FloatArray, answer: Answer, row: FloatArray) -> None:
+        """Put an answer at one theta into a row, and into the memory; leave it if no mode answers."""
+        try:
+            columns = self._columns(answer)
+        except AnswerError as error:
+            self.black_box.fail(theta, str(error))
+            return
+        m, p, s = self.n_modes, self.n_parameters, self._n_sensors or 0
+        row[:m] = answer.frequencies[columns]
+        if answer.gradient is not None:
+            row[m : m * (1 + p)] = answer.gradient[columns].ravel()
+        if answer.shapes is not None and len(answer.shapes) == s:
+            row[m * (1 + p) :] = answer.shapes[:, columns].ravel()
+        self._memory.keep(theta, row.copy())
+
+    def _columns(self, answer: Answer) -> IntArray:
+        """Return which of the modes given answers to each measured one; AnswerError if one of them is no mode."""
+        given = len(answer.frequencies)
+        if self.reference is None:
+            if max(self.numbers) > given:
+                raise AnswerError(
+                    f"must give the measured modes, numbers {list(self.numbers)} (gave {given} modes)"
+                )
+            columns = np.array(self.numbers) - 1
+        else:
+            if answer.shapes is None or len(answer.shapes) != len(self.reference):
+                rows = "none" if answer.shapes is None else len(answer.shapes)
+                raise AnswerError(f"shapes: must have {len(self.reference)} rows, one a sensor (got {rows})")
+            if given < self.n_modes:
+                raise AnswerError(f"must give at least the {self.n_modes} measured modes (gave {given} modes)")
+            if not np.all(np.isfinite(answer.shapes)):
+                raise AnswerError("shapes: must be finite")
+            columns = assign(mac(answer.shapes, self.reference)[None])[0]
+        frequencies = answer.frequencies[columns]
+        if not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
+            raise AnswerError(f"frequencies: must be finite and not negative (got {frequencies.tolist()})")
+        return columns
+
+    def _differences(
+        self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
+    ) -> FloatArray:
+        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by those at points near row `of`."""
+        n, ndim = theta.shape
+        shift = np.diag(self.black_box.step * self.scale)
+        centre = theta[:, None, :]
+        points = np.stack(
+            [
+                np.minimum(centre + shift, np.maximum(self.upper, centre)),
+                np.maximum(centre - shift, np.minimum(self.lower, centre)),
+            ]
+        )
+        of = np.broadcast_to(np.arange(n)[:, None], (2, n, ndim)).ravel()
+        values = nearby(points.reshape(-1, ndim), of).reshape(2, n, ndim, -1)
+        failed = np.isnan(values).any(axis=3)
+        values = np.where(failed[..., None], here[:, None, :], values)
+        at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
+        with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
+            slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
+        return np.asarray(np.swapaxes(slopes, 1, 2))

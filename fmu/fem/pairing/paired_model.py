@@ -1,0 +1,364 @@
+"""A structure whose computed modes are paired with the measured ones, behind a certified reduced model."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.engines.engine import Engine
+from fmu.fem.modes.blocks import BlockModel, Modes
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.threads import single_thread
+from fmu.fem.pairing.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
+from fmu.fem.pairing.prediction import Observed, SensorView, with_rows
+from fmu.fem.pairing.rules import SPARE, IndexPairing, Pairing, ShapePairing, count_rigid, reference_modes
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.training import Trained, Training
+from fmu.progress.phases import solved
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+PAIRINGS = ("shape", "index")
+SOFT = "soft"
+# Of an array in a batch of reduced solves: 128 MiB.
+_MOST_NUMBERS = 2**24
+
+
+class PairedStructure:
+    """The frequencies of a SeparableModel's modes that answer to the measured ones.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    pairing : {"shape", "index", "soft"}
+        ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
+        measured, at all translations with the modes of the model at `reference` that the sensors can see.
+        ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates` gives
+        all that might have answered.
+    numbers : tuple of int
+        Number (from 1) of each measured mode.
+    sensors : tuple of (node, direction)
+        What was measured; all translations if empty.
+    reference : ndarray, shape (n_parameters,)
+        The model before updating.
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Measured shapes.
+    counterparts : tuple of int, optional
+        Where no shapes were measured: which of the modes at `reference` that the sensors can see, from 1, each
+        measured one answers to; the lowest in ascending order if empty.
+
+    softness : float
+        Temperature of the weights of ``"soft"``: `fmu.fem.pairing.candidates`.
+
+    Attributes
+    ----------
+    reduced : BlockModel or None
+        Set by `train`: it answers inside the trained box, the full model elsewhere.
+    confirmed : bool
+        Whether training ended because fresh points of the box were within the tolerance.
+    full_solves : int
+        How often the full model had to answer since `train`.
+
+    Raises
+    ------
+    ValueError
+        For an unknown pairing, a sensor off the model, or modes that the sensors cannot see.
+    """
+
+    def __init__(
+        self,
+        model: SeparableModel,
+        *,
+        pairing: str,
+        numbers: tuple[int, ...],
+        sensors: tuple[tuple[Any, str], ...],
+        reference: FloatArray,
+        shapes: FloatArray | None = None,
+        counterparts: tuple[int, ...] = (),
+        softness: float = SOFTNESS,
+    ) -> None:
+        if pairing not in (*PAIRINGS, SOFT):
+            raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
+        self.structure = model
+        self.n_parameters = model.n_parameters
+        self.n_modes = len(numbers)
+        self.full = BlockModel.full(model)
+        self.reduced: BlockModel | None = None
+        self.confirmed = True
+        self.full_solves = 0
+        self.rule: IndexPairing | ShapePairing
+        if self.full.n_modes < self.n_modes:
+            raise ValueError(
+                f"mass: the {self.n_modes} measured modes need as many of finite frequency: the mass matrix gives "
+                f"{self.full.n_modes}; give mass to more degrees of freedom"
+            )
+        if pairing == "index":
+            self.rule = IndexPairing(numbers)
+            if max(numbers) > self.full.n_modes:
+                raise ValueError(
+                    f"numbers: must lie in 1..{self.full.n_modes}, the modes of the model (got {numbers})"
+                )
+        elif shapes is not None:
+            with single_thread():
+                rigid = count_rigid(self.full, reference, self.n_modes)
+            self.rule = ShapePairing(model.observation(sensors), shapes, SPARE + rigid)
+        else:
+            rows = selection(model.translations, model.n_dof)
+            seen = model.observation(sensors) if sensors else rows
+            with single_thread():
+                self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes, counterparts)
+        if pairing == SOFT and isinstance(self.rule, ShapePairing):
+            self.rule = SoftPairing(self.rule.rows, self.rule.shapes, self.rule.margin, softness)
+        self.softness = softness
+        self.pairing: Pairing = self.rule
+        self._solve_full = self.rule.bind(self.full)
+        self._sensors = model.observation(sensors)
+        self._at_sensors = shapes is not None
+        # until a reduced model is trained
+        self._see_full = self._see_reduced = SensorView(self.full, self.rule, self._sensors)
+        if isinstance(self.rule, ShapePairing):
+            self._full_candidates = self._reduced_candidates = self._candidates_of(self.full, self.rule)
+
+    def __repr__(self) -> str:
+        reduced = "not reduced"
+        if self.reduced is not None:
+            sizes = [block.size for block in self.reduced.blocks if isinstance(block, ReducedBlock)]
+            reduced = f"reduced to {sizes}"
+        return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__}, {reduced})"
+
+    def train(
+        self,
+        lower: FloatArray,
+        upper: FloatArray,
+        tolerance: float = 1e-6,
+        wanting: Callable[[], FloatArray | None] | None = None,
+        engine: Engine | None = None,
+    ) -> dict[str, FloatArray]:
+        """Train the reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
+
+        Parameters
+        ----------
+        lower, upper : ndarray, shape (n_parameters,)
+        tolerance : float
+            Largest relative error of a frequency at any point of the box that was tried.
+        wanting : callable, optional
+            Returns points (n, n_parameters) at which the reduced model, as trained so far, is not good enough for
+            a purpose of one's own; None where it is.
+        engine : Engine, optional
+            Solves the full model at several points at once.
+
+        Returns
+        -------
+        dict of str to ndarray
+            What `restore` needs to have the same reduced model again.
+        """
+        training = Training(self.full, self.rule, lower, upper, tolerance, engine=engine)
+        with single_thread():
+            self._install(training.run())
+            for _ in range(20 if wanting is not None else 0):
+                points = wanting()  # type: ignore[misc]
+                if points is None or training.is_cut():
+                    break
+                self._install(training.refined(points))
+        return training.state()
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Install a reduced model that `train` returned earlier, for the same structure and pairing."""
+        with single_thread():
+            self._install(Training.restored(self.full, self.rule, state))
+
+    def modes(self, theta: FloatArray, gradient: bool = False) -> Modes:
+        """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        solved(len(theta))
+        with single_thread():
+            if self.reduced is None:
+                return self._solve_full(theta, gradient)
+            within = (theta >= self._lower) & (theta <= self._upper)
+            everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
+            if everywhere:
+                modes = self._reduced_modes(theta, gradient)
+            else:
+                # the reduced model may overflow far outside its box, where it has no say: the corner stands in
+                inside = within.all(axis=1, keepdims=True)
+                modes = self._reduced_modes(np.where(inside, theta, self._lower), gradient)
+            failed = np.isnan(modes.eigenvalues)
+            if everywhere and np.count_nonzero(failed) == 0:
+                return modes
+            return self._repaired(theta, modes, failed.any(axis=1) | ~within.all(axis=1))
+
+    def within(self, theta: FloatArray) -> NDArray[np.bool_]:
+        """Say, shape (n,), where the reduced model answers; nowhere if there is none."""
+        if self.reduced is None:
+            return np.zeros(len(theta), dtype=bool)
+        return np.asarray(np.all((theta >= self._lower) & (theta <= self._upper), axis=1))
+
+    def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return all modes that might have answered to a measured one, and one more a block.
+
+        Returns
+        -------
+        eigenvalues : ndarray, shape (n, n_candidates)
+            NaN where a solve failed, and for modes that the reduced model was not trained for.
+        block, rank : ndarray of int, shape (n_candidates,)
+        """
+        counts = {
+            b: min(count + 1, self.full.blocks[b].n_modes) for b, count in self.rule.counts(self.full).items()
+        }
+        found = np.full((len(theta), sum(counts.values())), np.nan)
+        within = self.within(theta)
+        solved(len(theta))
+        with single_thread():
+            for model, rows in ((self.full, ~within), (self.reduced, within)):
+                start = 0
+                for b, count in counts.items():
+                    if model is not None and rows.any():
+                        trusted = min(count, model.blocks[b].trusted)
+                        found[rows, start : start + trusted] = model.blocks[b].eigenvalues(theta[rows], trusted)
+                    start += count
+        ranks = np.concatenate([np.arange(count) for count in counts.values()])
+        return found, np.repeat(list(counts), list(counts.values())), ranks
+
+    def full_modes(self, theta: FloatArray) -> Modes:
+        """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""
+        solved(len(theta))
+        with single_thread():
+            return self._solve_full(theta)
+
+    def full_shapes(self, theta: FloatArray) -> FloatArray:
+        """Return the paired modes' shapes by the full model, shape (n_dof, n_modes), at theta (n_parameters,).
+
+        Mass-normalised; zero in the blocks that a mode does not move, NaN where a solve failed.
+        """
+        point = np.asarray(theta, dtype=float)[None]
+        modes = self.full_modes(point)
+        shapes = np.zeros((self.structure.n_dof, self.n_modes))
+        with single_thread():
+            for b in np.unique(modes.block[0]):
+                columns = np.flatnonzero(modes.block[0] == b)
+                ranks = modes.rank[0, columns]
+                _, phi = self.full.blocks[b].modes(point, int(ranks.max()) + 1)
+                shapes[np.ix_(self.full.blocks[b].dofs, columns)] = phi[0][:, ranks]
+        return shapes
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        return self._looked_at(self._see_reduced, self._see_full, theta, gradient)
+
+    def full_observed(self, theta: FloatArray) -> Observed:
+        """Return frequencies and shapes at the sensors by the full model, paired by the rule itself."""
+        solved(len(theta))
+        with single_thread():
+            return self._see_full(theta)
+
+    def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
+        """Return all modes that might answer to a measured one, at theta (n, n_parameters).
+
+        With derivatives if wanted; for a pairing by shape, soft or not.
+        """
+        return self._looked_at(self._reduced_candidates, self._full_candidates, theta, gradient)
+
+    def full_seen_candidates(self, theta: FloatArray) -> Candidates:
+        """Return all modes that might answer to a measured one by the full model."""
+        solved(len(theta))
+        with single_thread():
+            return self._full_candidates(theta)
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
+        return frequency_hz(self.modes(theta).eigenvalues)
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        modes = self.modes(theta, gradient=True)
+        assert modes.gradient is not None  # narrowed for the type checker: asked for above
+        frequencies = frequency_hz(modes.eigenvalues)
+        return frequencies, frequency_gradient(frequencies, modes.gradient)
+
+    def fingerprint(self) -> str:
+        """Return a hash of everything that the frequencies depend on."""
+        digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
+        matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
+        if isinstance(self.rule, ShapePairing):
+            digest.update(repr(self.rule.margin).encode() + np.ascontiguousarray(self.rule.shapes).tobytes())
+            matrices.append(((), self.rule.rows))
+        else:
+            digest.update(repr(self.rule).encode())
+        for powers, matrix in matrices:
+            entries = matrix.tocsr()
+            digest.update(repr((powers, entries.shape)).encode())
+            for part in (entries.indptr, entries.indices, entries.data):
+                digest.update(np.ascontiguousarray(part).tobytes())
+        return digest.hexdigest()
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what identifies the model, in plain Python types."""
+        return {
+            "structure": repr(self.structure),
+            "pairing": type(self.rule).__name__,
+            "sha256": self.fingerprint(),
+        }
+
+    def _install(self, trained: Trained) -> None:
+        self.reduced, self.pairing, self.confirmed = trained.model, trained.pairing, trained.confirmed
+        largest = max((b.size for b in trained.model.blocks if isinstance(b, ReducedBlock)), default=1)
+        self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
+        # as rows, like one theta, which spares it NumPy's broadcasting
+        self._lower, self._upper = trained.lower[None], trained.upper[None]
+        self._solve_reduced = trained.pairing.bind(trained.model)
+        self._see_reduced = SensorView(trained.model, trained.pairing, self._sensors)
+        if isinstance(self.rule, ShapePairing):
+            self._reduced_candidates = self._candidates_of(trained.model, self.rule)
+        self.full_solves = 0
+
+    def _reduced_modes(self, theta: FloatArray, gradient: bool) -> Modes:
+        """Return the reduced model's modes, a few theta at a time where their matrices would take much memory."""
+        if len(theta) <= self._at_once:
+            return self._solve_reduced(theta, gradient)
+        starts = range(0, len(theta), self._at_once)
+        parts = [self._solve_reduced(theta[i : i + self._at_once], gradient) for i in starts]
+        return Modes(
+            np.concatenate([part.eigenvalues for part in parts]),
+            np.concatenate([part.gradient for part in parts]) if gradient else None,
+            np.concatenate([part.block for part in parts]),
+            np.concatenate([part.rank for part in parts]),
+        )
+
+    def _looked_at[Look: (Observed, Candidates)](
+        self,
+        reduced: Callable[[FloatArray, bool], Look],
+        full: Callable[[FloatArray, bool], Look],
+        theta: FloatArray,
+        gradient: bool,
+    ) -> Look:
+        """Return what the reduced model shows, and the full one where that has no say or failed."""
+        solved(len(theta))
+        with single_thread():
+            if self.reduced is None:
+                return full(theta, gradient)
+            inside = self.within(theta)
+            found = reduced(np.where(inside[:, None], theta, self._lower), gradient)
+            rows = ~inside | np.isnan(found.frequencies).any(axis=1)
+            if not rows.any():
+                return found
+            self.full_solves += int(np.sum(rows))
+            return with_rows(found, rows, full(theta[rows], gradient))
+
+    def _candidates_of(self, model: BlockModel, rule: ShapePairing) -> CandidateView:
+        return CandidateView(model, rule, self._at_sensors)
+
+    def _repaired(self, theta: FloatArray, modes: Modes, rows: NDArray[np.bool_]) -> Modes:
+        exact = self._solve_full(theta[rows], modes.gradient is not None)
+        self.full_solves += int(np.sum(rows))
+        lam, block, rank = modes.eigenvalues.copy(), modes.block.copy(), modes.rank.copy()
+        lam[rows], block[rows], rank[rows] = exact.eigenvalues, exact.block, exact.rank
+        gradient = None
+        if modes.gradient is not None:
+            gradient = modes.gradient.copy()
+            gradient[rows] = exact.gradient
+        return Modes(lam, gradient, block, rank)

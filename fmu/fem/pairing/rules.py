@@ -1,0 +1,319 @@
+"""Which computed mode answers to which measured one.
+
+By number: the k-th of the sorted spectrum, whatever it looks like (the paper). By shape: a one-to-one
+assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple, so that the
+assignment by shape usually cannot change inside a decoupled block: where it is verified constant, it is a fixed
+rank within the block, and eigenvalues suffice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.modes.blocks import Block, BlockModel, Modes
+from fmu.fem.modes.modal import is_rigid
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SPARE = 3
+"""How many modes beyond the highest reference of a block may be candidates."""
+
+# what maps a block's shapes to the coordinates of comparison, and the reference shapes there
+Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
+
+
+class PairedSolve(Protocol):
+    """A pairing rule bound to a model: solve at theta (n, n_parameters), and pick the measured modes."""
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
+        """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
+        ...
+
+
+class Pairing(Protocol):
+    """A rule that picks one computed mode for each measured one."""
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that pairs the modes of `model`."""
+        ...
+
+
+@dataclass(frozen=True)
+class IndexPairing:
+    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum."""
+
+    numbers: tuple[int, ...]
+    name: ClassVar[str] = "index"
+
+    def __post_init__(self) -> None:
+        if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
+            raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
+        return partial(self._pair, model)
+
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return how many of the lowest modes of which blocks may be among those paired."""
+        return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
+
+    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
+        picked = np.array(self.numbers) - 1
+        return model.spectrum(theta, max(self.numbers), gradient).columns(picked)
+
+
+@dataclass(frozen=True)
+class RankPairing:
+    """Measured mode i is number ``rank[i]`` (from 0) of block ``block[i]``, wherever theta is."""
+
+    block: tuple[int, ...]
+    rank: tuple[int, ...]
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
+        return _RankSolve(self, model)
+
+
+class _RankSolve:
+    """Fixed ranks of fixed blocks of a model; everything that does not depend on theta is prepared once."""
+
+    def __init__(self, pairing: RankPairing, model: BlockModel) -> None:
+        self.n_parameters = model.n_parameters
+        self.block, self.rank = np.array(pairing.block), np.array(pairing.rank)
+        self.parts: list[tuple[Block, int, Any]] = []
+        columns = []
+        for b in np.unique(self.block):
+            columns.append(np.flatnonzero(self.block == b))
+            ranks = self.rank[columns[-1]]
+            self.parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
+        self.order = np.argsort(np.concatenate(columns))
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
+        values, slopes = [], []
+        for block, count, ranks in self.parts:
+            if gradient:
+                lam, phi = block.modes(theta, count)
+                slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
+            else:
+                lam = block.eigenvalues(theta, count)
+            values.append(lam[:, ranks])
+        n = len(theta)
+        labels = self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0)
+        return Modes(self._joined(values), self._joined(slopes) if gradient else None, *labels)
+
+    def _joined(self, parts: list[FloatArray]) -> FloatArray:
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self.order]
+
+
+def _as_slice(indices: IntArray) -> Any:
+    """Return consecutive indices as the slice that NumPy takes without copying, others as they are."""
+    first = int(indices[0])
+    consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
+    return slice(first, first + len(indices)) if consecutive else indices
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePairing:
+    """One-to-one assignment of computed modes to reference shapes by MAC.
+
+    Attributes
+    ----------
+    rows : scipy.sparse.csr_array, shape (q, n_dof)
+        The coordinates at which shapes are compared, one a row: `fmu.fem.modes.separable.SeparableModel.observation`.
+    shapes : ndarray, shape (q, n_modes)
+        Reference shapes there: measured ones, or those of the model before updating.
+    margin : int
+        How many modes beyond the number of references each block offers as candidates: those below them that
+        were not measured, as rigid-body modes, and a few above.
+    """
+
+    rows: Any
+    shapes: FloatArray
+    margin: int = SPARE
+    name: ClassVar[str] = "shape"
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""
+        return partial(self._pair, model, self.observe(model))
+
+    def _pair(
+        self,
+        model: BlockModel,
+        observed: Mapping[int, Observation],
+        theta: FloatArray,
+        gradient: bool = False,
+    ) -> Modes:
+        values, shapes = {}, {}
+        for b in observed:
+            values[b], shapes[b] = model.blocks[b].modes(theta, self.offered(model, b))
+        block, rank, column = self.assigned(observed, shapes)
+        merged = np.concatenate(list(values.values()), axis=1)
+        # a block that failed must not leave its references to the others
+        merged[np.any(np.isnan(merged), axis=1)] = np.nan
+        lam = np.take_along_axis(merged, column, axis=1)
+        if not gradient:
+            return Modes(lam, None, block, rank)
+        slopes = np.concatenate(
+            [model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in observed], axis=1
+        )
+        return Modes(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+
+    def offered(self, model: BlockModel, b: int) -> int:
+        """Return how many modes block `b` offers as candidates."""
+        return min(self.shapes.shape[1] + self.margin, model.blocks[b].n_modes)
+
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return how many of the lowest modes of which blocks may be among those paired."""
+        return {b: self.offered(model, b) for b in self.observe(model)}
+
+    def observe(self, model: BlockModel) -> dict[int, Observation]:
+        """Return, for every block that a reference moves in, how its shapes are compared."""
+        observed = {}
+        for b, block in enumerate(model.blocks):
+            seen = self.rows[:, block.dofs]
+            inside = np.flatnonzero(np.diff(seen.indptr))
+            if block.n_modes and np.any(self.shapes[inside]):
+                observed[b] = block.observe(seen[inside], self.shapes[inside])
+        return observed
+
+    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+        """Return the assignment by MAC as fixed ranks if it is the same at every theta sampled, else None.
+
+        Parameters
+        ----------
+        shapes : mapping of int to ndarray, shape (n, size, offered)
+            Modes of each observed block at points that cover the parameter box, its corners among them.
+        """
+        block, rank, _ = self.assigned(self.observe(model), shapes)
+        if np.any(block != block[0]) or np.any(rank != rank[0]):
+            return None
+        return RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
+
+    def assigned(
+        self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
+    ) -> tuple[IntArray, IntArray, IntArray]:
+        """Return block, rank and column among all candidates of the mode assigned to each reference, (n, n_modes).
+
+        Parameters
+        ----------
+        observed : mapping of int to Observation
+            As `observe` returns it.
+        shapes : mapping of int to ndarray, shape (n, size, offered)
+            Modes of each of these blocks.
+        """
+        reference_size = np.sum(self.shapes**2, axis=0)[:, None]
+        similarity, label = [], []
+        for b, (observe, reference) in observed.items():
+            seen = observe(shapes[b])
+            cross = reference.T @ seen
+            size = reference_size * np.sum(seen**2, axis=1)[:, None, :]
+            similarity.append(np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0))
+            label += [(b, r) for r in range(seen.shape[2])]
+        column = assign(np.nan_to_num(np.concatenate(similarity, axis=2)))
+        return np.array(label)[column, 0], np.array(label)[column, 1], column
+
+
+def reference_modes(
+    model: BlockModel,
+    theta: FloatArray,
+    sensors: Any,
+    rows: Any,
+    n_modes: int,
+    counterparts: tuple[int, ...] = (),
+) -> ShapePairing:
+    """Return the pairing with elastic modes of a reference model that the sensors can see.
+
+    Where no shapes were measured, a mode that moves none of the sensors cannot have been measured either;
+    of the others the lowest `n_modes` are taken, in ascending order, or the `counterparts`.
+
+    Parameters
+    ----------
+    model : BlockModel
+        Unreduced.
+    theta : ndarray, shape (n_parameters,)
+        The reference: as a rule the model before updating.
+    sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
+        What the sensors see, and the coordinates at which the shapes will be compared.
+    n_modes : int
+        How many modes were measured.
+    counterparts : tuple of int, optional
+        Which of the modes that the sensors can see, from 1, each measured one answers to.
+
+    Raises
+    ------
+    ValueError
+        If the sensors see fewer modes.
+    """
+    picked = counterparts or tuple(range(1, n_modes + 1))
+    n_total = model.n_modes
+    count = min(4 * max(picked), n_total)
+    while True:
+        shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
+        if len(shapes) >= max(picked):
+            columns = np.array(picked) - 1
+            margin = SPARE + max(0, int(ranks[columns].max()) + 1 - n_modes)
+            return ShapePairing(rows, shapes[columns].T, margin)
+        if count == n_total:
+            what = f"mode {max(picked)}" if counterparts else f"the {n_modes} measured modes"
+            raise ValueError(f"sensors: must see {what} (they see {len(shapes)})")
+        count = min(2 * count, n_total)
+
+
+def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int) -> int:
+    """Return how many rigid-body modes lie below the elastic ones at theta (n_parameters,)."""
+    count = min(n_modes + 7, model.n_modes)  # six at most, and one that is elastic
+    lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
+    return int(np.sum(is_rigid(lam)))
+
+
+def assign(mac: FloatArray) -> IntArray:
+    """Return, for each reference, the column of its mode under the one-to-one assignment of largest total MAC.
+
+    Parameters
+    ----------
+    mac : ndarray, shape (n, n_modes, n_candidates)
+
+    Returns
+    -------
+    ndarray of int, shape (n, n_modes)
+
+    Notes
+    -----
+    Where every reference has its own best candidate, that is the optimum; the assignment solver is called only
+    for the rows in conflict.
+    """
+    best = np.argmax(mac, axis=2)
+    ordered = np.sort(best, axis=1)
+    in_conflict = np.flatnonzero(np.any(ordered[:, 1:] == ordered[:, :-1], axis=1))
+    if in_conflict.size:
+        from scipy.optimize import linear_sum_assignment
+    for i in in_conflict:
+        best[i] = linear_sum_assignment(mac[i], maximize=True)[1]
+    return best
+
+
+def _visible_modes(
+    model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, count: int
+) -> tuple[FloatArray, IntArray]:
+    """Return shapes (n, q) at `rows` and ranks (n,) in their blocks, of the elastic modes that the sensors see."""
+    point = np.atleast_2d(theta)
+    spectrum = model.spectrum(point, count)
+    solved = {
+        b: model.blocks[b].modes(point, int(spectrum.rank[spectrum.block == b].max()) + 1)[1][0]
+        for b in set(spectrum.block[0].tolist())
+    }
+    shapes = np.zeros((count, rows.shape[1]))
+    for shape, b, r in zip(shapes, spectrum.block[0], spectrum.rank[0], strict=True):
+        shape[model.blocks[b].dofs] = solved[int(b)][:, r]
+    compared, seen = shapes @ rows.T, shapes @ sensors.T
+    # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
+    elastic = ~is_rigid(spectrum.eigenvalues[0])
+    visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
+    return compared[elastic & visible], spectrum.rank[0][elastic & visible]

@@ -1,0 +1,282 @@
+"""The parametric reduced basis: one fixed basis that serves every theta of a box.
+
+K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta of a box lie close to a space of
+few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition in the inner product
+of the mass matrix at the box's centre; every term is projected onto that basis once; a solve is then a dense
+eigenproblem of order 10 to 50, whatever the size of the structure, and a batch of them is one call of NumPy's
+batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
+chapter 6).
+By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+from numpy.typing import NDArray
+
+from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
+from fmu.fem.modes.modal import FullBlock, Seen
+from fmu.fem.modes.shape_maps import Mapped
+from fmu.fem.modes.terms import CoefficientMap, Term
+
+FloatArray = NDArray[np.float64]
+
+# A term that touches few of more degrees of freedom than this is projected by its own rows alone.
+_LARGE, _FEW = 2000, 0.125
+# From this size on, the few lowest modes of a reduced matrix are cheaper than all of them.
+_PARTIAL = 128
+# Of the highest ν: what is smaller belongs to no mode of finite frequency.
+_FINITE = 1e-14
+
+
+class ReducedBlock:
+    """One block of a structure, projected onto a basis and solved in batches.
+
+    Parameters
+    ----------
+    block : FullBlock
+    basis : ndarray, shape (block.size, r)
+        Orthonormal in the mass matrix at the box's centre.
+    trusted : int
+        How many of the lowest modes the basis was trained for.
+
+    Attributes
+    ----------
+    n_modes : int
+        How many modes of finite frequency it may have.
+
+    Notes
+    -----
+    Where degrees of freedom have no mass, the reduced M may be singular as well, and the inverse problem
+    M x = ν (K + s M) x is solved, λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`), with s = tr K/tr M, which makes it
+    definite for a free structure too.
+
+    Every step is done theta by theta inside NumPy's loops, elementwise or in one small LAPACK or BLAS call a
+    theta, so that a result does not depend, in any bit, on what else is in the batch.
+    """
+
+    def __init__(self, block: FullBlock, basis: FloatArray, trusted: int) -> None:
+        self.dofs = block.dofs
+        self.basis = basis
+        self.size = basis.shape[1]
+        self.trusted = trusted
+        self.n_modes = min(block.n_modes, self.size)
+        self.massless = block.n_modes < block.size
+        self.n_parameters = block.n_parameters
+        self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
+        self._K_map = CoefficientMap(block.K_terms)
+        self._M_map = CoefficientMap(block.M_terms)
+        # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
+        self.constant_mass = all(term.constant for term in block.M_terms)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is another view of the same numbers."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._set_terms(self._K, self._M)
+
+    def truncated(self, size: int) -> ReducedBlock:
+        """Return the block reduced by the first `size` vectors of its basis alone."""
+        leading = copy.copy(self)
+        leading.basis, leading.size = self.basis[:, :size], size
+        leading.n_modes = min(self.n_modes, size)
+        leading._set_terms(self._K[:, :size, :size].copy(), self._M[:, :size, :size].copy())
+        return leading
+
+    def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
+        """Return the lowest eigenvalues, shape (n, count); NaN where the solver fails."""
+        if self.massless:
+            return self.modes(theta, count)[0]
+        A = _assemble(self._K, self._K_map(theta))
+        if not self.constant_mass:
+            A = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))[0]
+        return _row_by_row(_values, A)[0][:, :count]
+
+    def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
+        A = _assemble(self._K, self._K_map(theta))
+        if self.massless:
+            M = _assemble(self._M, self._M_map(theta))
+            lam, phi = _row_by_row(_inverted, A, M)
+            return lam[:, :count], phi[:, :, :count]
+        few = self.size >= _PARTIAL and 4 * count <= self.size
+        solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
+        if self.constant_mass:
+            lam, phi = _row_by_row(solve, A)
+            return lam[:, :count], phi[:, :, :count]
+        A, inverse = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))
+        lam, y = _row_by_row(solve, A)
+        return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
+
+    def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return ∂λ/∂θ, shape (n, m, n_parameters), from the reduced terms (Fox & Kapoor 1968, eq. 5)."""
+        gradient = self._K_map.contract(theta, self._forms(self._K_rows, phi))
+        if not self.constant_mass:
+            gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
+        return gradient
+
+    def needed(self, count: int, gradient: bool) -> int:
+        """Return how many modes `seen` takes: for the derivatives all of them, where all are finite."""
+        return self.size if gradient and not self.massless else count
+
+    def seen(
+        self,
+        theta: FloatArray,
+        count: int,
+        rows: Any,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Seen:
+        """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
+        return self.seen_in_basis(theta, count, rows @ self.basis, gradient, solved)
+
+    def seen_in_basis(
+        self,
+        theta: FloatArray,
+        count: int,
+        sensors: FloatArray,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> Seen:
+        """Return `seen` for sensors that are given by what they see of the basis, shape (n_sensors, size)."""
+        lam, phi = solved or self.modes(theta, self.needed(count, gradient))
+        if not gradient:
+            return Seen(lam[:, :count], sensors @ phi[:, :, :count])
+        if self.massless:
+            lam, phi = lam[:, :count], phi[:, :, :count]
+            slopes = self._bordered_slopes(theta, lam, phi)
+            lam_slopes = self.eigenvalue_gradient(theta, lam, phi)
+            return Seen(lam, sensors @ phi, lam_slopes, _seen_slopes(sensors, slopes))
+        dK, dM = (
+            self._slopes(theta, coefficient, matrices, phi, count)
+            for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
+        )
+        i = np.arange(count)
+        slopes = by_all_modes(lam, phi, dK, dM, count)
+        lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
+        return Seen(lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, _seen_slopes(sensors, slopes))
+
+    def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return ∂φ, shape (n, r, m, n_parameters), a mode at a time; NaN where its eigenvalue is repeated."""
+        K, M = _assemble(self._K, self._K_map(theta)), _assemble(self._M, self._M_map(theta))
+        n, r, count = phi.shape
+        dK, dM = (
+            coefficient.contract(theta, (rows @ phi).reshape(n, -1, r * count)).reshape(n, r, count, -1)
+            for coefficient, rows in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
+        )
+
+        slopes = np.empty((n, r, count, self.n_parameters))
+        for k in range(count):
+            mode = lam[:, k], phi[:, :, k], dK[:, :, k], dM[:, :, k]
+            slopes[:, :, k] = _row_by_row(_bordered, K, M, *mode)[0]
+        return slopes
+
+    def _slopes(
+        self, theta: FloatArray, coefficient: CoefficientMap, rows: FloatArray, phi: FloatArray, count: int
+    ) -> FloatArray:
+        """Return φ_kᵀ ∂K φ_i for all k and the lowest i, shape (n, r, count, n_parameters)."""
+        n, r, _ = phi.shape
+        products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)
+        forms = np.swapaxes(phi, 1, 2)[:, None] @ products
+        return coefficient.contract(theta, forms.reshape(n, forms.shape[1], -1)).reshape(n, r, count, -1)
+
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
+        seen = rows @ self.basis
+        if len(seen) <= self.size:
+            return Mapped(seen), reference
+        Q, R = np.linalg.qr(seen)
+        return Mapped(R), Q.T @ reference
+
+    def _set_terms(self, K: FloatArray, M: FloatArray) -> None:
+        self._K, self._M = K, M
+        self._K_rows, self._M_rows = K.reshape(-1, K.shape[-1]), M.reshape(-1, M.shape[-1])
+
+    def _forms(self, rows: FloatArray, phi: FloatArray) -> FloatArray:
+        """Return φᵀ K_k φ, shape (n, n_terms, m), for symmetric K_k one below the other in `rows`."""
+        n, r, m = phi.shape
+        shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
+        products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
+        return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
+
+
+def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
+    projected = np.stack([_projected(term.matrix, basis) for term in terms])
+    return 0.5 * (projected + np.swapaxes(projected, 1, 2))
+
+
+def _projected(matrix: Any, basis: FloatArray) -> FloatArray:
+    """Return Vᵀ K V; of a large K by the rows that are not empty, where they are few."""
+    rows = np.flatnonzero(np.diff(matrix.indptr))
+    if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
+        return np.asarray(basis.T @ (matrix @ basis))
+    return np.asarray(basis[rows].T @ (matrix[rows] @ basis))
+
+
+def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return Σ_k weights[:, k] · matrices[k], shape (n, r, r)."""
+    # einsum without `optimize` adds term by term: a batch changes no bit
+    return np.einsum("nk,kij->nij", weights, matrices)
+
+
+def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return L⁻¹ K L⁻ᵀ and L⁻¹, with M = L Lᵀ."""
+    inverse = np.linalg.inv(np.linalg.cholesky(M))
+    return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
+
+
+def _inverted(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return λ (n, r) and M-normalised shapes (n, r, r), where M may be singular; NaN beyond its rank."""
+    shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])
+    C, inverse = _whitened(M, K + shift[:, None, None] * M)
+    nu, y = np.linalg.eigh(C)
+    nu, y = nu[:, None, ::-1], y[:, :, ::-1]
+    nu = np.where(nu > _FINITE * nu[:, :, :1], nu, np.nan)
+    return 1.0 / nu[:, 0] - shift[:, None], np.swapaxes(inverse, 1, 2) @ (y / np.sqrt(nu))
+
+
+def _bordered(*parts: FloatArray) -> tuple[FloatArray]:
+    return (by_bordered_matrices(*parts),)
+
+
+def _seen_slopes(sensors: FloatArray, slopes: FloatArray) -> FloatArray:
+    n, r, count, p = slopes.shape
+    return (sensors @ slopes.reshape(n, r, -1)).reshape(n, len(sensors), count, p)
+
+
+def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest eigenvalues (n, count) and vectors (n, r, count); NaN where A is not finite."""
+    lam, phi = np.full((len(A), count), np.nan), np.full((*A.shape[:2], count), np.nan)
+    for i in np.flatnonzero(np.isfinite(A).all(axis=(1, 2))):
+        lam[i], phi[i] = sl.eigh(A[i], subset_by_index=[0, count - 1], check_finite=False)
+    return lam, phi
+
+
+def _values(A: FloatArray) -> tuple[FloatArray]:
+    return (np.linalg.eigvalsh(A),)
+
+
+def _row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
+    """Apply a batched solver; where one matrix makes it fail, the others must not suffer: those rows give NaN."""
+    try:
+        return tuple(solve(*matrices))
+    except np.linalg.LinAlgError:
+        rows: list[tuple[FloatArray, ...] | None] = []
+        for i in range(len(matrices[0])):
+            try:
+                rows.append(tuple(solve(*(m[i : i + 1] for m in matrices))))
+            except np.linalg.LinAlgError:
+                rows.append(None)
+        shapes = next((row for row in rows if row is not None), None)
+        if shapes is None:
+            shapes = tuple(solve(*(np.broadcast_to(np.eye(m.shape[-1]), (1, *m.shape[1:])) for m in matrices)))
+        failed = tuple(np.full_like(part, np.nan) for part in shapes)
+        return tuple(np.concatenate(parts) for parts in zip(*(row or failed for row in rows), strict=True))

@@ -1,0 +1,299 @@
+"""How a reduced basis is trained: sample, compress, verify on fresh points, grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.engines.engine import Engine, InProcess
+from fmu.fem.modes.blocks import Block, BlockModel
+from fmu.fem.modes.modal import FullBlock
+from fmu.fem.modes.null_space import DENSE_LIMIT
+from fmu.fem.pairing.rules import IndexPairing, Pairing, RankPairing, ShapePairing
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.snapshots import (
+    AT_ONCE,
+    LARGE,
+    MANY_SHAPES,
+    Snapshots,
+    proper_orthogonal_basis,
+    smallest_basis,
+)
+from fmu.progress.phases import phase, solved
+
+FloatArray = NDArray[np.float64]
+
+# Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
+EXACT_LIMIT = 20
+# The lowest over the highest λ of a basis that is kept whole: a solver then leaves nine digits.
+_HIGHEST = 1e-7
+_ROUNDS = 12
+# From this round on a basis is made twice as good at the points it knows: with many parameters fresh ones always
+# lie a little further out, and the same miss would repeat itself round after round.
+_CAREFUL_ROUND = 3
+_MOST_VECTORS = 1000
+# Points that make a task: few enough to keep many workers busy, whose number must not matter.
+_CHUNK = 4
+
+
+def affordable(n_dof: int) -> int:
+    """Return how many vectors the basis of a block of `n_dof` degrees of freedom may have and still pay.
+
+    A reduced solve takes about 60 ns · r², more from r = 1000 on, and a sparse full one about 30 µs a degree of
+    freedom (results/scale.md): at 12 √n the first is a third of the second. Dense blocks, up to
+    `fmu.fem.modes.null_space.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
+    """
+    return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A reduced model with the pairing to use on it and the box it is good for.
+
+    Attributes
+    ----------
+    model : BlockModel
+    pairing : Pairing
+    lower, upper : ndarray, shape (n_parameters,)
+    confirmed : bool
+        Whether fresh points of the box were all within the tolerance, those of all candidate modes.
+    """
+
+    model: BlockModel
+    pairing: Pairing
+    lower: FloatArray
+    upper: FloatArray
+    confirmed: bool = True
+
+
+class Training:
+    """Offline stage of the parametric reduced basis.
+
+    Parameters
+    ----------
+    full : BlockModel
+    rule : IndexPairing or ShapePairing
+        Decides which modes of which blocks are needed.
+    lower, upper : ndarray, shape (n_parameters,)
+        The box.
+    tolerance : float
+        Largest relative error of a needed frequency at the sampled and at the fresh points.
+    n_sobol : int
+        Points of the Sobol sequence, beside corners and faces; fresh sets are half as large.
+    engine : Engine, optional
+        Solves the full model at several points at once. What comes out does not depend on it.
+    """
+
+    def __init__(
+        self,
+        full: BlockModel,
+        rule: IndexPairing | ShapePairing,
+        lower: FloatArray,
+        upper: FloatArray,
+        tolerance: float,
+        n_sobol: int = 64,
+        engine: Engine | None = None,
+    ) -> None:
+        self.full, self.rule = full, rule
+        self.lower, self.upper = lower, upper
+        self.tolerance = tolerance
+        self.n_sobol = n_sobol
+        self._engine = engine or InProcess()
+        self.snapshots: dict[int, Snapshots] = {}
+        self.pairing: Pairing = rule
+        self.basis: dict[int, FloatArray] = {}
+        self.trusted: dict[int, int] = {}
+        self.confirmed = True
+
+    def run(self) -> Trained:
+        """Train until a fresh set of points, corners and faces among them, is within the tolerance.
+
+        The points that turned out badly join the snapshots before the next round, and the others with them while
+        they are few. It ends without success after the last round, or where the basis would be larger than
+        `affordable`: then it is cut there.
+        """
+        self.snapshots = self._solved(box_points(self.lower, self.upper, self.n_sobol, seed=0))
+        self.confirmed = False
+        for round_ in range(1, _ROUNDS):
+            self._compress(0.5 if round_ >= _CAREFUL_ROUND else 1.0)
+            if self.is_cut():
+                return self._trained()
+            fresh = self._solved(box_points(self.lower, self.upper, self.n_sobol // 2, seed=round_))
+            self.confirmed = self._good_for(fresh)
+            if self.confirmed:
+                return self._trained()
+            self._add(self._worth_adding(fresh))
+        self._compress()
+        return self._trained()
+
+    def refined(self, theta: FloatArray) -> Trained:
+        """Train on, with more points (n, n_parameters) and a tolerance three times as tight."""
+        self._add(self._solved(theta))
+        self.tolerance /= 3.0
+        self._compress()
+        return self._trained()
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the outcome as arrays."""
+        state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
+        if isinstance(self.pairing, RankPairing):
+            state["pairing"] = np.array([self.pairing.block, self.pairing.rank], dtype=float)
+        for b, basis in self.basis.items():
+            state[f"basis{b}"] = basis
+            state[f"trusted{b}"] = np.array(float(self.trusted[b]))
+        return state
+
+    @classmethod
+    def restored(
+        cls, full: BlockModel, rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
+    ) -> Trained:
+        """Return the outcome that `state` described."""
+        training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
+        if "pairing" in state:
+            block, rank = state["pairing"].astype(int).tolist()
+            training.pairing = RankPairing(tuple(block), tuple(rank))
+        for b in range(len(full.blocks)):
+            if f"basis{b}" in state:
+                training.basis[b] = state[f"basis{b}"]
+                training.trusted[b] = int(state[f"trusted{b}"])
+        return training._trained()
+
+    def _trained(self) -> Trained:
+        blocks: list[Block] = list(self.full.blocks)
+        for b, basis in self.basis.items():
+            blocks[b] = ReducedBlock(self._block(b), basis, self.trusted[b])
+        model = BlockModel(tuple(blocks), self.full.n_parameters)
+        return Trained(model, self.pairing, self.lower, self.upper, self.confirmed)
+
+    def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
+        """Solve the blocks that the rule looks at, for all modes that might be needed."""
+        counts = self.rule.counts(self.full)
+        parts = [theta[first : first + _CHUNK] for first in range(0, len(theta), _CHUNK)]
+        tasks = [(b, part, count) for b, count in counts.items() for part in parts]
+        with phase("training", len(tasks)) as under_way:
+            outcome = iter(self._engine.lines(_solve_there, self.full, tasks, lambda *_: under_way.advance()))
+            solved(len(theta))
+        return {b: Snapshots.joined(list(islice(outcome, len(parts)))) for b in counts}
+
+    def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
+        """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""
+        if isinstance(self.rule, ShapePairing):
+            rank = self._constant(snapshots)
+            if rank is None:
+                return self.rule, {b: s.eigenvalues.shape[1] for b, s in snapshots.items()}
+            needed = {
+                b: 1 + max(r for o, r in zip(rank.block, rank.rank, strict=True) if o == b) for b in rank.block
+            }
+            return rank, needed
+        values = [snapshots[b].eigenvalues for b in sorted(snapshots)]
+        highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.rule.numbers) - 1]
+        # one mode more than was ever among the lowest: it shows that none is missing
+        counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
+        return self.rule, {
+            b: min(c, snapshots[b].eigenvalues.shape[1]) for b, c in zip(sorted(snapshots), counts, strict=True)
+        }
+
+    def _constant(self, snapshots: dict[int, Snapshots]) -> RankPairing | None:
+        """Return the rule's assignment as fixed ranks if it is the same at every theta; a few theta at a time."""
+        found: RankPairing | None = None
+        for parts in zip(*(s.parts(AT_ONCE) for s in snapshots.values()), strict=True):
+            shapes = {b: part.shapes for b, part in zip(snapshots, parts, strict=True)}
+            rank = self.rule.constant(self.full, shapes)  # type: ignore[union-attr]
+            if rank is None or found not in (None, rank):
+                return None
+            found = rank
+        return found
+
+    def _compress(self, share: float = 1.0) -> None:
+        """Make the basis as small as the `share` of the tolerance allows at the points that are known."""
+        self.pairing, self.trusted = self._needed(self.snapshots)
+        tolerance = share * self.tolerance
+        self.basis = {b: self._compressed(b, needed, tolerance) for b, needed in self.trusted.items()}
+
+    def is_cut(self) -> bool:
+        """Say whether a basis has as many vectors as pay: then more points cannot make it better."""
+        return any(len(v) > DENSE_LIMIT and v.shape[1] >= affordable(len(v)) for v in self.basis.values())
+
+    def _compressed(self, b: int, needed: int, tolerance: float) -> FloatArray:
+        block = self._block(b)
+        centre = 0.5 * (self.lower + self.upper)
+        if block.n_modes == block.size <= EXACT_LIMIT:
+            lam, shapes = block.modes(centre[None], block.size)
+            # with modes so high the reduced solver would leave the low ones few digits
+            if not lam[0, -1] * _HIGHEST > lam[0, lam[0] > 0.0].min(initial=np.inf):
+                return shapes[0]
+        wanted = self.snapshots[b].lowest(needed)
+        basis = proper_orthogonal_basis(block, wanted, centre)
+
+        def acceptable(candidate: ReducedBlock) -> bool:
+            return all(np.max(part.frequency_error(candidate)) <= tolerance for part in wanted.parts(AT_ONCE))
+
+        smallest = self.basis[b].shape[1] if b in self.basis else 1
+        largest = basis[:, : max(affordable(block.size), needed)]
+        return smallest_basis(ReducedBlock(block, largest, needed), acceptable, smallest).basis
+
+    def _good_for(self, fresh: dict[int, Snapshots]) -> bool:
+        pairing, needed = self._needed(fresh)
+        if isinstance(self.pairing, RankPairing) and pairing != self.pairing:
+            return False
+        for b, trusted in self.trusted.items():
+            if needed[b] > trusted:
+                return False
+            reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
+            if not np.max(fresh[b].lowest(trusted).largest_error(reduced)) <= self.tolerance:
+                return False
+        return True
+
+    def _worth_adding(self, fresh: dict[int, Snapshots]) -> dict[int, Snapshots]:
+        """Return the points of `fresh` that are to join the others: where these are many, the bad ones alone."""
+        many = any(
+            s.eigenvalues.shape[0] * self.trusted[b] > MANY_SHAPES and self._block(b).size > LARGE
+            for b, s in self.snapshots.items()
+        )
+        pairing, needed = self._needed(fresh)
+        if not many or pairing != self.pairing or any(needed[b] > n for b, n in self.trusted.items()):
+            return fresh
+        bad = np.zeros(len(next(iter(fresh.values())).theta), dtype=bool)
+        for b, trusted in self.trusted.items():
+            reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
+            bad |= ~(fresh[b].lowest(trusted).largest_error(reduced) <= 0.5 * self.tolerance)
+        return {b: s.rows(bad) for b, s in fresh.items()}
+
+    def _add(self, fresh: dict[int, Snapshots]) -> None:
+        self.snapshots = {b: s + fresh[b] for b, s in self.snapshots.items()}
+
+    def _block(self, b: int) -> FullBlock:
+        block = self.full.blocks[b]
+        if not isinstance(block, FullBlock):
+            raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
+        return block
+
+
+def _solve_there(full: BlockModel, task: tuple[int, FloatArray, int], _: object) -> Snapshots:
+    b, theta, count = task
+    block: Any = full.blocks[b]
+    return Snapshots.solve(block, theta, count)
+
+
+def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:
+    """Return points that cover a box: `n` of a scrambled Sobol sequence, n/2 on its faces, and its corners.
+
+    All corners up to 2⁶, as many at random beyond.
+    """
+    from scipy.stats import qmc
+
+    ndim = len(lower)
+    rng = np.random.default_rng(seed)
+    inside = qmc.Sobol(ndim, rng=rng).random(n)
+    faces = rng.uniform(size=(n // 2, ndim))
+    fixed = rng.integers(0, 3, size=faces.shape)  # per coordinate: lower face, upper face or free
+    faces = np.where(fixed == 0, 0.0, np.where(fixed == 1, 1.0, faces))
+    if ndim <= 6:
+        corners = np.array(np.meshgrid(*[[0.0, 1.0]] * ndim, indexing="ij")).reshape(ndim, -1).T
+    else:
+        corners = rng.integers(0, 2, size=(64, ndim)).astype(float)
+    return lower + (upper - lower) * np.concatenate([inside, faces, corners])

@@ -1,0 +1,99 @@
+"""The Harwell–Boeing format of sparse matrices, which Ansys writes with ``HBMAT`` in ``/AUX2``.
+
+I. S. Duff, R. G. Grimes, J. G. Lewis (1992), *User's guide for the Harwell–Boeing sparse matrix collection*. SciPy
+reads the unsymmetric kind only, and no right-hand sides.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any, BinaryIO
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices.files import checked, entries_within, rows_within
+
+LONGEST_LINE = 4096
+"""Bytes; the format has 80."""
+
+
+def parse(file: BinaryIO) -> Any:
+    """Return the real assembled matrix of a file, right-hand sides left out.
+
+    Returns
+    -------
+    scipy.sparse.csc_array, shape (n_rows, n_columns)
+        Of a symmetric kind (``RSA``), which the file has one triangle of, with both.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is of another kind, or the text does not have the numbers that it announces.
+    RefusedError
+        If it announces more than a model can have.
+    """
+    lines = list(_lines(file, 4))
+    counts = [_count(lines[1], at) for at in (14, 28, 42)]
+    right_hand_sides = _count(lines[1], 56) if lines[1][56:70].strip() else 0
+    kind = lines[2][:3].upper()
+    if kind not in ("RSA", "RUA"):
+        raise ValueError(f"must be real and assembled, RSA or RUA (got {kind!r})")
+    n_rows, n_columns, n_entries = (_count(lines[2], at) for at in (14, 28, 42))
+    rows_within(max(n_rows, n_columns))
+    entries_within(n_entries * (2 if kind == "RSA" else 1))
+    formats = lines[3][:16], lines[3][16:32], lines[3][32:52]
+    if right_hand_sides > 0:
+        list(_lines(file, 1))
+    starts, rows, values = (
+        _numbers(file, count, fortran, expected)
+        for count, fortran, expected in zip(counts, formats, (n_columns + 1, n_entries, n_entries), strict=True)
+    )
+    matrix = sp.csc_array(
+        (values, rows.astype(np.int64) - 1, starts.astype(np.int64) - 1), shape=(n_rows, n_columns)
+    )
+    checked(matrix)
+    if kind == "RSA":
+        matrix = matrix + matrix.T - sp.diags_array(matrix.diagonal())
+    return sp.csc_array(matrix)
+
+
+def _lines(file: BinaryIO, count: int) -> Iterator[str]:
+    for i in range(count):
+        line = file.readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE or b"\0" in line:
+            raise ValueError("it is no text of lines of 80 characters")
+        if not line:
+            raise ValueError(f"it is cut short (it lacks {count - i} lines)")
+        yield line.decode("latin-1").rstrip("\r\n")
+
+
+def _count(line: str, at: int) -> int:
+    """Return a count of the header, in its 14 columns."""
+    word = line[at : at + 14].strip()
+    if not word.isdecimal():
+        raise ValueError(f"its header must have counts (got {word!r})")
+    return int(word)
+
+
+def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Any:
+    """Return the numbers on lines of fixed columns, as of ``(10I8)`` or ``(1P,3D26.18)``.
+
+    Where blanks part as many as are expected, columns do not matter: SciPy writes wider ones than it announces.
+    """
+    if n_lines > expected:
+        raise ValueError(f"it announces {n_lines} lines for {expected} numbers")
+    width = re.search(r"[IEDFG](\d+)", fortran.upper())
+    step = int(width.group(1)) if width is not None else 0
+    if step < 1:
+        raise ValueError(f"unknown number format {fortran.strip()!r}")
+    lines = list(_lines(file, n_lines))
+    words: Iterator[str] = (word for line in lines for word in line.split())
+    if sum(len(line.split()) for line in lines) != expected:
+        words = (line[at : at + step] for line in lines for at in range(0, len(line.rstrip()), step))
+    found = np.fromiter((float(w.upper().replace("D", "E")) for w in islice(words, expected)), float)
+    if len(found) < expected:
+        raise ValueError(f"must have {expected} numbers in the format {fortran.strip()} (got {len(found)})")
+    return found

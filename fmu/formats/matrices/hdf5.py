@@ -1,0 +1,158 @@
+"""Matrices in HDF5, MATLAB's version 7.3 among it.
+
+A matrix is a dataset of two dimensions, or a group with the arrays of a sparse one: ``data``, ``indices``,
+``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
+``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
+
+A file broken on purpose can take the HDF5 library down, and the process with it: read files that you trust.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices.files import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
+from fmu.formats.shown import shown
+
+DEEPEST = 20
+"""Groups within each other."""
+_COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
+_FORMAT = ("format", "encoding-type", "h5sparse_format")
+
+
+def read(path: Path, variable: str | None) -> Any:
+    """Return a matrix of a file.
+
+    Parameters
+    ----------
+    path : Path
+    variable : str, optional
+        Its path in the file; not needed if there is one alone.
+
+    Raises
+    ------
+    Exception
+        Whatever h5py and SciPy make of a broken file.
+    """
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        found = {name: member for name, member in _members(file) if _is_matrix(member)}
+        if "/" in found:
+            found = {"/": file}
+        member = found[chosen(list(found), variable)]
+        if isinstance(member, h5py.Group):
+            return _sparse(member)
+        matrix = _numbers(member)
+        return matrix.T if "MATLAB_class" in member.attrs else matrix
+
+
+def write_sparse(path: Path, matrix: Any, variable: str) -> None:
+    """Write a csr_array as a group of its arrays."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        group = file.create_group(variable)
+        group.attrs["format"] = "csr"
+        for name in ("data", "indices", "indptr", "shape"):
+            group[name] = np.asarray(getattr(matrix, name))
+
+
+def _members(file: Any) -> Iterator[tuple[str, Any]]:
+    """Give the groups and datasets of a file once each, without parts of sparse matrices and links elsewhere."""
+    import h5py
+
+    ahead, seen = [("/", file)], {file["/"]}
+    for _ in range(MOST_NAMES):
+        if not ahead:
+            return
+        name, member = ahead.pop()
+        yield name, member
+        if not isinstance(member, h5py.Group) or _is_sparse(member):
+            continue
+        if name.count("/") > DEEPEST:
+            raise RefusedError(f"must not have groups more than {DEEPEST} deep")
+        for key in islice(sorted(member, reverse=True), MOST_NAMES):
+            path = f"{name.strip('/')}/{key}".strip("/")
+            if path.startswith("#") or not isinstance(member.get(key, getlink=True), h5py.HardLink):
+                continue
+            if member[key] not in seen:
+                seen.add(member[key])
+                ahead.append((path, member[key]))
+    if ahead:
+        raise RefusedError(f"must hold at most {MOST_NAMES} groups and datasets")
+
+
+def _is_matrix(member: Any) -> bool:
+    import h5py
+
+    if isinstance(member, h5py.Group):
+        return _is_sparse(member)
+    return isinstance(member, h5py.Dataset) and _is_dense(member)
+
+
+def _is_sparse(group: Any) -> bool:
+    names = set(group)
+    return "MATLAB_sparse" in group.attrs or names >= _COMPRESSED or names >= _COORDINATE
+
+
+def _is_dense(dataset: Any) -> bool:
+    return dataset.ndim == 2 and dataset.dtype.kind in "fiubc" and max(dataset.shape) > 1
+
+
+def _part(group: Any, name: str) -> Any:
+    """Return a part of a sparse matrix; links to other places are not followed."""
+    import h5py
+
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink) or not isinstance(group[name], h5py.Dataset):
+        raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
+    return _numbers(group[name])
+
+
+def _numbers(dataset: Any) -> Any:
+    """Return what a dataset holds, once it is known to be numbers of this file, and few enough.
+
+    A dataset may lie in other files, and its chunks may be larger than itself: each is read as a whole.
+    """
+    if dataset.dtype.kind not in "fiubc":
+        raise RefusedError(f"must have numbers in {dataset.name} (got {dataset.dtype})")
+    if dataset.external or dataset.is_virtual:
+        raise RefusedError(f"must hold its numbers itself ({dataset.name} is kept in other files)")
+    entries_within(dataset.size)
+    fitting(dataset.nbytes)
+    fitting(math.prod(dataset.chunks or ()) * dataset.dtype.itemsize)
+    return np.asarray(dataset)
+
+
+def _sparse(group: Any) -> Any:
+    wanted = ("data", "shape", "ir", "jc", "row", "col", "indices", "indptr")
+    arrays = {name: _part(group, name) for name in wanted if group.get(name, getlink=True) is not None}
+    if "MATLAB_sparse" in group.attrs:
+        if "jc" not in arrays:
+            raise RefusedError(f"must have the pointers of a sparse matrix in {group.name}/jc")
+        n_rows = _sizes(group.attrs["MATLAB_sparse"], 1)[0]
+        data = arrays.get("data", np.zeros(0))
+        return sp.csc_array((data, arrays.get("ir", np.zeros(0, int)), arrays["jc"]),
+                            shape=(n_rows, len(arrays["jc"]) - 1))  # fmt: skip
+    shape = arrays.get("shape", group.attrs.get("shape"))
+    size = None if shape is None else _sizes(shape, 2)
+    if "row" in arrays:
+        return sp.coo_array((arrays["data"], (arrays["row"], arrays["col"])), shape=size)
+    said = next((str(group.attrs[name]) for name in _FORMAT if name in group.attrs), "csr")
+    kind = sp.csc_array if "csc" in said.lower() else sp.csr_array
+    return kind((arrays["data"], arrays["indices"], arrays["indptr"]), shape=size)
+
+
+def _sizes(given: Any, n: int) -> tuple[int, ...]:
+    """Return numbers of rows and columns."""
+    sizes = np.ravel(given)
+    if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
+        raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {shown(sizes.tolist())})")
+    return tuple(int(size) for size in sizes)

@@ -1,0 +1,150 @@
+"""Numeric matrices, full and sparse, in MATLAB's files of version 5 to 7 (7.3 is HDF5).
+
+MathWorks, *MAT-file format*, level 5. SciPy's reader takes the process down on some broken files; this one knows
+nothing but matrices of numbers, and reads no byte that is not there.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices import files as matrix_files
+from fmu.formats.matrices.files import MOST_NAMES, RefusedError, chosen, entries_within, fitting, rows_within
+
+_MATRIX, _COMPRESSED = 14, 15
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_SPARSE, _FULL = 5, range(6, 16)
+_COMPLEX = 0x0800
+_NO_PART = (0, memoryview(b""))
+_HEAD = 4096
+"""Bytes that flags, dimensions and name are within."""
+
+
+class _Variable(NamedTuple):
+    """What is known of a matrix, and where its bytes are."""
+
+    kind: int
+    shape: tuple[int, ...]
+    start: int
+    size: int
+    compressed: bool
+
+
+def read(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
+    """Return a matrix of a file.
+
+    Parameters
+    ----------
+    file : binary file
+    n_bytes : int
+        Its size.
+    variable : str, optional
+        Its name; not needed if there is one alone, numbers aside.
+
+    Returns
+    -------
+    ndarray or scipy.sparse.csc_array
+
+    Raises
+    ------
+    ValueError
+        If the content is broken.
+    RefusedError
+        If there is no such matrix, it is complex or too large.
+    """
+    file.seek(126)
+    order = {b"IM": "<", b"MI": ">"}.get(file.read(2))
+    if order is None:
+        raise ValueError("it is of no version from 5 to 7.3")
+    found = dict(_variables(file, n_bytes, order))
+    matrices = [name for name, one in found.items() if max(one.shape) > 1] or list(found)
+    one = found[chosen(matrices if variable is None else list(found), variable)]
+    if one.kind & _COMPLEX:
+        raise RefusedError("must hold a real matrix (it is complex)")
+    rows, columns = one.shape
+    rows_within(max(one.shape))
+    if one.kind & 0xFF != _SPARSE:
+        entries_within(rows * columns)
+    body = _body(file, one)
+    parts = [_numbers(*part, order) for part in islice(_parts(body, order), 3, 6)]
+    if one.kind & 0xFF == _SPARSE:
+        if len(parts) < 2 or len(parts[1]) != columns + 1:
+            raise ValueError("a sparse matrix must have its row indices and a pointer a column")
+        ir, jc, values = parts[0], parts[1].astype(np.int64), parts[2] if len(parts) > 2 else np.zeros(0)
+        n = int(jc[-1])
+        return sp.csc_array((values[:n].astype(float), ir[:n], jc), shape=(rows, columns))
+    if not parts or len(parts[0]) != rows * columns:
+        got = len(parts[0]) if parts else 0
+        raise ValueError(f"a matrix of {rows} by {columns} must have as many numbers (got {got})")
+    return parts[0].astype(float).reshape((rows, columns), order="F")
+
+
+def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, _Variable]]:
+    """Give the name and what is known of every matrix of numbers."""
+    at = 128
+    for _ in range(MOST_NAMES):
+        file.seek(at)
+        tag = file.read(8)
+        if len(tag) < 8:
+            return
+        kind, size = np.frombuffer(tag, f"{order}u4").tolist()
+        if kind not in (_MATRIX, _COMPRESSED):
+            raise ValueError(f"it has an element of the unknown type {kind}")
+        if at + 8 + size > n_bytes:
+            raise ValueError("it is cut short")
+        head = file.read(min(size, _HEAD))
+        compressed = kind == _COMPRESSED
+        if compressed:
+            head = zlib.decompressobj().decompress(head, _HEAD)[8:]
+        parts = _parts(memoryview(head), order, cut=True)
+        flags, shape = (_numbers(*next(parts, _NO_PART), order).tolist() for _ in range(2))
+        if (flags[0] & 0xFF == _SPARSE or flags[0] & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0:
+            name = bytes(next(parts, _NO_PART)[1]).decode("ascii")
+            yield name, _Variable(flags[0], tuple(shape), at + 8, size, compressed)
+        at += 8 + size
+    raise RefusedError(f"must hold at most {MOST_NAMES} variables")
+
+
+def _body(file: BinaryIO, one: _Variable) -> memoryview:
+    """Return the bytes of a matrix."""
+    fitting(one.size)
+    file.seek(one.start)
+    content = file.read(one.size)
+    if len(content) < one.size:
+        raise ValueError("it is cut short")
+    if not one.compressed:
+        return memoryview(content)
+    content = zlib.decompressobj().decompress(content, matrix_files.LARGEST_CONTENT + 1)
+    fitting(len(content))
+    return memoryview(content)[8:]
+
+
+def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
+    """Give type and bytes of each part of a matrix; of what is cut short on purpose, those that are whole."""
+    at = 0
+    while at + 8 <= len(body):
+        kind, size = np.frombuffer(body, f"{order}u4", 2, at).tolist()
+        start = at + 8
+        if kind >> 16:  # up to four bytes, in the tag itself
+            kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
+        at = start + size + -(start + size) % 8
+        if start + size > len(body):
+            if cut:
+                return
+            raise ValueError("it is cut short")
+        yield kind, body[start : start + size]
+
+
+def _numbers(kind: int, part: memoryview, order: str) -> Any:
+    if kind not in _TYPES:
+        raise ValueError(f"it has numbers of the unknown type {kind}")
+    dtype = np.dtype(order + _TYPES[kind])
+    if len(part) % dtype.itemsize:
+        raise ValueError(f"it has {len(part)} bytes of numbers that have {dtype.itemsize} each")
+    return np.frombuffer(part, dtype)

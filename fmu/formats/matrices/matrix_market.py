@@ -1,0 +1,141 @@
+"""Matrix Market, the text format that most programs can write.
+
+R. F. Boisvert, R. Pozo, K. A. Remington (1996), *The Matrix Market exchange formats: initial design*, NISTIR 5935.
+SciPy's reader takes the process down on some broken files.
+"""
+
+from __future__ import annotations
+
+from typing import Any, BinaryIO
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices.files import RefusedError, entries_within, rows_within
+from fmu.formats.text import tables
+
+BANNER = b"%%matrixmarket"
+LONGEST_LINE = 4096
+"""Bytes of the banner, of a comment and of the line of sizes."""
+MOST_COMMENTS = 100_000
+SHORTEST_ENTRY = {"coordinate": 6, "array": 2}
+"""Bytes: ``1 1 1`` and the end of the line, or ``1`` and that."""
+_SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
+
+
+def parse(file: BinaryIO, n_bytes: int | None = None) -> Any:
+    """Return the real matrix of a file, with both of its triangles.
+
+    Parameters
+    ----------
+    file : binary file
+        At its beginning.
+    n_bytes : int, optional
+        Its size, to compare with the number of entries that it announces before they are read.
+
+    Returns
+    -------
+    scipy.sparse.coo_array or ndarray
+
+    Raises
+    ------
+    ValueError
+        If the text does not have the numbers that it announces.
+    RefusedError
+        If the matrix is not real or has no values, or is too large.
+    """
+    layout, field, symmetry = _banner(_line(file))
+    if field == "pattern":
+        raise RefusedError("must have values (a Matrix Market pattern has none)")
+    if field == "complex" or symmetry not in _SYMMETRIES:
+        raise RefusedError(f"must hold a real square matrix (got {field}, {symmetry})")
+    sizes = _sizes(file, layout)
+    sign = _SYMMETRIES[symmetry]
+    announced = sizes[2] if layout == "coordinate" else _stored(sizes[0], sizes[1], sign)
+    rows_within(max(sizes[:2]))
+    if n_bytes is not None and announced * SHORTEST_ENTRY[layout] > n_bytes + 1:
+        raise RefusedError(
+            f"must have the {announced} entries that it announces (its {n_bytes} bytes cannot hold them)"
+        )
+    entries_within(announced * (2 if sign else 1))
+    if layout == "array":
+        return _full(_numbers(file, announced, 1)[:, 0], sizes[0], sizes[1], sign)
+    return _sparse(file, sizes, sign)
+
+
+def _line(file: BinaryIO) -> str:
+    line = file.readline(LONGEST_LINE + 1)
+    if len(line) > LONGEST_LINE:
+        raise ValueError(f"its header has a line of more than {LONGEST_LINE} bytes")
+    if not line:
+        raise ValueError("it is cut short")
+    return line.decode("latin-1")
+
+
+def _banner(line: str) -> list[str]:
+    """Return layout, field and symmetry."""
+    words = line.lower().split()
+    if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
+        raise ValueError(f"unknown kind {line.strip()[:100]!r}")
+    return words[2:]
+
+
+def _sizes(file: BinaryIO, layout: str) -> list[int]:
+    """Return numbers of rows and columns, and of entries in the coordinate layout."""
+    for _ in range(MOST_COMMENTS):
+        line = _line(file)
+        if line.strip() and not line.startswith("%"):
+            break
+    else:
+        raise ValueError(f"its header has more than {MOST_COMMENTS} comments")
+    words = line.split()
+    if len(words) != (3 if layout == "coordinate" else 2) or not all(w.isdecimal() and len(w) < 19 for w in words):
+        raise ValueError(f"unknown size {line.strip()[:100]!r}")
+    return [int(word) for word in words]
+
+
+def _stored(rows: int, columns: int, sign: float) -> int:
+    """Return how many values the array layout has: of a symmetric matrix, those of its lower triangle."""
+    if not sign:
+        return rows * columns
+    if rows != columns:
+        raise ValueError(f"a symmetric matrix must be square (got {rows} rows and {columns} columns)")
+    return rows * (rows + 1) // 2 if sign > 0 else rows * (rows - 1) // 2
+
+
+def _numbers(file: BinaryIO, announced: int, columns: int) -> Any:
+    """Return a table of as many rows as were announced."""
+    found = np.empty((announced, columns))
+    n = 0
+    for rows in tables(file, "%"):
+        if rows.shape[1] != columns:
+            raise ValueError(f"each row must have {columns} numbers (got {rows.shape[1]})")
+        if n + len(rows) > announced:
+            raise RefusedError(f"must have the {announced} entries that it announces (got more)")
+        found[n : n + len(rows)] = rows
+        n += len(rows)
+    if n < announced:
+        raise RefusedError(f"must have the {announced} entries that it announces (got {n})")
+    return found
+
+
+def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> Any:
+    table = _numbers(file, sizes[2], 3)
+    places = table[:, :2]
+    if np.any(places != np.floor(places)) or np.any(places < 1) or np.any(places > sizes[:2]):
+        raise ValueError(f"rows and columns must be whole numbers from 1 to {sizes[0]} and {sizes[1]}")
+    row, column = (places - 1).astype(np.int32).T
+    matrix = sp.coo_array((table[:, 2].copy(), (row, column)), shape=(sizes[0], sizes[1]))
+    if not sign:
+        return matrix
+    return sp.coo_array(matrix + sign * matrix.T - sp.diags_array(matrix.diagonal(), shape=matrix.shape))
+
+
+def _full(values: Any, rows: int, columns: int, sign: float) -> Any:
+    """Return a full matrix from its values column by column; of a symmetric one from the diagonal down."""
+    if not sign:
+        return values.reshape((rows, columns), order="F")
+    matrix = np.zeros((rows, columns))
+    column, row = np.triu_indices(rows, 0 if sign > 0 else 1)
+    matrix[row, column], matrix[column, row] = values, sign * values
+    return matrix

@@ -1,0 +1,235 @@
+"""Matrices from files, as finite-element programs and numerical software export them.
+
+=====================  ===============================================================================
+``.mtx``, ``.mtx.gz``  Matrix Market; or the text that Abaqus calls ``.mtx`` (`fmu.formats.matrices.abaqus`)
+``.npz``, ``.npy``     `scipy.sparse.save_npz`, `numpy.savez`, `numpy.save`
+``.mat``               MATLAB, sparse or full; version 7.3 too, which is HDF5
+``.h5``, ``.hdf5``     HDF5: a dataset, or a group of a sparse matrix's arrays (`fmu.formats.matrices.hdf5`)
+``.hb``, ``.rsa`` …    Harwell–Boeing, which Ansys writes with ``HBMAT`` (`fmu.formats.matrices.harwell_boeing`)
+``.csv``               numbers with commas between them
+=====================  ===============================================================================
+
+Nothing is unpickled, and what a file would take is looked at before it is read.
+
+From Nastran, write the matrices as OP4 by DMAP; pyNastran, which this package does not need, reads OP4::
+
+    from pyNastran.op4.op4 import read_op4
+    for name, (form, matrix) in read_op4("model.op4").items():
+        scipy.io.mmwrite(f"{name}.mtx", scipy.sparse.coo_array(matrix))
+
+A stiffness that is linear in a property p, as in Young's modulus, takes two exports: with K at p = a and at p = b,
+K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) − a K₁.
+"""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.files import too_large, why_no_file
+from fmu.formats.matrices.files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError, checked
+from fmu.numbers import significant
+
+Triangle = bool | Literal["lower", "upper"]
+
+SYMMETRIC = 1e-9
+"""Largest asymmetry of a pair of entries, beside the larger of them and beside √(a_ii a_jj)."""
+ENTRIES_AT_A_TIME = 2**20
+
+
+def read_matrix(path: Path, variable: str | None = None, triangle: Triangle = False) -> Any:
+    """Read a symmetric real matrix; see `read_labelled`.
+
+    Parameters
+    ----------
+    path, variable, triangle :
+        See `read_labelled`.
+
+    Returns
+    -------
+    scipy.sparse.csr_array of float, shape (n_dof, n_dof)
+
+    Raises
+    ------
+    ValueError
+        See `read_labelled`.
+    """
+    return read_labelled(path, variable, triangle).matrix
+
+
+def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = False) -> Labelled:
+    """Read a symmetric real matrix with the names of its degrees of freedom, if the file has them.
+
+    Parameters
+    ----------
+    path : Path
+    variable : str, optional
+        Which matrix of a file that can hold several; not needed if it holds one.
+    triangle : bool or {"lower", "upper"}
+        The file has each pair of symmetric entries once: the other is filled in. With ``True`` whichever is there.
+
+    Returns
+    -------
+    Labelled
+
+    Raises
+    ------
+    ValueError
+        If the file does not exist, is too large, of another kind, or holds no real, finite, square and symmetric
+        matrix. The text begins with ``variable:`` or ``triangle:`` where that is at fault.
+    """
+    suffix = _suffix(path)
+    if suffix not in READERS:
+        raise ValueError(f"must end in {', '.join(READERS)} (got {path.name!r})")
+    why = why_no_file(path)
+    if why:
+        raise ValueError(f"must be a file ({why})")
+    if too_large(path, LARGEST_FILE):
+        raise ValueError(too_large(path, LARGEST_FILE))
+    if variable is not None and suffix not in SEVERAL:
+        raise ValueError(f"variable: a {suffix} file has one matrix, without a name (got {variable!r})")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
+            found = READERS[suffix](path, variable)
+    except RefusedError as refused:
+        raise ValueError(str(refused)) from None
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever a broken file makes the readers raise
+        is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
+        text = str(error) if is_told else "it is not as such a file has to be"
+        raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
+    matrix, dofs = found if isinstance(found, Labelled) else Labelled(found, None)
+    return Labelled(symmetric_matrix(matrix, triangle), dofs)
+
+
+def symmetric_matrix(matrix: Any, triangle: Triangle = False) -> Any:
+    """Return a symmetric real matrix as a csr_array of float; ValueError if it is none.
+
+    Parameters
+    ----------
+    matrix : ndarray or sparse array
+    triangle : bool or {"lower", "upper"}
+        See `read_labelled`.
+    """
+    return _symmetric(_real_square(matrix), triangle)
+
+
+def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:
+    """Write a matrix, so that `read_matrix` gives it back to the last bit.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix says how: ``.mtx``, ``.npz``, ``.npy``, ``.mat``, ``.h5``, ``.hdf5`` or ``.csv``.
+    matrix : array_like or sparse, shape (n_dof, n_dof)
+    variable : str
+        Its name, in the files that have names.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another one.
+    """
+    sparse = sp.csr_array(matrix)
+    suffix = _suffix(path)
+    if suffix == ".mtx":
+        from scipy.io import mmwrite
+
+        mmwrite(path, sparse.tocoo(), precision=17)
+    elif suffix == ".npz":
+        sp.save_npz(path, sparse)
+    elif suffix == ".npy":
+        np.save(path, sparse.toarray())
+    elif suffix == ".mat":
+        from scipy.io import savemat
+
+        savemat(path, {variable: sparse.tocsc()})
+    elif suffix in (".h5", ".hdf5"):
+        from fmu.formats.matrices.hdf5 import write_sparse
+
+        write_sparse(path, sparse, variable)
+    elif suffix == ".csv":
+        np.savetxt(path, sparse.toarray(), delimiter=",", fmt="%.17g")
+    else:
+        raise ValueError(f"path: must end in .mtx, .npz, .npy, .mat, .h5, .hdf5 or .csv (got {path.name!r})")
+
+
+def _suffix(path: Path) -> str:
+    name = path.name.lower()
+    return ".mtx.gz" if name.endswith(".mtx.gz") else Path(name).suffix
+
+
+def _real_square(matrix: Any) -> Any:
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.dtype.kind not in "fiub":
+        raise ValueError(f"must hold a real square matrix (got {matrix.dtype} of shape {matrix.shape})")
+    if not 1 <= matrix.shape[0] <= MOST_DOFS:
+        raise ValueError(f"must have 1 to {MOST_DOFS} degrees of freedom (got {matrix.shape[0]})")
+    if hasattr(matrix, "indptr"):
+        try:
+            checked(matrix)
+        except ValueError as error:
+            raise ValueError(f"must hold a matrix ({error})") from error
+    square = sp.csr_array(matrix, dtype=float)
+    square.sum_duplicates()
+    if not np.all(np.isfinite(square.data)):
+        raise ValueError("must be finite (there are entries that are not)")
+    return square
+
+
+def _symmetric(matrix: Any, triangle: Triangle) -> Any:
+    if triangle:
+        return _mirrored(matrix, triangle)
+    n = matrix.shape[0]
+    transposed = sp.csr_array(matrix.T)
+    root = np.sqrt(np.abs(matrix.diagonal()))
+    step = max(ENTRIES_AT_A_TIME * n // max(matrix.nnz, 1), 1)
+    for first in range(0, n, step):  # some rows at a time: memory stays within what the matrix takes, twice
+        here, there = matrix[first : first + step], transposed[first : first + step]
+        difference = (here - there).tocoo()
+        if not difference.nnz:
+            continue
+        row, column = difference.row, difference.col
+        larger = np.abs((abs(here) + abs(there)).tocsr()[row, column])
+        excess = np.abs(difference.data) - SYMMETRIC * np.maximum(root[first + row] * root[column], larger)
+        at = int(np.argmax(excess))
+        if excess[at] > 0.0:
+            by = significant(abs(difference.data[at]))
+            where = f"row {first + row[at] + 1}, column {column[at] + 1} differs by {by}"
+            raise ValueError(f"must be symmetric ({where}){_triangle_alone(matrix)}")
+    return matrix
+
+
+def _triangle_alone(matrix: Any) -> str:
+    """Say what to do about a matrix that has one triangle alone."""
+    above, below = _off_diagonal(matrix)
+    if above and below:
+        return ""
+    half = "lower" if below else "upper"
+    return f'; it holds its {half} triangle alone: triangle = "{half}" fills in the other'
+
+
+def _off_diagonal(matrix: Any) -> tuple[int, int]:
+    """Return the numbers of entries above and below the diagonal."""
+    row = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
+    return int(np.sum(matrix.indices > row)), int(np.sum(matrix.indices < row))
+
+
+def _mirrored(matrix: Any, triangle: Triangle) -> Any:
+    above, below = _off_diagonal(matrix)
+    if (triangle == "lower" and above) or (triangle == "upper" and below):
+        there = f"{above} above the diagonal, {below} below it"
+        raise ValueError(f"triangle: the file must have its {triangle} triangle alone (it has entries: {there})")
+    diagonal = sp.diags_array(matrix.diagonal(), format="csr")
+    half = sp.csr_array(matrix - diagonal)
+    half.eliminate_zeros()
+    if half.multiply(half.T).nnz:
+        raise ValueError("triangle: the file must have each pair of entries once (it has both of some)")
+    return sp.csr_array(half + half.T + diagonal)

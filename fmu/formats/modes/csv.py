@@ -1,0 +1,229 @@
+"""Modes from tables of text, as spreadsheets write them.
+
+Frequencies, a mode a row; ``number`` (in the spectrum of the model) and ``sd`` may be left out::
+
+    mode,number,frequency,sd
+    first bending,1,31.9,0.1
+    second bending,3,197.9,0.4
+
+Shapes, a sensor a row and a mode a column::
+
+    place,direction,first bending,second bending
+    tip,z,1.0,1.0
+    12,-z,0.34,-0.71
+
+Repeated tests, a test a row in the order in which they were made and a mode a column. The column ``test``, a
+number or a time, may be left out. A cell is empty or ``nan`` where a test missed the mode::
+
+    test,first bending,second bending
+    Monday 9:00,31.9,197.9
+    Monday 9:30,31.8,
+
+Between values there may be commas, semicolons or tabs, as in the first line; lines that are empty or start with
+``#`` do not count.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.formats.modes.measured_modes import MOST_MODES, Modes, ModesError, checked_file
+from fmu.formats.shown import shown
+
+FloatArray = NDArray[np.float64]
+
+MOST_ROWS = 10_000
+"""Modes, or sensors."""
+_FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
+_TEST = "test"
+_MISSED = ("", "nan")
+_DIRECTION = re.compile(r"-?(r?[xyz])")
+
+
+class _Row(NamedTuple):
+    """A line of the file, counted from 1, and the values in it by column."""
+
+    line: int
+    values: dict[str, str]
+
+
+def read_frequencies(path: Path) -> tuple[Modes, tuple[int, ...]]:
+    """Return the modes of a table of frequencies, and their numbers, none if it has no such column.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        With every mistake, its line and its column.
+    """
+    header, rows, found = _table(path)
+    found += [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
+    found += [
+        f"column {name}: must be one of {', '.join(_FREQUENCY_COLUMNS)}"
+        for name in header
+        if name not in _FREQUENCY_COLUMNS
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    frequencies = [_number(row, "frequency", found, positive=True) for row in rows]
+    sd = [_number(row, "sd", found, positive=True) for row in rows] if "sd" in header else None
+    numbers = [_whole(row, "number", found) for row in rows] if "number" in header else []
+    labels = [row.values["mode"] for row in rows]
+    first = {label: i for i, label in reversed(list(enumerate(labels)))}
+    found += [
+        f"line {row.line}, column mode: must be a name of its own (got {shown(label)})"
+        for i, (row, label) in enumerate(zip(rows, labels, strict=True))
+        if not label or first[label] < i
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    return Modes(np.array(frequencies), tuple(labels), None if sd is None else np.array(sd)), tuple(numbers)
+
+
+def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
+    """Return sensors and shapes of a table, its columns in the order of `labels`; without frequencies.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        With every mistake, its line and its column.
+    """
+    header, rows, found = _table(path)
+    found += [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
+    found += [f"column {name}: is no mode" for name in header if name not in ("place", "direction", *labels)]
+    if found:
+        raise ModesError(path.name, found)
+    for row in rows:
+        if not row.values["place"]:
+            found.append(f"line {row.line}, column place: must not be empty")
+        if not _DIRECTION.fullmatch(row.values["direction"]):
+            found.append(
+                f"line {row.line}, column direction: must be x, y, z, rx, ry or rz, or that with a minus before "
+                f"it (got {shown(row.values['direction'])})"
+            )
+    shapes = [[_number(row, label, found) for label in labels] for row in rows]
+    if found:
+        raise ModesError(path.name, found)
+    places = [row.values["place"] for row in rows]
+    sensors = [
+        (int(place) if re.fullmatch(r"-?\d{1,18}", place) else place, row.values["direction"])
+        for place, row in zip(places, rows, strict=True)
+    ]
+    return Modes(np.full(len(labels), np.nan), labels, None, tuple(sensors), np.array(shapes))
+
+
+def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return frequencies of repeated tests (n_tests, n_modes), Hz, NaN where one missed a mode; and the labels.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        With every mistake, its line and its column.
+    """
+    header, rows, found = _table(path)
+    labels = tuple(name for name in header if name != _TEST)
+    if not labels:
+        found.append("must have a column a mode, with its name")
+    if "" in labels:
+        found.append("every column must have a name, that of its mode")
+    if found:
+        raise ModesError(path.name, found)
+    values = [
+        [
+            np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
+            for label in labels
+        ]
+        for row in rows
+    ]
+    if found:
+        raise ModesError(path.name, found)
+    return np.array(values), labels
+
+
+def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
+    """Return the names of the columns, the rows, and what is wrong with their form."""
+    try:
+        text = checked_file(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ModesError(path.name, ["must be text in UTF-8"]) from None
+    numbered = enumerate(io.StringIO(text, newline=None), 1)
+    lines = ((i, line) for i, line in numbered if line.strip() and line.strip()[0] != "#")
+    found: list[str] = []
+    header: list[str] = []
+    rows: list[_Row] = []
+    separator = ","
+    for number, line in lines:
+        if not header:
+            separator = max(",;\t", key=line.count)
+        try:
+            cells = _cells(line, separator)
+        except ValueError as error:
+            found.append(f"line {number}: {error}")
+            continue
+        if not header:
+            header = cells
+            if len(set(header)) < len(header):
+                raise ModesError(
+                    path.name, [f"line {number}: column names must be distinct (got {shown(header)})"]
+                )
+        elif len(cells) != len(header):
+            found.append(f"line {number}: must have {len(header)} values, one a column (got {len(cells)})")
+        elif len(rows) == MOST_ROWS:
+            found.append(f"line {number}: must not be there: a table has at most {MOST_ROWS} rows")
+            break
+        else:
+            rows.append(_Row(number, dict(zip(header, cells, strict=True))))
+    if not found and not rows:
+        found = ["must have a line of column names and a line of values at least"]
+    if found:
+        raise ModesError(path.name, found)
+    return header, rows, found
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the values in a line; ValueError with what is wrong with it."""
+    if line.count(separator) > MOST_MODES + 1:
+        raise ValueError(f"must have at most {MOST_MODES + 2} columns (got {line.count(separator) + 1})")
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
+    except csv.Error as error:
+        raise ValueError(
+            f"must have closed quotes, and values of at most {csv.field_size_limit()} characters ({error})"
+        ) from None
+    if "\0" in line:
+        raise ValueError("must have no NUL character")
+    return cells
+
+
+def _number(row: _Row, column: str, found: list[str], *, positive: bool = False) -> float:
+    """Return a number of a row, NaN after noting a mistake."""
+    text = row.values[column]
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value) or (positive and value <= 0):
+        rule = "a positive number" if positive else "a number"
+        found.append(f"line {row.line}, column {column}: must be {rule} (got {shown(text)})")
+        return np.nan
+    return value
+
+
+def _whole(row: _Row, column: str, found: list[str]) -> int:
+    text = row.values[column]
+    if not re.fullmatch(r"[1-9]\d{0,8}", text):
+        found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {shown(text)})")
+        return 0
+    return int(text)

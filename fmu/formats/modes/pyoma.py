@@ -1,0 +1,150 @@
+"""Modes that pyOMA_2 identified in ambient vibrations.
+
+Its results are known by what they have, so that none of pyOMA_2 is needed to read them: ``Fn`` (n_modes,), Hz;
+``Phi`` (n_channels, n_modes), complex; and, of subspace identification run with ``calc_unc=True``, ``Fn_std``
+(n_modes,), Hz: the standard deviations that follow from the scatter of the record's parts (Döhler & Mevel
+2013, Mechanical Systems and Signal Processing 38, 346). pyOMA_2 1.4's own descriptions say "covariance" of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmu.formats.modes.measured_modes import LEAST_MPC, MOST_MODES, Modes, ModesError, checked_file, real_shapes
+from fmu.formats.shown import in_words, shown
+
+_KEPT = ("Fn", "Phi", "Fn_std", "Xi")
+
+
+def pyoma_modes(
+    result: Any,
+    sensors: Sequence[tuple[Any, str]],
+    modes: Sequence[int] | None = None,
+    least_mpc: float = LEAST_MPC,
+) -> Modes:
+    """Return the modes of a result of pyOMA_2.
+
+    Parameters
+    ----------
+    result : object
+        After ``mpe``: ``setup["name"].result``; or anything with its attributes, or a mapping of their names.
+    sensors : sequence of (place, direction)
+        Of each channel, in order; a channel that counts the other way has a minus before its direction.
+    modes : sequence of int, optional
+        Which modes of the result, from 1; all if not given.
+    least_mpc : float
+        Complex shapes are turned to real ones, see `fmu.formats.modes.measured_modes.real_shapes`.
+
+    Raises
+    ------
+    ModesError
+        If the result has no modes, as before ``mpe``, not a channel a sensor, or frequencies or standard
+        deviations that are not positive numbers.
+
+    Notes
+    -----
+    Of several setups merged after the identification, ``Fn_std`` is the scatter between setups and not the
+    uncertainty of their mean: it is left out. So are the standard deviations of the shapes.
+    """
+    source = type(result).__name__
+    given = {name: _attribute(result, name) for name in (*_KEPT, "setups_used")}
+    if given["Fn"] is None or given["Phi"] is None:
+        raise ModesError(source, ["must have frequencies Fn and shapes Phi (got none: was mpe called?)"])
+    frequencies = np.asarray(given["Fn"], dtype=float).reshape(-1)
+    phi = np.asarray(given["Phi"], dtype=complex)
+    if len(frequencies) > MOST_MODES:
+        raise ModesError(source, [f"Fn: must be at most {MOST_MODES} frequencies (got {len(frequencies)})"])
+    found = []
+    if phi.shape != (len(sensors), len(frequencies)):
+        expected = (len(sensors), len(frequencies))
+        found.append(
+            f"Phi: must have shape {expected}, a sensor a channel, and a mode a frequency (got {phi.shape})"
+        )
+    chosen = list(range(1, len(frequencies) + 1)) if modes is None else [int(number) for number in modes]
+    if not chosen or any(not 1 <= number <= len(frequencies) for number in chosen):
+        found.append(f"modes: must lie in 1..{len(frequencies)} (got {shown(chosen)})")
+    sd = None
+    if given["Fn_std"] is not None and given["setups_used"] is None:
+        sd = np.array(given["Fn_std"], dtype=float).reshape(-1)
+    if sd is not None and len(sd) != len(frequencies):
+        found.append(f"Fn_std: must be {len(frequencies)}, one a mode (got {len(sd)})")
+    if found:
+        raise ModesError(source, found)
+    columns = np.array(chosen) - 1
+    for name, values in {"Fn": frequencies, **({} if sd is None else {"Fn_std": sd})}.items():
+        found += [
+            f"{name}: mode {k + 1} must be positive and finite (got {values[k]} Hz)"
+            for k in columns
+            if not (np.isfinite(values[k]) and values[k] > 0)
+        ]
+    if found:
+        raise ModesError(source, found)
+    try:
+        shapes, mpc = real_shapes(phi[:, columns], least_mpc)
+    except ValueError as error:
+        raise ModesError(source, [str(error)]) from None
+    labels = tuple(map(str, chosen))
+    return Modes(
+        frequencies[columns],
+        labels,
+        None if sd is None else sd[columns],
+        tuple((place, str(direction)) for place, direction in sensors),
+        shapes,
+        mpc,
+    )
+
+
+def save_pyoma(path: Path, result: Any) -> None:
+    """Write what `pyoma_modes` needs of a result into an ``.npz`` file, for a configuration to name."""
+    given = {name: _attribute(result, name) for name in (*_KEPT, "setups_used")}
+    if given["setups_used"] is not None:
+        given["Fn_std"] = None
+    arrays: dict[str, Any] = {name: np.asarray(given[name]) for name in _KEPT if given[name] is not None}
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def load_pyoma(path: Path) -> dict[str, Any]:
+    """Return what `save_pyoma` wrote; nothing is unpickled.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        If it is no such file.
+    """
+    from fmu.formats.matrices.files import RefusedError, zipped
+
+    checked_file(path)
+    try:
+        shapes = zipped(path)
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: file[name] for name in _KEPT if name in shapes}
+    except RefusedError as refused:
+        raise ModesError(path.name, [str(refused)]) from None
+    except Exception as error:  # whatever a broken file makes zipfile and NumPy raise
+        raise ModesError(
+            path.name, [f"must be a file of fmu.formats.modes.pyoma.save_pyoma ({in_words(error)})"]
+        ) from error
+    wrong = [
+        f"{name}: must be numbers (got {part.dtype})"
+        for name, part in found.items()
+        if part.dtype.kind not in "fiuc"
+    ]
+    wrong += [
+        f"{name}: must be real numbers (got complex ones)"
+        for name in ("Fn", "Fn_std")
+        if name in found and found[name].dtype.kind == "c"
+    ]
+    if wrong:
+        raise ModesError(path.name, wrong)
+    return found
+
+
+def _attribute(result: Any, name: str) -> Any:
+    return result.get(name) if isinstance(result, Mapping) else getattr(result, name, None)

@@ -1,0 +1,203 @@
+"""Mode shapes in universal files: dataset 55, "Data at Nodes", by way of pyuff.
+
+The format is that of the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
+Formats for Modal Analysis Testing*). Its numbers have six significant digits: that much of a frequency and a shape
+survives being written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.formats.modes.measured_modes import LEAST_MPC, Modes, ModesError, checked_file, real_shapes
+from fmu.formats.modes.uff_datasets import REAL, SHAPES, datasets, imported_pyuff
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def read_uff(
+    path: Path,
+    nodes: Mapping[Any, Any] | None = None,
+    modes: Sequence[int] | None = None,
+    sensors: Sequence[tuple[Any, str]] | None = None,
+    least_mpc: float = LEAST_MPC,
+) -> Modes:
+    """Return the modes of a universal file.
+
+    Parameters
+    ----------
+    path : Path
+    nodes : mapping of node number to place, optional
+        What the nodes of the file are in the model; the others are left out. Without it every node is the place
+        that has its number.
+    modes : sequence of int, optional
+        Numbers of modes in the file, in the order wanted; all, in the order of the file, if not given.
+    sensors : sequence of (place, direction), optional
+        What was measured. The format fills what was not with zeros; so, if not given, everything that is not zero
+        in all modes of the file. A direction may have a minus before it.
+    least_mpc : float
+        Complex shapes are turned to real ones, see `fmu.formats.modes.measured_modes.real_shapes`.
+
+    Returns
+    -------
+    Modes
+        Labels are the numbers of the modes in the file. Of a complex mode the frequency is |s|/2π of its
+        eigenvalue s. Coordinates come from datasets 15 and 2411; shapes are in global directions, as the format
+        says they are.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ImportError
+        If pyuff is not installed.
+    ModesError
+        If the file cannot be read, or has no such modes, nodes or sensors.
+    """
+    mode_sets, node_sets = datasets(checked_file(path))
+    by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
+    if not mode_sets:
+        raise ModesError(path.name, ["must have mode shapes, dataset 55 of analysis type 2, 3 or 7 (got none)"])
+    if len(by_number) < len(mode_sets):
+        twice = [int(mode["mode_n"]) for mode in mode_sets]
+        raise ModesError(path.name, [f"must have each mode once (got the numbers {twice})"])
+    chosen = list(by_number) if modes is None else [int(number) for number in modes]
+    missing = [number for number in chosen if number not in by_number]
+    if missing or not chosen:
+        raise ModesError(path.name, [f"modes: must be some of {sorted(by_number)} (got {chosen})"])
+    place_of = _places(path, nodes, mode_sets)
+    values = {number: _values(mode, place_of) for number, mode in by_number.items()}
+    seen = _seen(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
+    table = np.array([[_at(values[number], sensor) for number in chosen] for sensor in seen])
+    frequencies = np.array([_frequency(by_number[number]) for number in chosen])
+    wrong = [f"{n} at {f} Hz" for n, f in zip(chosen, frequencies, strict=True) if not f > 0]
+    if wrong:
+        raise ModesError(path.name, [f"modes: must have frequencies above 0 Hz (got {', '.join(wrong)})"])
+    if not seen:
+        raise ModesError(path.name, ["shapes: must move at one of the nodes (got zeros)"])
+    try:
+        shapes, mpc = real_shapes(table, least_mpc)
+    except ValueError as error:
+        raise ModesError(path.name, [str(error)]) from None
+    is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
+    positions = {place_of[node]: xyz for node, xyz in _positions(node_sets).items() if node in place_of}
+    return Modes(
+        frequencies,
+        tuple(map(str, chosen)),
+        None,
+        tuple(seen),
+        shapes if is_complex else table.real,
+        mpc if is_complex else None,
+        positions,
+    )
+
+
+def write_uff(
+    path: Path,
+    frequencies_hz: ArrayLike,
+    shapes: ArrayLike,
+    sensors: Sequence[tuple[Any, str]],
+    numbers: Sequence[int],
+    nodes: Mapping[Any, Any] | None = None,
+) -> None:
+    """Write real mode shapes as dataset 55, a set a mode.
+
+    Parameters
+    ----------
+    path : Path
+        What there is already is replaced.
+    frequencies_hz : array_like, shape (n_modes,)
+    shapes : array_like, shape (n_sensors, n_modes)
+    sensors : sequence of (place, direction)
+    numbers : sequence of int
+        Of the modes.
+    nodes : mapping of node number to place, optional
+        As in `read_uff`; needed where a place is no number.
+
+    Raises
+    ------
+    ImportError
+        If pyuff is not installed.
+    ValueError
+        If a place has no node number, or two sensors are one.
+    """
+    number_of = {place: int(node) for node, place in (nodes or {}).items()}
+    node_numbers = []
+    for place, _ in sensors:
+        if place not in number_of and not isinstance(place, int | np.integer):
+            raise ValueError(f"nodes: must say which node number {place!r} is")
+        node_numbers.append(number_of.get(place, place))
+    directions = [direction.removeprefix("-") for _, direction in sensors]
+    if len(set(zip(node_numbers, directions, strict=True))) < len(directions):
+        raise ValueError("sensors: must be distinct nodes or directions")
+    written = sorted(set(node_numbers))
+    columns = DIRECTIONS if any(direction.startswith("r") for direction in directions) else DIRECTIONS[:3]
+    sign = np.array([-1.0 if direction.startswith("-") else 1.0 for _, direction in sensors])
+    sets = []
+    for number, frequency, shape in zip(numbers, np.asarray(frequencies_hz), np.asarray(shapes).T, strict=True):
+        table = np.zeros((len(written), len(columns)))
+        for node, direction, value in zip(node_numbers, directions, sign * shape, strict=True):
+            table[written.index(node), columns.index(direction)] = value
+        sets.append(
+            {"type": SHAPES, "analysis_type": 2, "data_ch": 2 if len(columns) == 3 else 3, "spec_data_type": 8}
+            | {"load_case": 0, "mode_n": int(number), "freq": float(frequency), "node_nums": written}
+            | {f"r{i + 1}": table[:, i] for i in range(len(columns))}
+        )
+    with imported_pyuff() as pyuff:
+        pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+
+
+def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, Any]]) -> dict[int, Any]:
+    """Return the place of each node of the file that counts."""
+    there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
+    if nodes is None:
+        return {node: node for node in there}
+    place_of = {int(node): place for node, place in nodes.items()}
+    missing = sorted(set(place_of) - set(there))
+    if missing:
+        raise ModesError(path.name, [f"nodes: must be some of {_short(there)} (got {_short(missing)})"])
+    return place_of
+
+
+def _values(mode: dict[str, Any], place_of: dict[int, Any]) -> dict[tuple[Any, str], complex]:
+    """Return what moves in a mode, by place and direction."""
+    return {
+        (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
+        for i, direction in enumerate(DIRECTIONS)
+        if f"r{i + 1}" in mode
+        for k, node in enumerate(mode["node_nums"])
+        if int(node) in place_of
+    }
+
+
+def _seen(values: dict[int, dict[tuple[Any, str], complex]]) -> list[tuple[Any, str]]:
+    """Return what moves in one mode at least, in the order of the file."""
+    everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
+    return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
+
+
+def _at(mode: dict[tuple[Any, str], complex], sensor: tuple[Any, str]) -> complex:
+    place, direction = sensor
+    value = mode.get((place, direction.removeprefix("-")), 0.0)
+    return -value if direction.startswith("-") else value
+
+
+def _frequency(mode: dict[str, Any]) -> float:
+    return float(mode["freq"]) if mode["analysis_type"] in REAL else float(abs(mode["eig"]) / (2.0 * np.pi))
+
+
+def _positions(sets: list[dict[str, Any]]) -> dict[int, tuple[float, float, float]]:
+    return {
+        int(node): (float(x), float(y), float(z))
+        for one in sets
+        for node, x, y, z in zip(one["node_nums"], one["x"], one["y"], one["z"], strict=True)
+    }
+
+
+def _short(numbers: Sequence[int]) -> str:
+    return str(list(numbers)) if len(numbers) <= 12 else f"[{', '.join(map(str, numbers[:12]))}, …]"

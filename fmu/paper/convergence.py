@@ -1,0 +1,137 @@
+"""How many model solves a mean costs: running errors, and the length at which a run became convincing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.paper.reference import Reference
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+POINTS_PER_DECADE = 15
+GROWTH = 1.25
+SHORTEST = 50
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The error of the running mean of every chain.
+
+    Attributes
+    ----------
+    solves : ndarray, shape (points,)
+        Model solves of one chain (one ensemble), those of its warm-up counted, averaged over the chains.
+    error : ndarray, shape (chains, points)
+        Root mean square over the parameters of (running mean − reference mean)/reference sd.
+    """
+
+    solves: FloatArray
+    error: FloatArray
+
+
+@dataclass(frozen=True)
+class Needed:
+    """When a run began to pass for converged, and from then on did at every length looked at.
+
+    Attributes
+    ----------
+    draws : int or None
+        Steps kept; None if that did not happen within the run.
+    solves : int or None
+        Model solves of all chains up to there, warm-up counted.
+    """
+
+    draws: int | None
+    solves: int | None
+
+
+def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
+    """Follow the mean of each chain as its draws come in, at lengths that grow geometrically."""
+    from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
+
+    walkers = walkers_of(trace)
+    draws = parameter_draws(trace)
+    chains, total, ndim = draws.shape
+    steps = total // walkers
+    standardised = (draws - reference.mean) / reference.sd
+    per_step = standardised.reshape(chains, steps, walkers, ndim).mean(axis=2)
+    lengths = lengths_up_to(steps, 10.0 ** (1 / POINTS_PER_DECADE), 1)
+    means = np.cumsum(per_step, axis=1)[:, lengths - 1] / lengths[:, np.newaxis]
+    solves = solves_by_step(trace).mean(axis=0)[lengths - 1]
+    return Curve(solves, np.sqrt(np.mean(means**2, axis=2)))
+
+
+def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
+    """Find the shortest run that would have passed for converged, and every longer one looked at too.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    failures : callable
+        Says why a trace must not be called converged: `fmu.analysis.convergence.diagnostics.convergence_failures`, or more.
+
+    Notes
+    -----
+    The warm-up is what it was; the draws are cut off at lengths that grow by `GROWTH`. Looking from the whole run
+    backwards and stopping at the first failure guards against lengths that pass by luck.
+    """
+    from fmu.analysis.convergence.diagnostics import walkers_of
+
+    walkers = walkers_of(trace)
+    steps = trace["posterior"].sizes["draw"] // walkers
+    solves = solves_by_step(trace).sum(axis=0)
+    needed = Needed(None, None)
+    for length in lengths_up_to(steps, GROWTH, SHORTEST)[::-1]:
+        if failures(shortened(trace, int(length) * walkers)):
+            break
+        needed = Needed(int(length), int(solves[length - 1]))
+    return needed
+
+
+def solves_at_this_pace(trace: xr.DataTree) -> int | None:
+    """Return how many model solves a run would take for the effective sample size that the verdict asks for.
+
+    In proportion to the smallest bulk or tail ESS of the draws at hand, warm-up left out; None where that is NaN.
+    """
+    from fmu.analysis.convergence.diagnostics import ESS_LIMIT, summary
+
+    ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
+    solves = int(trace["sample_stats"]["n_solves"].sum())
+    return round(solves * ESS_LIMIT / ess) if ess > 0 else None
+
+
+def solves_by_step(trace: xr.DataTree) -> IntArray:
+    """Return each chain's model solves up to every step kept, warm-up counted, shape (chains, steps)."""
+    from fmu.analysis.convergence.diagnostics import walkers_of
+
+    kept = trace["sample_stats"]["n_solves"].transpose("chain", "draw").to_numpy()
+    kept = kept.reshape(len(kept), -1, walkers_of(trace)).sum(axis=2)
+    before = trace["warmup_sample_stats"]["n_solves"].sum("draw").to_numpy()
+    return before[:, np.newaxis] + np.cumsum(kept, axis=1)
+
+
+def shortened(trace: xr.DataTree, draws: int) -> xr.DataTree:
+    """Return the first `draws` draws of a trace, as far as a verdict needs them."""
+    import xarray as xr
+
+    groups = {name: trace[name].to_dataset().isel(draw=slice(0, draws)) for name in ("posterior", "sample_stats")}
+    short = xr.DataTree.from_dict(groups)
+    short.attrs = dict(trace.attrs)
+    return short
+
+
+def lengths_up_to(total: int, growth: float, first: int) -> IntArray:
+    """Return whole numbers from `first` to `total`, each about `growth` times the one before."""
+    if total <= first:
+        return np.array([total])
+    count = int(np.ceil(np.log(total / first) / np.log(growth))) + 1
+    return np.unique(np.geomspace(first, total, count).round().astype(int))

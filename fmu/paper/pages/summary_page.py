@@ -1,0 +1,162 @@
+"""The page that opens the results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from fmu.numbers import about, fixed, share, significant, whole, with_interval
+from fmu.paper.experiment import PAIRED_BY
+from fmu.paper.findings import Findings
+from fmu.paper.pages.page import ENDS
+from fmu.paper.pages.run_sections import WOULD_NEED
+from fmu.paper.pages.vector_beta_page import outcome
+from fmu.paper.published.claims import judge, statement
+from fmu.paper.vector_beta import RELATIVE, VectorBeta
+from fmu.report.markdown import table
+from fmu.report.plots import TITLES
+
+FILES = {
+    "errata.md": "what in the paper is not so, from its tables and the model",
+    "recomputed.md, recomputed.csv": "the forty published frequencies, recomputed",
+    "vector-beta.md, .csv, .png": "β as a vector, which the paper proposes and does not try",
+    "*/tables.md": "one experiment with one pairing: the paper's tables beside ours, convergence, cost, maxima",
+    "*/parameters.csv, */frequencies.csv, */comparison.csv, */maxima.csv": "the same numbers, SI units, in full",
+    "*/trace-*.png, */corner-*.png, */frequencies-*.png": "paths, posterior and frequency errors of each sampler",
+    "*/convergence.png": "error of the mean against model solves, all samplers",
+    "*/report/index.html": "a report on the long runs, to open in a browser",
+    "traces/*.nc": "the traces (ArviZ, netCDF); made by the command, not kept in git",
+    "manifest.json": "what the command wrote: the next run replaces these files and nothing else",
+}
+
+
+def summary_page(
+    everything: Sequence[Findings], recomputed: tuple[int, int], seed: int, versions: Mapping[str, str]
+) -> str:
+    """Return results/README.md.
+
+    Parameters
+    ----------
+    everything : sequence of Findings
+    recomputed : tuple of int
+        How many published frequencies came out, and of how many.
+    seed : int
+    versions : mapping of str to str
+    """
+    parts = [
+        "# Results\n",
+        "Both experiments of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in "
+        "Bayesian Finite Element Model Updating*, repeated. Written by `fmu paper`; every number is computed.\n",
+        f"- {recomputed[0]} of {recomputed[1]} published frequencies come out of one model "
+        "([recomputed.md](recomputed.md)); where the paper errs, [errata.md](errata.md) says how.\n"
+        + "".join(f"- [{f.name}]({f.name}/tables.md): {_in_a_line(f)}\n" for f in everything),
+        "## Posterior means\n",
+    ]
+    for findings in everything:
+        parts += [_means(findings)]
+    parts += ["## What a converged run costs\n", _costs(everything)]
+    parts += ["## Which sampler is best\n"]
+    parts += [
+        "By effective draws per model solve: smallest bulk ESS over the parameters, divided by all solves, "
+        "warm-up counted.\n"
+    ]
+    parts += [statement(findings).strip() + "\n" for findings in everything]
+    parts += ["### Against the paper's conclusions\n", _claims(everything)]
+    studies = [findings.weighted for findings in everything if findings.weighted is not None]
+    if studies:
+        parts += ["## A β for every mode\n", _remark(studies)]
+    parts += ["## Files\n", table(("file", "what it is"), FILES.items(), words=(0, 1))]
+    parts += ["## How it was made\n", _how(seed, versions)]
+    return "\n".join(parts)
+
+
+def _in_a_line(findings: Findings) -> str:
+    done = [TITLES[s] for s in findings.comparison.index if findings.is_converged(s)]
+    open_ = [TITLES[s] for s in findings.comparison.index if not findings.is_converged(s)]
+    words = f"section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}. "
+    words += f"Converged: {', '.join(done) or 'none'}"
+    return words + (f"; not converged: {', '.join(open_)}." if open_ else ".")
+
+
+def _means(findings: Findings) -> str:
+    """Return one row a source and one column a parameter, in the paper's units."""
+    names = list(findings.parameters.index)
+    units = [findings.unit_of_paper(name) for name in names]
+
+    def row(words: str, column: str) -> list[str]:
+        return [words, *(fixed(findings.in_paper_units(n, column)[0], 3) for n in names)]
+
+    rows = [row("start", "published_initial")]
+    if findings.published.columns["initial"].corrected_parameters:
+        rows[0][0] = "start, as printed (see the errata)"
+    rows += [row("maximum of the posterior", "maximum")]
+    for name in findings.comparison.index:
+        if f"published_{name}" in findings.parameters:
+            rows.append(row(f"{TITLES[name]}, published", f"published_{name}"))
+            rows.append(row(f"{TITLES[name]}, the paper's protocol, ours", f"paper_{name}"))
+        verdict = "converged" if findings.is_converged(name) else "not converged"
+        cells = []
+        for n in names:
+            mean, low, high = findings.in_paper_units(n, *(f"long_{name}_{end}" for end in ("mean", *ENDS)))
+            cells.append(with_interval(mean, low, high, 3))
+        rows.append([f"**{TITLES[name]}, long run ({verdict})**", *cells])
+    if not any(map(findings.is_converged, findings.comparison.index)):
+        rows.append(row(f"*{findings.origin}*", "reference_mean"))
+    header = ["", *(f"{n}, {u[1]}" for n, u in zip(names, units, strict=True))]
+    return f"### Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}\n\n" + table(
+        header, rows
+    )
+
+
+def _costs(everything: Sequence[Findings]) -> str:
+    rows = []
+    for findings in everything:
+        for name in findings.comparison.index:
+            needed = findings.value(name, "needed_solves")
+            rows.append((
+                findings.name, TITLES[name], "yes" if findings.is_converged(name) else "**no**",
+                whole(needed) if needed == needed else f"more than {whole(findings.value(name, 'n_solves'))}",
+                significant(findings.value(name, "ess_per_solve") if findings.is_converged(name) else None, 2),
+                whole(findings.value(name, "paper_solves")), fixed(findings.value(name, "paper_error"), 1),
+                about(findings.value(name, "paper_needed_solves")),
+            ))  # fmt: skip
+    header = (
+        "experiment", "sampler", "converged", "solves to converge", "ESS per solve",
+        "the paper's protocol: solves", "its worst mean, sd off", "would need",
+    )  # fmt: skip
+    return (
+        "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
+        "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
+        f"differences there, as the paper does, and exact gradients in the long runs. {WOULD_NEED}\n\n"
+        + table(header, rows, words=(0, 1, 2))
+    )
+
+
+def _claims(everything: Sequence[Findings]) -> str:
+    rows = [
+        (f"{findings.published.section}, {PAIRED_BY[findings.pairing]}", j.statement, j.outcome, j.evidence)
+        for findings in everything
+        for j in judge(findings)
+    ]
+    return (
+        table(("experiment", "the paper", "this run", "why"), rows, words=range(4))
+        + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
+        "posterior have one mean: where their tables differ by more than Monte-Carlo error, a run was too "
+        "short, or sat in another mode.\n"
+    )
+
+
+def _remark(studies: Sequence[VectorBeta]) -> str:
+    return (
+        "The paper blames the one β for the error of mode 1, and expects a vector to lower it (section 5.1). With "
+        f"σ = {share(RELATIVE)} of each measured frequency, sampled by HMC ([vector-beta.md](vector-beta.md)):\n\n"
+        + "".join(f"- {outcome(study)}\n" for study in studies)
+    )
+
+
+def _how(seed: int, versions: Mapping[str, str]) -> str:
+    listed = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return (
+        "```\nmake paper        # sets up .venv and runs the next line\nfmu paper --out results\n```\n\n"
+        f"Seed {seed}; {listed}. The same versions on the same kind of machine give the same draws, bit for "
+        "bit; times differ.\n"
+    )

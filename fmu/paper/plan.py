@@ -1,0 +1,111 @@
+"""What is run: the paper's protocol and the long runs, with all their lengths and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from fmu.paper.published.tables import EXPERIMENTS, N_SAMPLES
+from fmu.samplers.kernel import Sampler
+
+PAPER_SAMPLERS = ("mh", "slice", "hmc")
+SAMPLERS = (*PAPER_SAMPLERS, "emcee")
+PAIRINGS = ("index", "shape")
+
+
+@dataclass(frozen=True)
+class Length:
+    """Steps kept, steps before them, and chains (ensembles for emcee)."""
+
+    draws: int
+    warmup: int
+    chains: int
+
+    @property
+    def steps(self) -> int:
+        """Steps in all."""
+        return self.warmup + self.draws
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is run, and for how long.
+
+    Attributes
+    ----------
+    experiments : tuple of (case, pairing)
+        In the order of the pages.
+    paper : Length
+        The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
+    pace : mapping of str to Length
+        The paper's settings once more, from draws of the posterior: what an effective draw costs with them.
+    long : mapping of str to Length
+        The long runs, one a sampler, from draws of the prior.
+    weighted : tuple of (case, pairing)
+        Of the experiments, those repeated by HMC with a β for every mode.
+    starts : int
+        From how many points maxima are searched.
+    box_points : int
+        Points of the parameter box at which the spectrum is looked at.
+    seed : int
+    """
+
+    experiments: tuple[tuple[str, str], ...] = tuple(
+        (case, pairing) for case in EXPERIMENTS for pairing in PAIRINGS
+    )
+    paper: Length = Length(N_SAMPLES, 0, 1)
+    pace: Mapping[str, Length] = field(
+        default_factory=lambda: {
+            "mh": Length(10 * N_SAMPLES, 0, 4),
+            "slice": Length(N_SAMPLES, 0, 4),
+            "hmc": Length(N_SAMPLES, 0, 4),
+        }
+    )
+    long: Mapping[str, Length] = field(
+        default_factory=lambda: {
+            "mh": Length(20_000, 2_000, 4),
+            "slice": Length(4_000, 500, 4),
+            "hmc": Length(2_000, 1_000, 4),
+            "emcee": Length(4_000, 500, 4),
+        }
+    )
+    weighted: tuple[tuple[str, str], ...] = (
+        ("cantilever-young", "index"),
+        ("cantilever-young", "shape"),
+        ("cantilever-section", "shape"),
+    )
+    starts: int = 256
+    box_points: int = 2**14
+    seed: int = 1
+
+    @property
+    def steps(self) -> int:
+        """Steps of one experiment in all."""
+        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values())
+        return sum(length.steps for length in runs)
+
+
+def paper_settings(name: str) -> Sampler:
+    """Return a sampler of the paper with settings fixed by hand, in the units of the scaled view.
+
+    The paper prints no step size and no width; these let its samplers move. HMC has the numerical gradient of
+    eq. (15), and trajectories of one length.
+    """
+    from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice
+
+    settings: dict[str, Sampler] = {
+        "mh": MetropolisHastings(RandomWalk(0.01)),
+        "slice": Slice(scheme="hyperrectangle", width=0.5),
+        "hmc": HamiltonianMonteCarlo(gradient="central-difference", step_size=0.001, n_steps=10, jitter=0.0),
+    }
+    return settings[name]
+
+
+def long_settings(name: str) -> Sampler:
+    """Return the settings of a long run: the defaults; for emcee its moves of differential evolution.
+
+    They mix about four times as fast here as emcee's default, the stretch move.
+    """
+    from fmu.samplers import Ensemble, named
+
+    return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else named(name)

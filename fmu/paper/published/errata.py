@@ -1,0 +1,199 @@
+"""What in the paper is not so, worked out from its own tables and the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fmu.numbers import fixed, given, share, significant
+from fmu.paper.published import spectrum
+from fmu.paper.published.tables import EXPERIMENTS
+from fmu.report import markdown
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+YOUNG, SECTION = EXPERIMENTS
+RARE = 5e-4
+
+
+class Erratum(NamedTuple):
+    """Where it stands, what is printed, what the model or the table itself gives, and how one knows."""
+
+    place: str
+    printed: str
+    found: str
+    evidence: str
+
+
+def computed_errata(
+    by_number: Mapping[str, UpdatingProblem], by_shape: Mapping[str, UpdatingProblem], box_points: int
+) -> list[Erratum]:
+    """Return every erratum that follows from the tables and the model.
+
+    Parameters
+    ----------
+    by_number, by_shape : mapping of str to UpdatingProblem
+        The experiments' problems under both pairings, by case.
+    box_points : int
+        Points of the parameter box at which the spectrum is looked at; a power of two.
+    """
+    return [
+        *_mode_pairing(by_number[YOUNG], by_shape[YOUNG]),
+        *(erratum for case in EXPERIMENTS for erratum in _over_the_box(case, by_number[case], box_points)),
+        *(erratum for case in EXPERIMENTS for erratum in _parameters(case, by_number[case])),
+        *(erratum for case in EXPERIMENTS for erratum in _frequencies(case, by_number[case])),
+        *(erratum for case in EXPERIMENTS for erratum in _errors(case)),
+    ]
+
+
+def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
+    """Which modes the paper's numbers are at the start of section 5.1."""
+    experiment = EXPERIMENTS[YOUNG]
+    start = experiment.columns["initial"]
+    numbers = by_number.data.numbers
+    lowest = spectrum.lowest_modes(by_number, start.theta, max(numbers))
+    wanted = spectrum.paired_names(by_shape, start.theta[np.newaxis])[0]
+    frequency = by_shape.frequencies(start.theta)
+    order = " ".join(name for name, _ in lowest)
+    for i, number in enumerate(numbers):
+        name, hz = lowest[number - 1]
+        if name == wanted[i]:
+            continue
+        error = experiment.error_percent(frequency)[i]
+        yield Erratum(
+            f"Table {experiment.frequency_table}, mode {i + 1}",
+            f"measured {experiment.measured[i]} Hz is mode number {number}: initially {start.frequencies[i]} "
+            f"Hz, error {start.errors[i]} %",
+            f"number {number} is {name} ({fixed(hz, 2)} Hz), {_words(name)}; the measured mode is {wanted[i]} "
+            f"({fixed(frequency[i], 2)} Hz, error {fixed(error, 2)} %)",
+            f"the spectrum at the start runs {order}; the accelerometers measure motion in the weak plane",
+        )
+
+
+def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[Erratum]:
+    """Where the number of a mode does not say which mode it is."""
+    experiment = EXPERIMENTS[case]
+    everywhere = spectrum.shares_over_the_box(problem, points)
+    for i, (number, parts) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):
+        seen = {name: part for name, part in parts.items() if part >= RARE}
+        if len(seen) < 2:
+            continue
+        at = [
+            f"{column.title}: {spectrum.paired_names(problem, column.theta[np.newaxis])[0, i]}"
+            for column in experiment.columns.values()
+        ]
+        yield Erratum(
+            f"Section {experiment.section}, mode {i + 1}",
+            f"one mode, number {number} of the spectrum",
+            "over the parameter box it is " + ", ".join(f"{name} in {share(part)}" for name, part in seen.items()),
+            f"{points} quasi-random points of the box; at the vectors of Table {experiment.parameter_table} "
+            f"it is " + ", ".join(at),
+        )
+
+
+def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
+    """Parameters that do not belong to the frequencies beside them, or lie outside the paper's own bounds."""
+    experiment = EXPERIMENTS[case]
+    names = experiment.parameter_names
+    for column in experiment.columns.values():
+        place = f"Table {experiment.parameter_table}, {column.title}"
+        if column.corrected_parameters:
+            wrong = problem.frequencies(column.printed_theta)
+            right = problem.frequencies(column.theta)
+            cells = ", ".join(f"{names[j]} = {column.parameters[j]}" for j in column.corrected_parameters)
+            meant = ", ".join(
+                f"{names[j]} = {significant(value, 3)}" for j, value in column.corrected_parameters.items()
+            )
+            yield Erratum(
+                place, cells, meant,
+                f"as printed the model gives {_list(wrong)} Hz; with the values found {_list(right)} Hz; Table "
+                f"{experiment.frequency_table} says {', '.join(map(str, column.frequencies))} Hz",
+            )  # fmt: skip
+        for j, value in enumerate(column.printed_theta):
+            low, high = problem.lower[j], problem.upper[j]
+            if not low <= value <= high:
+                yield Erratum(
+                    f"{place}, {names[j]}", str(column.parameters[j]),
+                    f"outside its bounds [{significant(low, 3)}, {significant(high, 3)}]",
+                    f"section {experiment.section} gives the bounds; the column's frequencies do belong to this "
+                    "value",
+                )  # fmt: skip
+
+
+def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
+    """Frequencies that their own error column contradicts."""
+    experiment = EXPERIMENTS[case]
+    for column in experiment.columns.values():
+        for i, meant in column.corrected_frequencies.items():
+            model = problem.frequencies(column.theta)[i]
+            error = experiment.error_percent(column.printed_hz)[i]
+            yield Erratum(
+                f"Table {experiment.frequency_table}, {column.title}, mode {i + 1}",
+                f"{column.frequencies[i]} Hz, error {column.errors[i]} %",
+                f"{given(meant)} Hz",
+                f"the error of the printed frequency is {fixed(error, 2)} %; the model at the column's parameters "
+                f"gives {fixed(model, 2)} Hz, error "
+                f"{fixed(experiment.error_percent(problem.frequencies(column.theta))[i], 2)} %",
+            )
+
+
+def _errors(case: str) -> Iterator[Erratum]:
+    """Errors that do not follow from the frequency beside them, even if that was rounded."""
+    experiment = EXPERIMENTS[case]
+    for name, column in experiment.columns.items():
+        for i in experiment.inconsistent_errors(name):
+            if i in column.corrected_frequencies:
+                continue
+            cell = column.frequencies[i]
+            rounded = (cell.value - cell.half_unit, cell.value + cell.half_unit)
+            ends = [float(100 * abs(hz - experiment.measured_hz[i]) / experiment.measured_hz[i]) for hz in rounded]
+            yield Erratum(
+                f"Table {experiment.frequency_table}, {column.title}, error of mode {i + 1}",
+                f"{column.errors[i]} %",
+                f"{fixed(experiment.error_percent(column.printed_hz)[i], 3)} %",
+                f"|{cell} − {experiment.measured[i]}|/{experiment.measured[i]}; rounding of the frequency "
+                f"allows {fixed(min(ends), 3)} to {fixed(max(ends), 3)} %",
+            )
+
+
+ALGORITHMS = """\
+These concern formulas and the listing of algorithms; no number computed here bears on them. The samplers follow
+the corrected version.
+
+- **Section 4.2, step 3** tests "Y ≤ P(E_0|E)", the old point, which is always true. It must test the candidate:
+  Y ≤ P(E_1|D).
+- **Section 4.2, step 4** repeats step 3 alone. Every sample needs a new level Y and a new interval around the new
+  point: steps 1 to 3.
+- **Section 4.2 against section 5.** What is listed moves all coordinates at once (Neal 2003, figure 8); the text
+  of section 5 speaks of a sampler that moves one coordinate at a time. They are two samplers, and both are here:
+  `Slice(scheme="hyperrectangle")` and `Slice(scheme="coordinate")`.
+- **Equation (3)** is labelled (2).
+- **Equation (9)** leaves out the evidence P(D): with Z_s = Z_D·Z_E, (8) is not normalised.
+- **Equation (15)** perturbs all coordinates at once as printed; a partial derivative perturbs one at a time.
+"""
+
+
+def errata_page(errata: list[Erratum]) -> str:
+    """Return errata.md."""
+    planes = ", ".join(f"{letter}: {words}" for letter, words in spectrum.PLANES.items())
+    rows = [(str(k), *erratum) for k, erratum in enumerate(errata, start=1)]
+    return (
+        "# Errata\n\n"
+        "Of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite Element "
+        "Model Updating*. Every number below is computed from the paper's tables and the model that reproduces "
+        "them ([recomputed.md](recomputed.md)).\n\n"
+        f"## In the tables\n\nModes are named by their plane of motion and their number in it; {planes}.\n\n"
+        + markdown.table(("#", "where", "printed", "found", "evidence"), rows, words=range(5))
+        + f"\n## In the algorithms\n\n{ALGORITHMS}"
+    )
+
+
+def _words(name: str) -> str:
+    return spectrum.PLANES[name[0]]
+
+
+def _list(frequencies: object) -> str:
+    return ", ".join(fixed(f, 2) for f in np.asarray(frequencies, dtype=float))

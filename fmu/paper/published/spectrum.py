@@ -1,0 +1,89 @@
+"""Which physical mode a computed one is: its plane of motion, and its number there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from fmu.fem.modes.blocks import Modes
+    from fmu.fem.pairing.paired_model import PairedStructure
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+StrArray = NDArray[np.str_]
+
+PLANES = {"W": "bending in the weak plane", "S": "bending in the strong plane", "T": "torsion", "A": "axial"}
+_PLANE_OF = {"z": "W", "ry": "W", "y": "S", "rz": "S", "rx": "T", "x": "A"}
+_BATCH = 4096
+
+
+def structure_of(problem: UpdatingProblem) -> PairedStructure:
+    """Return the structure behind a problem; ValueError if it has none."""
+    from fmu.fem.pairing.paired_model import PairedStructure
+
+    if not isinstance(problem.model, PairedStructure):
+        raise ValueError(f"problem: must have a structure of beam elements (got {type(problem.model).__name__})")
+    return problem.model
+
+
+def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
+    """Return the name (``"W1"``, ``"S2"``, …) of the mode paired with each measured one, shape (n, n_modes).
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n, ndim)
+    """
+    structure = structure_of(problem)
+    parts = [structure.modes(theta[i : i + _BATCH]) for i in range(0, len(theta), _BATCH)]
+    return np.concatenate([_names(structure, modes) for modes in parts])
+
+
+def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
+    """Return name and frequency (Hz) of the lowest modes of the whole structure at one theta, ascending."""
+    from fmu.fem.modes.modal import frequency_hz
+
+    structure = structure_of(problem)
+    modes = structure.full.spectrum(theta[np.newaxis], count)
+    return list(
+        zip(_names(structure, modes)[0].tolist(), frequency_hz(modes.eigenvalues)[0].tolist(), strict=True)
+    )
+
+
+def shares(names: StrArray) -> dict[str, float]:
+    """Return the share of rows that each combination of names has, the commonest first."""
+    counts = Counter(" ".join(row) for row in names.tolist())
+    return {combination: count / len(names) for combination, count in counts.most_common()}
+
+
+def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) -> list[dict[str, float]]:
+    """Return, for each measured mode, in what share of the parameter box each physical mode is paired with it.
+
+    From a scrambled Sobol sequence over the bounds.
+
+    Parameters
+    ----------
+    points : int
+        A power of two.
+    """
+    from scipy.stats import qmc
+
+    unit = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed)).random_base2(int(np.log2(points)))
+    names = paired_names(problem, problem.lower + unit * (problem.upper - problem.lower))
+    return [shares(column[:, np.newaxis]) for column in names.T]
+
+
+def _names(structure: PairedStructure, modes: Modes) -> StrArray:
+    """Return plane and number in it; the blocks of a straight beam are its four planes of motion."""
+    planes = []
+    for block in structure.full.blocks:
+        letters = {_PLANE_OF[structure.structure.dofs[dof][1]] for dof in block.dofs}
+        if len(letters) != 1:
+            raise ValueError(f"structure: its planes of motion must not couple (got {sorted(letters)} coupled)")
+        planes.append(letters.pop())
+    if len(set(planes)) < len(planes):
+        raise ValueError(f"structure: every plane of motion must be one part (got {planes})")
+    return np.char.add(np.array(planes)[modes.block], (modes.rank + 1).astype(str))

@@ -1,0 +1,131 @@
+"""`fmu paper`: everything that is written, and the processes that compute it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fmu.engines.engine import default_workers, engine
+from fmu.paper.experiment import Result, compute, directory_of
+from fmu.paper.findings import Findings
+from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
+from fmu.paper.vector_beta import SAMPLER, VectorBeta, sample_weighted, side_by_side
+from fmu.progress import Report
+from fmu.report.files import OutputDirectory
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+TABLES = ("parameters", "frequencies", "comparison", "maxima")
+FIGURES = ("trace", "corner", "frequencies")
+
+
+def run_paper(
+    out: str | os.PathLike[str],
+    progress: Report | None = None,
+    plan: Plan | None = None,
+    workers: int | None = None,
+) -> None:
+    """Repeat both experiments of the paper with both pairings and write what came of it.
+
+    Parameters
+    ----------
+    out : path-like
+        Directory of the results. Only files that an earlier run wrote there are replaced or taken away.
+    progress : callable, optional
+        Called as ``progress(phase, done, total, info)``, one phase an experiment, and one a run with a vector β.
+    plan : Plan, optional
+        Lengths of the runs.
+    workers : int, optional
+        Processes that experiments are divided among, by default as many as there are CPUs; with 1, none but this
+        one. The numbers do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        If `out` holds files of other origin where results belong, before anything is computed.
+    """
+    from fmu.paper.pages.closing import write_closing_pages
+
+    plan = plan or Plan()
+    directory = OutputDirectory(out)
+    directory.check(file_names(plan))
+    with directory.staged() as stage:
+        # The experiments by number take longest: they go first, whatever the order on the pages.
+        tasks = sorted(plan.experiments, key=_by_shape)
+        with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:
+            found = {f.name: f for f in pool.lines(_one_of, (plan, stage), tasks, report=progress)}
+        write_closing_pages([found[directory_of(*experiment)] for experiment in plan.experiments], plan, stage)
+
+
+def _one_of(common: tuple[Plan, Path], experiment: tuple[str, str], progress: Report | None) -> Findings:
+    return run_experiment(*experiment, *common, progress)
+
+
+def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Report | None) -> Findings:
+    """Compute one experiment and write its directory and its traces below `stage`."""
+    from fmu.fem.modes.threads import single_thread
+
+    with single_thread():
+        result = compute(case, pairing, plan, progress)
+        weighted = _weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
+        findings = Findings.of(result, weighted)
+        write_experiment(result, findings, stage)
+    return findings
+
+
+def _weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
+    """Make the run with a β for every mode, and write its trace."""
+    from fmu.analysis.trace.conversion import save_trace
+
+    trace = sample_weighted(result, plan, progress)
+    (stage / "traces").mkdir(parents=True, exist_ok=True)
+    save_trace(trace, stage / "traces" / f"{result.name}-{SAMPLER}-vector-beta.nc")
+    return side_by_side(result, trace)
+
+
+def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
+    """Write tables, figures and traces of one experiment, and a report on its long runs."""
+    from fmu.analysis.trace.conversion import save_trace
+    from fmu.paper.pages.figures import write_figures
+    from fmu.paper.pages.page import experiment_page
+    from fmu.report.html import FOLDER, write_pages
+
+    directory, traces = stage / findings.name, stage / "traces"
+    for path in (directory, traces):
+        path.mkdir(parents=True, exist_ok=True)
+    for table in TABLES:
+        getattr(findings, table).to_csv(directory / f"{table}.csv")
+    (directory / "tables.md").write_text(experiment_page(findings), encoding="utf-8")
+    write_figures(result, findings.frequencies, directory)
+    write_pages(result.long, directory / FOLDER)
+    for name, trace in _traces(result):
+        save_trace(trace, traces / name)
+
+
+def file_names(plan: Plan) -> list[str]:
+    """Return the names of all files that are written, relative to the output directory."""
+    names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
+    for name in (directory_of(*experiment) for experiment in plan.experiments):
+        names += [f"{name}/tables.md", f"{name}/convergence.png"]
+        names += [f"{name}/{table}.csv" for table in TABLES]
+        names += [f"{name}/{figure}-{sampler}.png" for figure in FIGURES for sampler in SAMPLERS]
+        names += [f"{name}/report/{page}.html" for page in ("index", *SAMPLERS)]
+        names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
+        names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
+    weighted = [directory_of(*experiment) for experiment in plan.experiments if experiment in plan.weighted]
+    names += [f"traces/{name}-{SAMPLER}-vector-beta.nc" for name in weighted]
+    return names + ([f"vector-beta.{kind}" for kind in ("md", "csv", "png")] if weighted else [])
+
+
+def _by_shape(experiment: tuple[str, str]) -> bool:
+    return experiment[1] == "shape"
+
+
+def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
+    """Name the traces of an experiment."""
+    for kind, traces in (("paper", result.paper), ("long", result.long)):
+        for sampler, trace in traces.items():
+            yield f"{result.name}-{sampler}-{kind}.nc", trace

@@ -1,0 +1,148 @@
+"""What an updating problem is put together from: a model paired with the data, and the model of its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.candidates import SOFTNESS, SoftPairing
+from fmu.fem.pairing.paired_black_box import PairedBlackBox
+from fmu.fem.pairing.paired_model import SOFT, PairedStructure
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.frequency import FrequencyLikelihood, frequency_error
+from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.mixture import SoftLikelihood
+from fmu.posterior.errors.models import ErrorModel, FrequencyErrors
+from fmu.posterior.errors.residual import ModalResidual
+from fmu.posterior.parameters import Parameter
+
+ERRORS = ("frequency", "modal-residual")
+
+Likelihood = FrequencyLikelihood | JointLikelihood | ModalResidual
+
+
+def check_names(parameters: Sequence[Parameter]) -> None:
+    """Raise ValueError if two parameters share a name."""
+    names = [p.name for p in parameters]
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise ValueError(f"parameters: names must be distinct (got twice: {twice})")
+
+
+def paired_model(
+    model: SeparableModel | BlackBoxModel | ModalModel,
+    data: ModalData,
+    parameters: Sequence[Parameter],
+    pairing: str,
+    softness: float = SOFTNESS,
+) -> ModalModel:
+    """Return the model of the measured modes.
+
+    Parameters
+    ----------
+    model : SeparableModel, BlackBoxModel or ModalModel
+        The last are paired already.
+    data : ModalData
+    parameters : sequence of Parameter
+        The model's.
+    pairing : {"shape", "index", "soft"}
+    softness : float
+        Of the last.
+
+    Raises
+    ------
+    ValueError
+        If the model does not fit the parameters or the data.
+    """
+    if pairing == SOFT and not isinstance(model, SeparableModel):
+        raise ValueError(
+            f"pairing: soft needs a SeparableModel, with slopes of shapes (got {type(model).__name__})"
+        )
+    n = len(parameters)
+    if model.n_parameters != n:
+        raise ValueError(f"parameters: the model takes {model.n_parameters} (got {n})")
+    start = np.array([p.start for p in parameters], dtype=float)
+    shapes = None if data.shapes is None else np.asarray(data.shapes)
+    paired: Any = model
+    if isinstance(model, BlackBoxModel):
+        paired = PairedBlackBox(
+            model,
+            pairing=pairing,
+            start=start,
+            numbers=data.numbers,
+            shapes=shapes,
+            lower=np.array([p.lower for p in parameters]),
+            upper=np.array([p.upper for p in parameters]),
+            scale=np.array([p.prior.scale(p.lower, p.upper)[1] for p in parameters]),
+        )
+    elif isinstance(model, SeparableModel):
+        names = tuple(p.name for p in parameters)
+        if model.names not in (None, names):
+            raise ValueError(f"parameters: must be the model's, in its order {model.names} (got {names})")
+        paired = PairedStructure(
+            model,
+            pairing=pairing,
+            numbers=data.numbers,
+            sensors=data.sensors,
+            reference=start,
+            shapes=shapes,
+            counterparts=data.counterparts,
+            softness=softness,
+        )
+    if paired.n_modes != data.n_modes:
+        raise ValueError(f"data: the model pairs {paired.n_modes} modes (got {data.n_modes})")
+    return paired
+
+
+def likelihood_of(
+    error: str | ErrorModel | Sequence[ErrorModel],
+    beta: ArrayLike | None,
+    model: Any,
+    paired: ModalModel,
+    data: ModalData,
+    parameters: Sequence[Parameter],
+) -> Likelihood:
+    """Return the likelihood.
+
+    Parameters
+    ----------
+    error : str, ErrorModel or sequence of ErrorModel
+        See `fmu.posterior.problem.UpdatingProblem`.
+    beta : float or array_like, optional
+        Of the errors that have a name.
+    model, paired : ModalModel
+        As given, and paired with the data.
+    data : ModalData
+    parameters : sequence of Parameter
+        The model's.
+
+    Raises
+    ------
+    ValueError
+        If the error model is unknown or does not fit the data or the model, or `beta` is not wanted.
+    """
+    is_soft = isinstance(getattr(paired, "rule", None), SoftPairing)
+    if not isinstance(error, str):
+        if beta is not None:
+            raise ValueError(f"beta: must not be given beside error models, which have sd (got {beta})")
+        errors: Any = error if isinstance(error, Sequence) else [error]
+        return (SoftLikelihood if is_soft else JointLikelihood)(paired, data, errors)  # type: ignore[arg-type]
+    if error not in ERRORS:
+        raise ValueError(f"error: must be one of {ERRORS}, or error models (got {error!r})")
+    if error == "frequency":
+        if is_soft:
+            if data.covariance_hz2 is not None:
+                raise ValueError("pairing: soft needs errors independent from mode to mode (got covariance_hz2)")
+            sd = np.sqrt(0.5 / np.asarray(frequency_error(data, beta).beta))
+            return SoftLikelihood(paired, data, [FrequencyErrors("absolute", sd)])  # type: ignore[arg-type]
+        return FrequencyLikelihood(paired, frequency_error(data, beta))
+    if not isinstance(model, SeparableModel):
+        raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
+    start = np.array([p.start for p in parameters], dtype=float)
+    return ModalResidual(model, data, start, 1.0 if beta is None else beta)

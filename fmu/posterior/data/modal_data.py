@@ -1,0 +1,315 @@
+"""Measured modes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.formats.modes.csv import read_frequencies, read_shapes
+from fmu.formats.modes.measured_modes import LEAST_MPC, Modes
+from fmu.formats.modes.pyoma import pyoma_modes
+from fmu.formats.modes.uff import read_uff, write_uff
+from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
+from fmu.posterior.errors.correlated import checked_covariance
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ModalData:
+    """What a modal test gave, and how far it can be trusted.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (n_modes,)
+        Natural frequencies.
+    numbers : tuple of int
+        The number (from 1) of each measured mode in the sorted spectrum of the model, for pairing by number;
+        1, 2, … by default.
+    sensors : tuple of (node, direction)
+        Where the motion was measured and in which direction: a mode that moves no sensor was not measured.
+    shapes : ndarray, shape (n_sensors, n_modes), optional
+        Measured mode shapes at the sensors, in any scale.
+    labels : tuple of str
+        Names of the modes, ``"1"``, ``"2"``, … by default.
+    sd_hz : ndarray, shape (n_modes,), optional
+        Standard deviations of independent errors of the frequencies; a scalar stands for all modes.
+    covariance_hz2 : ndarray, shape (n_modes, n_modes), optional
+        Covariance of errors that depend on each other, instead of `sd_hz`.
+    shapes_sd : ndarray, shape (n_sensors, n_modes), optional
+        Standard deviation of the shapes' errors, in units of a shape that has unit length at the sensors. A scalar
+        stands for everything, one number a mode for all sensors.
+    counterparts : tuple of int, optional
+        For pairing by shape where no shapes were measured: which mode of the model before updating each measured
+        one answers to, from 1, among the elastic ones that the sensors can see. The lowest by default, in
+        ascending order.
+    tests : RepeatedTests, optional
+        The single tests that `frequencies_hz` are the mean of. The likelihood is of the mean; the tests tell where
+        one more of them would lie, and whether they are independent of each other.
+
+    Raises
+    ------
+    ValueError
+        If a frequency is not positive and finite, a shape is not finite or zero, the lengths differ, a standard
+        deviation is not positive, a covariance not positive definite, or counterparts are not distinct numbers
+        from 1 or not needed.
+    """
+
+    frequencies_hz: ArrayLike
+    numbers: tuple[int, ...] = ()
+    sensors: tuple[tuple[Any, str], ...] = ()
+    labels: tuple[str, ...] = ()
+    shapes: ArrayLike | None = None
+    sd_hz: ArrayLike | None = None
+    covariance_hz2: ArrayLike | None = None
+    shapes_sd: ArrayLike | None = None
+    counterparts: tuple[int, ...] = ()
+    tests: RepeatedTests | None = None
+
+    def __post_init__(self) -> None:
+        frequencies = np.array(self.frequencies_hz, dtype=float)
+        if frequencies.ndim != 1 or len(frequencies) == 0:
+            raise ValueError(f"frequencies_hz: must be a list of numbers (got shape {frequencies.shape})")
+        wrong = ~(np.isfinite(frequencies) & (frequencies > 0))
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(f"frequencies_hz.{at}: must be positive and finite (got {frequencies[at]} Hz)")
+        frequencies.flags.writeable = False
+        object.__setattr__(self, "frequencies_hz", frequencies)
+        n = len(frequencies)
+        object.__setattr__(self, "numbers", tuple(self.numbers) or tuple(range(1, n + 1)))
+        object.__setattr__(self, "labels", tuple(self.labels) or tuple(str(i + 1) for i in range(n)))
+        for name in ("numbers", "labels"):
+            if len(getattr(self, name)) != n:
+                raise ValueError(f"{name}: must be {n}, one a mode (got {len(getattr(self, name))})")
+
+        if len(set(self.labels)) < n:
+            raise ValueError(f"labels: must be distinct (got {self.labels})")
+        if self.shapes is not None:
+            shapes = np.array(self.shapes, dtype=float)
+            if shapes.shape != (len(self.sensors), n):
+                raise ValueError(
+                    f"shapes: must have shape {(len(self.sensors), n)}, sensors x modes (got {shapes.shape})"
+                )
+            if not np.all(np.isfinite(shapes)) or not np.all(np.any(shapes != 0.0, axis=0)):
+                raise ValueError("shapes: must be finite, and no mode zero at every sensor")
+            shapes.flags.writeable = False
+            object.__setattr__(self, "shapes", shapes)
+        self._check_uncertainty(n)
+        self._check_counterparts(n)
+        if self.tests is not None and np.shape(self.tests.frequencies_hz)[1] != n:
+            raise ValueError(f"tests: must be of {n} modes (got {np.shape(self.tests.frequencies_hz)[1]})")
+
+    def _check_counterparts(self, n: int) -> None:
+        given = tuple(self.counterparts)
+        object.__setattr__(self, "counterparts", given)
+        if not given:
+            return
+        if len(given) != n or len(set(given)) < n or min(given) < 1:
+            raise ValueError(f"counterparts: must be {n} distinct numbers from 1, one a mode (got {given})")
+        if self.shapes is not None:
+            raise ValueError("counterparts: must not be given beside shapes, which pair the modes")
+
+    def _check_uncertainty(self, n: int) -> None:
+        if self.sd_hz is not None and self.covariance_hz2 is not None:
+            raise ValueError("sd_hz: must not be given beside covariance_hz2")
+        if self.sd_hz is not None:
+            object.__setattr__(self, "sd_hz", _spread(self.sd_hz, "sd_hz", (n,), "one a mode"))
+        if self.covariance_hz2 is not None:
+            object.__setattr__(self, "covariance_hz2", checked_covariance(self.covariance_hz2, n))
+        if self.shapes_sd is not None:
+            if self.shapes is None:
+                raise ValueError("shapes_sd: must not be given without shapes")
+            full = (len(self.sensors), n)
+            object.__setattr__(self, "shapes_sd", _spread(self.shapes_sd, "shapes_sd", full, "sensors x modes"))
+
+    @classmethod
+    def from_tests(
+        cls,
+        frequencies: ArrayLike,
+        shapes: ArrayLike | None = None,
+        *,
+        scatter: str = "each",
+        numbers: tuple[int, ...] = (),
+        sensors: tuple[tuple[Any, str], ...] = (),
+        labels: tuple[str, ...] = (),
+    ) -> Self:
+        """Return the mean of several tests, with the uncertainty that their scatter tells.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n_tests, n_modes), Hz
+            NaN where a test missed a mode; every mode needs two values.
+        shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
+            In any scale and sign, all NaN where a test missed a mode; see `fmu.posterior.data.repeated.mean_shapes`.
+            Their scatter gives the standard deviation of the mean shapes (`fmu.posterior.data.repeated.shapes_sd`).
+        scatter : {"each", "pooled", "joint"}
+            Independent modes, each with the scatter of its own values; independent, and the same relative scatter
+            in all, for few tests; or a full covariance, for at least three tests more than modes. In all three
+            the spread is widened for how little few tests say of it: `fmu.posterior.data.repeated.mean_frequencies`.
+        numbers, sensors, labels
+            As of the class.
+
+        Raises
+        ------
+        ValueError
+            If a mode has too few values, they do not scatter, or two tests' shapes are of different modes.
+        """
+        tests = RepeatedTests(frequencies, scatter)
+        mean, sd, covariance = tests.mean()
+        average, spread = (None, None) if shapes is None else (mean_shapes(shapes), shapes_sd(shapes))
+        return cls(mean, numbers, sensors, labels, average, sd, covariance, spread, tests=tests)
+
+    @classmethod
+    def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
+        """Return the modes of a table of frequencies, with shapes from another.
+
+        Parameters
+        ----------
+        frequencies : path-like
+            Columns ``mode``, ``frequency`` (Hz) and, if known, ``number`` and ``sd`` (Hz).
+        shapes : path-like, optional
+            Columns ``place``, ``direction``, and one a mode with its name; see `fmu.formats.modes.csv`.
+
+        Raises
+        ------
+        ValueError
+            With every mistake, its line and its column.
+        FileNotFoundError
+            If there is no such file.
+        """
+        modes, numbers = read_frequencies(Path(frequencies))
+        shown = modes if shapes is None else read_shapes(Path(shapes), modes.labels)
+        return cls(modes.frequencies_hz, numbers, shown.sensors, modes.labels, shown.shapes, modes.sd_hz)
+
+    @classmethod
+    def from_uff(
+        cls,
+        path: str | os.PathLike[str],
+        nodes: Mapping[Any, Any] | None = None,
+        modes: Sequence[int] | None = None,
+        **options: Any,
+    ) -> Self:
+        """Return the modes of a universal file, dataset 55; needs pyuff.
+
+        Parameters
+        ----------
+        path : path-like
+        nodes : mapping of node number to place, optional
+            What nodes of the file are in the model; the others are left out. Without it each is its number.
+        modes : sequence of int, optional
+            Numbers of modes in the file; all if not given.
+        **options
+            ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; what else the class takes, as ``numbers``
+            or ``sd_hz``, of which the format knows nothing.
+
+        Raises
+        ------
+        ValueError
+            If the file has no such modes, or a shape is too complex to be taken for a real one.
+        FileNotFoundError, ImportError
+            If there is no such file, or no pyuff.
+        """
+        reading = {name: options.pop(name) for name in ("sensors", "least_mpc") if name in options}
+        return cls._of(read_uff(Path(path), nodes, modes, **reading), options)
+
+    @classmethod
+    def from_pyoma(
+        cls,
+        result: Any,
+        sensors: Sequence[tuple[Any, str]],
+        modes: Sequence[int] | None = None,
+        *,
+        least_mpc: float = LEAST_MPC,
+        **options: Any,
+    ) -> Self:
+        """Return what pyOMA_2 identified: frequencies, shapes and, if it was asked for, standard deviations.
+
+        Parameters
+        ----------
+        result : object
+            ``setup["name"].result`` after ``mpe``; run with ``calc_unc=True`` it has standard deviations.
+        sensors : sequence of (place, direction)
+            Of each channel, in order.
+        modes : sequence of int, optional
+            Which modes of the result, from 1; all if not given.
+        least_mpc : float
+            Least phase collinearity of a shape: `fmu.formats.modes.measured_modes.real_shapes`.
+        **options
+            What else the class takes, as ``numbers``; ``sd_hz`` or ``covariance_hz2`` instead of the result's.
+
+        Raises
+        ------
+        ValueError
+            If the result has no modes or other channels, or a shape is too complex to be taken for a real one.
+        """
+        return cls._of(pyoma_modes(result, sensors, modes, least_mpc), options)
+
+    def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[Any, Any] | None = None) -> None:
+        """Write frequencies and shapes into a universal file, to six significant digits; needs pyuff.
+
+        Parameters
+        ----------
+        path : path-like
+            What there is already is replaced.
+        nodes : mapping of node number to place, optional
+            Needed where a place is no number.
+
+        Raises
+        ------
+        ValueError
+            If there are no shapes, or a place has no number.
+        ImportError
+            If there is no pyuff.
+        """
+        if self.shapes is None:
+            raise ValueError("shapes: must have been measured to be written")
+        write_uff(Path(path), self.frequencies_hz, self.shapes, self.sensors, self.numbers, nodes)
+
+    @classmethod
+    def _of(cls, modes: Modes, options: dict[str, Any]) -> Self:
+        own = {} if {"sd_hz", "covariance_hz2"} & set(options) else {"sd_hz": modes.sd_hz}
+        given = {"sensors": modes.sensors, "labels": modes.labels, "shapes": modes.shapes, **own}
+        return cls(modes.frequencies_hz, **(given | options))
+
+    @property
+    def n_modes(self) -> int:
+        """Number of measured modes."""
+        return len(np.asarray(self.frequencies_hz))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the data in plain Python types."""
+        optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
+        given = {name: getattr(self, name) for name in optional if getattr(self, name) is not None}
+        return {
+            "frequencies_hz": np.asarray(self.frequencies_hz).tolist(),
+            "numbers": [int(number) for number in self.numbers],
+            "sensors": [[_plain(part) for part in sensor] for sensor in self.sensors],
+            "labels": list(self.labels),
+            **{name: value.tolist() for name, value in given.items()},
+            **({"counterparts": [int(number) for number in self.counterparts]} if self.counterparts else {}),
+            **({} if self.tests is None else {"tests": self.tests.as_dict()}),
+        }
+
+
+def _spread(value: ArrayLike, name: str, shape: tuple[int, ...], what: str) -> FloatArray:
+    """Return standard deviations of the given shape, read-only."""
+    given = np.array(value, dtype=float)
+    if given.shape not in ((), shape[-1:], shape):
+        raise ValueError(f"{name}: must be a number or have shape {shape}, {what} (got {given.shape})")
+    spread = np.broadcast_to(given, shape).copy()
+    wrong = ~(np.isfinite(spread) & (spread > 0))
+    if wrong.any():
+        raise ValueError(f"{name}: must be positive and finite (got {spread[wrong][0]})")
+    spread.flags.writeable = False
+    return spread
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

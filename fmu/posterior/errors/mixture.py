@@ -1,0 +1,207 @@
+"""Measured modes that several computed ones share: a likelihood without the jumps of a pairing one to one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.fem.pairing.candidates import Candidates
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.prediction import Observed
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.models import ErrorModel
+from fmu.posterior.errors.terms import Evaluated
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class _Pairs(NamedTuple):
+    """Every candidate k for every measured mode i, shapes (n, k, m).
+
+    Attributes
+    ----------
+    log_weight, log_density : ndarray
+        log w_ik and log p(measured mode i | candidate k).
+    of : list of Evaluated
+        What each error model says of the pairs, as rows n·k.
+    """
+
+    log_weight: FloatArray
+    log_density: FloatArray
+    of: list[Evaluated]
+
+    @property
+    def terms(self) -> FloatArray:
+        """The log-likelihood of each measured mode, shape (n, m)."""
+        return _log_sum_exp(self.log_weight + self.log_density)
+
+    @property
+    def responsibility(self) -> FloatArray:
+        """What each candidate contributes to the likelihood of a measured mode: sums to 1 over k."""
+        return np.exp(self.log_weight + self.log_density - self.terms[:, None])
+
+
+class SoftLikelihood(JointLikelihood):
+    """The likelihood of each measured mode as a mixture over the computed ones that might answer to it.
+
+    log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
+
+    over the candidates k: the lowest modes of all blocks that a measured shape moves in (`fmu.fem.pairing.candidates`).
+    The weights depend on the computed shapes, and so on θ, their slopes are part of the gradient. Where two modes
+    of a block veer, shapes turn into each other continuously, and so does this; a pairing one to one jumps there.
+
+    Parameters
+    ----------
+    model : PairedStructure
+        Paired softly; takes the leading parameters.
+    data : ModalData
+    errors : sequence of ErrorModel
+        Independent from mode to mode.
+
+    Raises
+    ------
+    ValueError
+        If an error model compares groups of modes.
+
+    Notes
+    -----
+    - It is *not* one to one: two measured modes may claim one candidate. That costs them the difference in MAC
+      over τ, no more; where two measured shapes are alike at the sensors, it costs nothing.
+    - A candidate whose MAC is lower by Δ than that of the best has the weight e^(−Δ/τ). With the default τ = 0.02
+      that is at most 50 nats, below which nothing matters elsewhere in this package either. Frequencies known so
+      well that a wrong one costs more than that make another mode plausible whose frequency fits, at the price of
+      its shape: then τ must be smaller, or the shapes have errors of their own. τ → 0 is the best MAC.
+    - With errors of frequencies alone it is a density of the frequencies, given the measured shapes. With errors
+      of shapes too the weights use the measured shapes a second time, and it is a density no more: evidences of
+      problems of different softness must not be compared.
+    - ``frequencies`` of the model stay those of the one-to-one assignment, which jump at a veering, as a mean over
+      candidates is the frequency of none.
+    - Candidates end with the highest mode that a block offers; where that one veers with the next, what is left of
+      a jump has its weight.
+    """
+
+    model: PairedStructure
+
+    def __init__(self, model: PairedStructure, data: ModalData, errors: Sequence[ErrorModel]) -> None:
+        super().__init__(model, data, errors)
+        if any(getattr(term, "groups", ()) for term in self.terms_of):
+            raise ValueError("together: must be empty where pairing is soft, and modes answer one by one")
+        self.softness = model.softness
+
+    def terms(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
+        return self._pairs(self._candidates(theta, False), theta, False).terms
+
+    def full_terms(self, theta: FloatArray) -> FloatArray:
+        """Return `terms` by the full model, where a reduced one answers otherwise."""
+        candidates = self.model.full_seen_candidates(theta[:, : self.n_structural])
+        return self._pairs(candidates, theta, False).terms
+
+    def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the terms and their gradients, shape (n, n_modes, ndim)."""
+        candidates = self._candidates(theta, True)
+        return self._mixed(self._pairs(candidates, theta, True), candidates, theta)
+
+    def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return errors over their standard deviations, and their slopes, of the candidates of the best MAC.
+
+        Those are what the data are about, also where frequencies are still so far off that others contribute more.
+        """
+        candidates = self._candidates(theta, True)
+        best = _best(np.swapaxes(candidates.mac, 1, 2))
+        return self._residuals_and_slopes(_picked(candidates, best), theta)
+
+    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
+
+        The information is that of the candidates that contribute most.
+        """
+        candidates = self._candidates(theta, True)
+        pairs = self._pairs(candidates, theta, True)
+        terms, gradient = self._mixed(pairs, candidates, theta)
+        answering = _picked(candidates, _best(pairs.log_weight + pairs.log_density))
+        J = self._residuals_and_slopes(answering, theta)[1]
+        return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return names and settings."""
+        return {**super().as_dict(), "softness": self.softness}
+
+    def _candidates(self, theta: FloatArray, gradient: bool) -> Candidates:
+        return self.model.seen_candidates(theta[:, : self.n_structural], gradient)
+
+    def _pairs(self, candidates: Candidates, theta: FloatArray, gradient: bool) -> _Pairs:
+        n, m, k = candidates.mac.shape
+        f, phi = candidates.frequencies, np.swapaxes(candidates.shapes, 1, 2)
+        q = phi.shape[2]
+        each = Observed(
+            np.broadcast_to(f[:, :, None], (n, k, m)).reshape(n * k, m),
+            np.broadcast_to(phi[..., None], (n, k, q, m)).reshape(n * k, q, m),
+        )
+        noise = np.repeat(theta[:, self.n_structural :], k, axis=0)
+        scaled = np.ascontiguousarray(np.swapaxes(candidates.mac, 1, 2)) / self.softness
+        log_weight = scaled - _log_sum_exp(scaled)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            of = [term.evaluate(each, noise, gradient) for term in self.terms_of]
+        log_density = np.asarray(sum(part.terms for part in of)).reshape(n, k, m)
+        # a mode that no sensor sees has a weight of 0, and no density of its shape
+        return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
+
+    def _mixed(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the terms (n, m) and their gradients (n, m, ndim)."""
+        n, k, m = pairs.log_weight.shape
+        n_structural = self.n_structural
+        terms = pairs.terms
+        slopes_of: Any = candidates  # with slopes: asked for
+        with np.errstate(invalid="ignore", over="ignore"):
+            share = pairs.responsibility
+            pull = (share - np.exp(pairs.log_weight)) / self.softness
+            gradient = np.zeros((n, m, theta.shape[1]))
+            leading = gradient[..., :n_structural]
+            leading += np.einsum("nkm,nmkp->nmp", pull, slopes_of.mac_slopes)
+            for part in pairs.of:
+                if part.by_frequency is not None:
+                    by = _weighted(share, part.by_frequency.reshape(n, k, m))
+                    # a rigid-body mode has none, nor any share
+                    slopes = np.where(np.any(by != 0.0, axis=2)[..., None], slopes_of.frequency_slopes, 0.0)
+                    leading += np.einsum("nkm,nkp->nmp", by, slopes)
+                if part.by_shape is not None:
+                    by = _weighted(share[:, :, None], part.by_shape.reshape(n, k, -1, m))
+                    leading += np.einsum("nksm,nskp->nmp", by, slopes_of.shape_slopes)
+                for j, slope in (part.by_noise or {}).items():
+                    gradient[..., n_structural + j] += np.sum(_weighted(share, slope.reshape(n, k, m)), axis=1)
+        return terms, np.where(np.isfinite(gradient), gradient, np.nan)
+
+
+def _best(score: FloatArray) -> IntArray:
+    """Return the candidate of the highest score (n, k, m) for each measured mode, shape (n, m)."""
+    return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
+
+
+def _picked(candidates: Candidates, best: IntArray) -> Observed:
+    """Return what the sensors see of one candidate for each measured mode, with its slopes."""
+    of: Any = candidates
+    return Observed(
+        np.take_along_axis(of.frequencies, best, axis=1),
+        np.take_along_axis(of.shapes, best[:, None], axis=2),
+        np.take_along_axis(of.frequency_slopes, best[..., None], axis=1),
+        np.take_along_axis(of.shape_slopes, best[:, None, :, None], axis=2),
+    )
+
+
+def _log_sum_exp(x: FloatArray) -> FloatArray:
+    """Return log Σ_k exp x of x (n, k, m), shape (n, m); −inf where all are."""
+    highest = np.max(x, axis=1)
+    shift = np.where(np.isneginf(highest), 0.0, highest)
+    with np.errstate(divide="ignore"):
+        return np.asarray(shift + np.log(np.sum(np.exp(x - shift[:, None]), axis=1)))
+
+
+def _weighted(share: FloatArray, slope: FloatArray) -> FloatArray:
+    """Return their product, 0 where the share is: a candidate far off may have no slope at all."""
+    return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

@@ -1,0 +1,176 @@
+"""The modal residual of eq. (2) as an error model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as ssl
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import CoefficientMap, Term, weighted_sum
+from fmu.posterior.data.modal_data import ModalData
+
+FloatArray = NDArray[np.float64]
+
+
+class SingularCondensationError(ValueError):
+    """The unmeasured part of the structure can move while the sensors are held."""
+
+
+class ModalResidual:
+    """How far measured modes are from being modes of the condensed model.
+
+    ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖, with the measured ω_i and φ_i and the matrices condensed onto
+    the sensors by Guyan reduction (eq. 2 and the text below it). The log-likelihood of mode i is
+    −β_i ‖ε_i‖² + (F/2) log(β_i/π) with F sensors (eqs. 4 and 5).
+
+    Parameters
+    ----------
+    model : SeparableModel
+    data : ModalData
+        With sensors and shapes.
+    reference : ndarray, shape (n_parameters,)
+        θ_ref, as a rule the model before updating.
+    beta : float or array_like, shape (n_modes,)
+        Dimensionless: the residual is a force relative to the reference's elastic force.
+
+    Raises
+    ------
+    ValueError
+        If no shapes were measured, a sensor is not at a degree of freedom of its own, a β is not positive and
+        finite, or the model can move with its sensors held.
+
+    Notes
+    -----
+    This is a *pseudo*-likelihood: ε is made of data and of model, its distribution is not that of anything
+    measured, and where both K and M can shrink it rewards that they do. The fixed scale makes modes of different
+    frequency comparable and β dimensionless; it does not heal that. No evidence may be computed from it. It needs
+    no pairing of modes, and no eigenproblem either, but one factorisation of the unmeasured part at each theta.
+    """
+
+    def __init__(
+        self, model: SeparableModel, data: ModalData, reference: FloatArray, beta: ArrayLike = 1.0
+    ) -> None:
+        if data.shapes is None:
+            raise ValueError("data.shapes: the modal residual needs measured shapes at the sensors (got none)")
+        beta = np.array(beta, dtype=float)
+        if beta.ndim > 1 or (beta.ndim == 1 and len(beta) != data.n_modes):
+            raise ValueError(f"beta: must be a number or {data.n_modes} numbers (got shape {beta.shape})")
+        if not np.all(np.isfinite(beta) & (beta > 0)):
+            raise ValueError(f"beta: must be positive and finite (got {beta.tolist()})")
+        self.beta = np.broadcast_to(beta, data.n_modes).copy()
+        sensors = _masters(model.observation(data.sensors))
+        part = np.sort(np.concatenate([dofs for dofs in model.blocks if np.isin(sensors, dofs).any()]))
+        order = np.concatenate([sensors, np.setdiff1d(part, sensors)])
+        self._K_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.K_terms)
+        self._M_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.M_terms)
+        self._K_map, self._M_map = CoefficientMap(self._K_terms), CoefficientMap(self._M_terms)
+        self._n_sensors = len(sensors)
+        self._eigenvalues = (2.0 * np.pi * np.asarray(data.frequencies_hz)) ** 2
+        self._shapes = np.asarray(data.shapes)
+        self._reference = reference
+        at_reference = self._at(reference[None])
+        elastic = at_reference.transferred(at_reference.K @ at_reference.extended(self._shapes))
+        self._scale = np.linalg.norm(elastic, axis=0)
+
+    def terms(self, theta: FloatArray) -> FloatArray:
+        """Return the pseudo-log-likelihood of each mode, shape (n, n_modes), at theta (n, n_parameters)."""
+        return np.stack([self._one(point[None], gradient=False)[0] for point in theta])
+
+    def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the terms and their gradients, shape (n, n_modes, n_parameters)."""
+        results = [self._one(point[None]) for point in theta]
+        return np.stack([terms for terms, _ in results]), np.stack([slope for _, slope in results])
+
+    def why_not_finite(self, theta: FloatArray) -> str:
+        """Say why the terms are not finite at a theta, shape (n_parameters,)."""
+        try:
+            self._at(theta[None])
+        except SingularCondensationError:
+            return "the structure can still move when the sensors are held"
+        return "the log-likelihood is not finite: the modal residual overflows"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
+
+    def _at(self, theta: FloatArray) -> _Condensation:
+        K = sp.csc_array(weighted_sum(self._K_terms, self._K_map(theta)[0]))
+        M = sp.csc_array(weighted_sum(self._M_terms, self._M_map(theta)[0]))
+        return _Condensation(K, M, self._n_sensors)
+
+    def _residual(self, condensed: _Condensation) -> FloatArray:
+        """Return (K_c − ω²M_c)φ, shape (n_sensors, n_modes)."""
+        u = condensed.extended(self._shapes)
+        return condensed.transferred(condensed.K @ u - self._eigenvalues * (condensed.M @ u))
+
+    def _terms(self, residual: FloatArray) -> FloatArray:
+        size = np.sum((residual / self._scale) ** 2, axis=0)
+        return 0.5 * self._n_sensors * np.log(self.beta / np.pi) - self.beta * size
+
+    def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Return the terms at one theta, and their gradients by adjoints; NaN where the condensation fails.
+
+        With u = Tφ, w = Tr and T the static condensation, of which dT_s = −K_ss⁻¹ (dK T)_s, the change of
+        r = Tᵀ(K − ω²M)u along itself is wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements
+        under the loads Mu and Mw with the sensors held.
+        """
+        slope = np.full((len(self.beta), theta.shape[1]), np.nan)
+        try:
+            condensed = self._at(theta)
+        except SingularCondensationError:
+            return np.full(len(self.beta), np.nan), slope
+        residual = self._residual(condensed)
+        if not gradient:
+            return self._terms(residual), slope
+        u, w = condensed.extended(self._shapes), condensed.extended(residual)
+        a, b = condensed.held(condensed.M @ u), condensed.held(condensed.M @ w)
+        lam = self._eigenvalues
+        K_forms = []
+        for term in self._K_terms:
+            Ku = term.matrix @ u
+            K_forms.append(np.sum(w * Ku + lam * (a * (term.matrix @ w) + b * Ku), axis=0))
+        M_forms = [lam * np.sum(w * (term.matrix @ u), axis=0) for term in self._M_terms]
+        slope = self._K_map.contract(theta, np.array([K_forms]))[0]
+        slope = slope - self._M_map.contract(theta, np.array([M_forms]))[0]
+        return self._terms(residual), -2.0 * (self.beta / self._scale**2)[:, None] * slope
+
+
+def _masters(rows: Any) -> NDArray[np.intp]:
+    """Return the degrees of freedom that the sensors are at, shape (n_sensors,)."""
+    if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
+        raise ValueError("sensors: to condense onto they must be degrees of freedom, without arms or signs")
+    return np.asarray(rows.indices, dtype=np.intp)
+
+
+class _Condensation:
+    """Static condensation T = [I; −K_ss⁻¹ K_sm] of one K and M, whose first `m` coordinates are the sensors."""
+
+    def __init__(self, K: Any, M: Any, m: int) -> None:
+        self.K, self.M, self.m = K, M, m
+        self._coupling = K[m:, :m]
+        if K.shape[0] > m:
+            try:
+                self._solve = ssl.splu(K[m:, m:]).solve
+            except RuntimeError as error:
+                raise SingularCondensationError(
+                    "sensors: the structure can still move when they are held"
+                ) from error
+
+    def extended(self, x: FloatArray) -> FloatArray:
+        """Return T x, the whole structure following the sensors as in statics."""
+        return np.concatenate([x, self._inner(-(self._coupling @ x))])
+
+    def held(self, load: FloatArray) -> FloatArray:
+        """Return the displacement under a load with the sensors held."""
+        return np.concatenate([np.zeros((self.m, load.shape[1])), self._inner(load[self.m :])])
+
+    def transferred(self, load: FloatArray) -> FloatArray:
+        """Return Tᵀ load, shape (m, n_modes): what a load comes to at the sensors."""
+        return load[: self.m] - self._coupling.T @ self._inner(load[self.m :])
+
+    def _inner(self, load: FloatArray) -> FloatArray:
+        return self._solve(load) if len(load) else load

@@ -1,0 +1,4 @@
+"""Local maxima of a posterior.
+
+Reading order: ascent, local_maxima.
+"""

@@ -1,0 +1,220 @@
+"""Priors: what was known of one parameter before the measurement, cut off by its bounds.
+
+Others are in `fmu.posterior.priors.one_sided` and `fmu.posterior.priors.scipy_distributions`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtr, ndtri_exp
+
+FloatArray = NDArray[np.float64]
+
+UNBOUNDED = (-np.inf, np.inf)
+_CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
+_ENDS = ndtr(np.array([-4.0, 4.0]))
+
+
+class Prior(Protocol):
+    """A one-dimensional distribution, before the bounds truncate it."""
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """The interval outside which the density is zero."""
+        ...
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density; ``-inf`` outside the support, and where the density is infinite."""
+        ...
+
+    def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
+        """Return its derivative; NaN outside the support, and where there is none."""
+        ...
+
+    def log_mass(self, lower: float, upper: float) -> float:
+        """Return the logarithm of the probability between two bounds."""
+        ...
+
+    def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
+        """Draw from the distribution truncated to the bounds."""
+        ...
+
+    def scale(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the offset and the size of the affine coordinate in which the parameter is of order one."""
+        ...
+
+    def box(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the finite interval on which a reduced model has to be good."""
+        ...
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        ...
+
+
+@dataclass(frozen=True)
+class Normal:
+    """The Gaussian prior of eq. (6): density ∝ exp(−α/2 (x − mean)²), with α = 1/sd².
+
+    Attributes
+    ----------
+    sd : float
+        Standard deviation in the parameter's unit.
+    mean : float
+        The paper's centre is 0.
+    """
+
+    sd: float
+    mean: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("sd", self.sd)
+        finite("mean", self.mean)
+
+    @classmethod
+    def from_alpha(cls, alpha: float, mean: float = 0.0) -> Normal:
+        """Return the prior with the paper's coefficient α = 1/sd²."""
+        positive("alpha", alpha)
+        return cls(sd=float(alpha) ** -0.5, mean=mean)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """All numbers."""
+        return UNBOUNDED
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density, eq. (6) with (7)."""
+        with np.errstate(over="ignore"):
+            z = (x - self.mean) / self.sd
+            return -0.5 * z * z - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
+
+    def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
+        """Return −α (x − mean)."""
+        with np.errstate(over="ignore"):
+            return -(x - self.mean) / self.sd**2
+
+    def log_mass(self, lower: float, upper: float) -> float:
+        """Return log(Φ(b) − Φ(a)) without cancellation in either tail."""
+        a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
+        if a > 0:
+            a, b = -b, -a
+        with np.errstate(divide="ignore", invalid="ignore"):  # bounds so far out or so close that nothing is left
+            return float(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
+
+    def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
+        """Draw by inversion of the truncated distribution function."""
+        return self._inverted(rng.uniform(size=n), lower, upper)
+
+    def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        return self._inverted(1.0 - p if lower > self.mean else p, lower, upper)
+
+    def _inverted(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return quantiles, counted from the tail that the bounds lie in where they are above the mean."""
+        a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
+        flip = a > 0
+        if flip:
+            a, b = -b, -a
+        with np.errstate(divide="ignore"):
+            z = ndtri_exp(np.logaddexp(log_ndtr(a) + np.log1p(-u), log_ndtr(b) + np.log(u)))
+        return np.clip(self.mean + self.sd * (-z if flip else z), lower, upper)
+
+    def scale(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the box where there is one, else mean and standard deviation."""
+        if np.isfinite(upper - lower):
+            return lower, upper - lower
+        return self.mean, self.sd
+
+    def box(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the bounds, or four standard deviations from where the prior is densest if that is nearer."""
+        densest = min(max(self.mean, lower), upper)
+        return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        return {"distribution": "normal", "mean": self.mean, "sd": self.sd}
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Constant between the bounds, which must both be finite."""
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """All numbers: the bounds alone limit it."""
+        return UNBOUNDED
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return 0: `log_mass` carries the normalisation."""
+        return np.zeros_like(x)
+
+    def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
+        """Return 0."""
+        return np.zeros_like(x)
+
+    def log_mass(self, lower: float, upper: float) -> float:
+        """Return the logarithm of the width."""
+        return float(np.log(upper - lower))
+
+    def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
+        """Draw uniformly."""
+        return rng.uniform(lower, upper, size=n)
+
+    def scale(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return lower bound and width."""
+        return lower, upper - lower
+
+    def box(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the bounds."""
+        return lower, upper
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the name."""
+        return {"distribution": "uniform"}
+
+
+class QuantilePrior:
+    """What follows from the quantiles of a truncated distribution, where its shape says no more."""
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density."""
+        raise NotImplementedError
+
+    def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        raise NotImplementedError
+
+    def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
+        """Draw by inversion of the truncated distribution function."""
+        return self.quantile(rng.uniform(size=n), lower, upper)
+
+    def scale(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the median, and half the interval from the 16th to the 84th percentile, within the bounds."""
+        left, median, right = self.quantile(_CENTRAL, lower, upper).tolist()
+        return median, 0.5 * (right - left)
+
+    def box(self, lower: float, upper: float) -> tuple[float, float]:
+        """Return the interval that all but 6e-5 of the probability lies in, as of four standard deviations.
+
+        It reaches to a bound where the density is not about to vanish there: a posterior may lean on that.
+        """
+        inner, bounds = self.quantile(_ENDS, lower, upper), np.array([lower, upper])
+        dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)
+        left, right = np.where(dense, bounds, inner).tolist()
+        return left, right
+
+
+def positive(name: str, value: float) -> None:
+    """Raise ValueError unless a setting is positive and finite."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: must be positive and finite (got {value})")
+
+
+def finite(name: str, value: float) -> None:
+    """Raise ValueError unless a setting is finite."""
+    if not np.isfinite(value):
+        raise ValueError(f"{name}: must be finite (got {value})")

@@ -1,0 +1,161 @@
+"""Priors with a lower end: half-normal and log-normal.
+
+Both rest on the Gaussian's distribution function, which is accurate in logarithms however far out the bounds are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.posterior.priors.base import Normal, QuantilePrior, finite, positive
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HalfNormal(QuantilePrior):
+    """The half of a Gaussian above its centre: density ∝ exp(−(x − at)²/(2 sd²)) for x ≥ at.
+
+    Attributes
+    ----------
+    sd : float
+        Standard deviation of the whole Gaussian, in the parameter's unit.
+    at : float
+        Where it begins, and is densest.
+
+    Raises
+    ------
+    ValueError
+        If `sd` is not positive and finite, or `at` not finite.
+    """
+
+    sd: float
+    at: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("sd", self.sd)
+        finite("at", self.at)
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """From `at` upwards."""
+        return self.at, np.inf
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density."""
+        return np.where(x >= self.at, self.gaussian.log_pdf(x) + np.log(2.0), -np.inf)
+
+    def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
+        """Return −(x − at)/sd²."""
+        return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
+
+    def log_mass(self, lower: float, upper: float) -> float:
+        """Return the logarithm of the probability between two bounds."""
+        return self.gaussian.log_mass(max(lower, self.at), upper) + float(np.log(2.0))
+
+    def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        return self.gaussian.quantile(p, max(lower, self.at), upper)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        return {"distribution": "half-normal", "sd": self.sd, "at": self.at}
+
+    @cached_property
+    def gaussian(self) -> Normal:
+        """The whole of which it is a half."""
+        return Normal(self.sd, self.at)
+
+
+@dataclass(frozen=True)
+class LogNormal(QuantilePrior):
+    """The logarithm is Gaussian: z = log(x/median)/sigma is a standard normal variable, x positive.
+
+    Attributes
+    ----------
+    median : float
+        In the parameter's unit.
+    sigma : float
+        Standard deviation of log x, without a unit.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not positive and finite.
+    """
+
+    median: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        positive("median", self.median)
+        positive("sigma", self.sigma)
+
+    @classmethod
+    def from_mean(cls, mean: float, sd: float) -> LogNormal:
+        """Return the prior with a mean and a standard deviation, in the parameter's unit."""
+        positive("mean", mean)
+        positive("sd", sd)
+        variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
+        return cls(float(mean * np.exp(-0.5 * variance)), float(np.sqrt(variance)))
+
+    @classmethod
+    def from_mode(cls, mode: float, sd: float) -> LogNormal:
+        """Return the prior that is densest at `mode` and has the standard deviation `sd` (Beck & Au 2002).
+
+        With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³, which has one positive root, sought in log v.
+        """
+        from scipy.optimize import brentq
+
+        positive("mode", mode)
+        positive("sd", sd)
+        log_ratio = 2.0 * (np.log(sd) - np.log(mode))
+        highest = min(log_ratio, log_ratio / 4.0)  # as 1 + v is more than both 1 and v
+        log_v = brentq(
+            lambda t: t + 3.0 * np.logaddexp(0.0, t) - log_ratio, highest - 3.0 * np.log(2.0), highest, xtol=1e-15
+        )
+        variance = np.logaddexp(0.0, log_v)
+        return cls(float(mode * np.exp(variance)), float(np.sqrt(variance)))
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """The positive numbers; the density vanishes at 0."""
+        return 0.0, np.inf
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_x = np.log(x)
+            return np.where(x > 0.0, self.gaussian.log_pdf(log_x) - log_x, -np.inf)
+
+    def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
+        """Return −(1 + z/sigma)/x."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
+
+    def log_mass(self, lower: float, upper: float) -> float:
+        """Return the logarithm of the probability between two bounds."""
+        return self.gaussian.log_mass(_log(lower), _log(upper))
+
+    def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
+        """Return the quantiles `p` of the distribution truncated to the bounds."""
+        with np.errstate(over="ignore"):
+            return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        return {"distribution": "log-normal", "median": self.median, "sigma": self.sigma}
+
+    @cached_property
+    def gaussian(self) -> Normal:
+        """That of log x."""
+        return Normal(self.sigma, float(np.log(self.median)))
+
+
+def _log(bound: float) -> float:
+    return float(np.log(bound)) if bound > 0.0 else -np.inf

@@ -1,0 +1,262 @@
+"""Make a problem's reduced model good where its posterior lives, and remember it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.engines.engine import Engine
+from fmu.fem.modes.modal import is_rigid
+from fmu.fem.pairing.candidates import SoftPairing
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.cache import load_basis, store_basis
+from fmu.fem.reduced.training import box_points
+from fmu.numbers import apart, typed
+from fmu.posterior.maxima.local_maxima import local_maxima
+from fmu.progress.phases import by_parts
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+FloatArray = NDArray[np.float64]
+
+FREQUENCY_TOLERANCE = 1e-6
+LOG_PROB_TOLERANCE = 1e-3
+LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
+# Below the maximum by more than this, a probability does not matter.
+PLAUSIBLE = 50.0
+PATIENCE = 3
+_AT_ONCE = 16  # points
+_CHECKED, _CHECK_SEED = 32, 10_000
+
+
+class ReductionWarning(UserWarning):
+    """Training ended before the reduced model was as good as asked for."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What a reduced model promises.
+
+    Attributes
+    ----------
+    frequency : float
+        Largest relative error of a frequency, over the whole box.
+    log_prob : float
+        Largest error of the log-probability, wherever that is within `PLAUSIBLE` of its maximum.
+    """
+
+    frequency: float = FREQUENCY_TOLERANCE
+    log_prob: float = LOG_PROB_TOLERANCE
+
+    @classmethod
+    def of(cls, reduction: bool | float) -> Tolerance | None:
+        """Return what a problem's argument `reduction` asks for, None if it wants no reduced model.
+
+        Raises
+        ------
+        ValueError
+            If it is neither true or false nor a number in (0, 0.01].
+
+        Notes
+        -----
+        Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, z_i being
+        the standardised errors: it is proportional to them, and so is what is allowed, from 1e-3 at 1e-6 on. But
+        where log P is off by ε(θ), |ε| ≤ t, a posterior mean moves by Cov(g, ε) ≤ t sd(g) to first order: by up to
+        t of its own standard deviation. So t stays at 0.1 however loose the frequencies are, beside which the
+        Monte Carlo error of 100 effective draws is as large.
+        """
+        if isinstance(reduction, bool | np.bool_):
+            return cls() if reduction else None
+        if not (isinstance(reduction, int | float | np.number) and 0.0 < reduction <= LOOSEST_FREQUENCY):
+            raise ValueError(
+                "reduction: must be true, false or the largest relative error of a frequency, above 0 and at most "
+                f"{LOOSEST_FREQUENCY} (got {reduction!r})"
+            )
+        frequency = float(reduction)
+        return cls(frequency, min(LOG_PROB_TOLERANCE * (frequency / FREQUENCY_TOLERANCE), LOOSEST_LOG_PROB))
+
+
+def reduce_model(
+    problem: UpdatingProblem, structure: PairedStructure, promised: Tolerance, engine: Engine | None = None
+) -> None:
+    """Train the reduced model of `structure`, or fetch it from the cache.
+
+    Frequencies are good to the tolerance over the whole box, and the log-probability to its own wherever it is
+    within `PLAUSIBLE` of its maximum, at every point that was tried. Points on a jump, where modes swap and either
+    model may take either of them, say nothing of the basis. Where more points do not help, as what is left is
+    rounding of the full model, or the basis would have more vectors than pay (`fmu.fem.reduced.training.affordable`),
+    training ends; a run's certificate says what was promised and not kept (`fmu.analysis.certificate`). An engine
+    solves the full model at several points at once.
+
+    Warns
+    -----
+    ReductionWarning
+        If training ended before the tolerances were met, from the cache too.
+    """
+    tolerances = (promised.frequency, promised.log_prob, PLAUSIBLE)
+    key = {"problem": problem.configuration(), "tolerances": tolerances}
+    state = load_basis(key)
+    if state is not None:
+        structure.restore(state)
+        _warn_if_missed(structure, promised, state)
+        return
+    n = structure.n_parameters
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
+    rng = np.random.default_rng(0)
+    likelihood: Any = problem.likelihood
+
+    differences: list[float] = []
+
+    def wanting() -> FloatArray | None:
+        points = plausible_points(problem, 64, rng)
+        exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
+        difference = np.sum(likelihood.terms(points) - exact, axis=1)
+        wrong = ~(np.abs(difference) <= promised.log_prob)
+        if not isinstance(structure.rule, SoftPairing):
+            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], promised.frequency)
+        differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
+        return points[:, :n] if wrong.any() and not has_stalled(differences) else None
+
+    # without such terms the computed modes take no part in the log-probability
+    state = structure.train(
+        lower, upper, promised.frequency, wanting if hasattr(likelihood, "full_terms") else None, engine
+    )
+    error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, promised.frequency)
+    reached = np.array([error, differences[-1] if differences else 0.0])
+    if not (reached[0] <= promised.frequency and reached[1] <= promised.log_prob):
+        state["reached"] = reached
+    store_basis(key, state)
+    _warn_if_missed(structure, promised, state)
+
+
+def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
+    """Return the largest relative error of the measured modes' frequencies at fresh points of the box."""
+    theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
+    exact, reduced = structure.full_modes(theta).eigenvalues, structure.modes(theta).eigenvalues
+    elastic = ~is_rigid(exact)
+    # of a frequency, half as much
+    error = np.max(np.where(elastic, 0.5 * np.abs(reduced / np.where(elastic, exact, 1.0) - 1.0), 0.0), axis=1)
+    wrong = ~(error <= tolerance) & np.isfinite(exact).all(axis=1)
+    wrong[wrong] = ~on_a_jump(structure, theta[wrong], tolerance)
+    return float(np.max(error[wrong], initial=0.0))
+
+
+def _off(found: float, promised: float) -> str:
+    return f"{apart(found, promised, digits=3)[0]} (asked for: {typed(promised)})"
+
+
+def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict[str, FloatArray]) -> None:
+    if "reached" not in state:
+        return
+    frequency, log_prob = state["reached"].tolist()
+    blocks = structure.reduced.blocks if structure.reduced is not None else ()
+    sizes = " + ".join(str(block.size) for block in blocks if isinstance(block, ReducedBlock))
+    missed = []
+    if not frequency <= promised.frequency:
+        missed.append(f"its frequencies by up to {_off(frequency, promised.frequency)}")
+    if not log_prob <= promised.log_prob:
+        missed.append(f"its log-probability by up to {_off(log_prob, promised.log_prob)}")
+    warnings.warn(
+        f"reduction: with a basis of {sizes} vectors the reduced model is off, {' and '.join(missed)}; take a "
+        f"looser tolerance, as reduction={typed(_looser(promised, frequency))}, narrower bounds or priors, or "
+        "reduction=False, the full model",
+        ReductionWarning,
+        stacklevel=4,
+    )
+
+
+def _looser(promised: Tolerance, reached: float) -> float:
+    """Return the next power of ten that has been reached, or is looser than what was asked for."""
+    wanted = max(reached, 10.0 * promised.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
+    return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
+
+
+def has_stalled(differences: Sequence[float]) -> bool:
+    """Say whether the last `PATIENCE` rounds of training halved no largest difference that came before them."""
+    return len(differences) > PATIENCE and min(differences[-PATIENCE:]) > 0.5 * min(differences[:-PATIENCE])
+
+
+def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> NDArray[np.bool_]:
+    """Say, shape (n,), where the reduced model has the modes that the full one pairs, and yet pairs others.
+
+    Parameters
+    ----------
+    structure : PairedStructure
+        Trained.
+    theta : ndarray, shape (n, n_parameters)
+    tolerance : float
+        Largest relative difference between frequencies that are the same.
+    """
+    reduced, full = structure.modes(theta), structure.full_modes(theta)
+    answers = np.full(full.eigenvalues.shape, np.nan)
+    for b in np.unique(full.block):
+        block = structure.reduced.blocks[b] if structure.reduced is not None else structure.full.blocks[b]
+        row, column = np.nonzero(full.block == b)
+        rank = full.rank[row, column]
+        known = rank < block.trusted
+        if known.any():
+            lam = block.eigenvalues(theta, int(rank[known].max()) + 1)
+            answers[row[known], column[known]] = lam[row[known], rank[known]]
+    # of an eigenvalue, twice as much
+    same = np.abs(answers - full.eigenvalues) <= 2.0 * tolerance * np.abs(full.eigenvalues)
+    others = (reduced.block != full.block) | (reduced.rank != full.rank)
+    return np.asarray(others.any(axis=1) & same.all(axis=1))
+
+
+def plausible_points(problem: UpdatingProblem, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return points inside the bounds at which the log-probability is within `PLAUSIBLE` of its maximum.
+
+    From every local maximum that is itself plausible, along random directions of the Laplace approximation, to
+    where the log-probability has dropped by a random amount, or to the bounds.
+
+    Parameters
+    ----------
+    n : int
+        Points a maximum.
+
+    Returns
+    -------
+    ndarray, shape (n · maxima, ndim)
+    """
+    maxima = local_maxima(problem, starts=8)
+    points = []
+    for maximum in maxima:
+        allowed = maximum.log_prob - (maxima[0].log_prob - PLAUSIBLE)
+        if allowed < 0:
+            continue
+        direction = _laplace_directions(problem, maximum.theta, n, rng)
+        floor = maximum.log_prob - rng.uniform(0.0, allowed, size=n)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            walls = (
+                np.where(direction > 0, problem.upper - maximum.theta, problem.lower - maximum.theta) / direction
+            )
+        far = np.min(np.where(direction == 0, np.inf, walls), axis=1)
+        near, far = np.zeros(n), np.minimum(far, 100.0)
+        for _ in range(40):
+            middle = 0.5 * (near + far)
+            above = problem.log_prob(_along(problem, maximum.theta, direction, middle)) >= floor
+            near, far = np.where(above, middle, near), np.where(above, far, middle)
+        points.append(_along(problem, maximum.theta, direction, near))
+    return np.concatenate(points)
+
+
+def _along(problem: UpdatingProblem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
+    return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
+
+
+def _laplace_directions(
+    problem: UpdatingProblem, theta: FloatArray, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
+    information = problem.likelihood.quadratic(theta[None])[2][0]  # type: ignore[union-attr]
+    precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
+    z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
+    z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))
+    return z * problem.scale

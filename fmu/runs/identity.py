@@ -1,0 +1,102 @@
+"""What a kept run is a run of: its configuration and the versions that its draws depend on."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fmu.analysis.trace.provenance import canonical_json, configuration_hash, versions
+from fmu.runs.files import DamagedError, payload_of, signed, write_durably
+
+TITLE = "fmu run 1"
+FILE = "run"
+_DECISIVE = ("fmu", "numpy", "scipy", "emcee")
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A run's configuration, in plain Python types, and the versions it runs with."""
+
+    configuration: Mapping[str, Any]
+    versions: Mapping[str, str]
+
+    @classmethod
+    def of(cls, configuration: Mapping[str, Any]) -> Identity:
+        """Return the identity of a run of today."""
+        now = versions()
+        return cls(json.loads(canonical_json(configuration)), {name: now[name] for name in _DECISIVE})
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all of it."""
+        return configuration_hash({"configuration": self.configuration, "versions": self.versions})
+
+    def write(self, directory: Path) -> None:
+        """Write it into the directory of the run."""
+        payload = canonical_json({"configuration": self.configuration, "versions": self.versions}).encode()
+        write_durably(directory / FILE, signed(TITLE, payload))
+
+    @classmethod
+    def read(cls, directory: Path) -> Identity | None:
+        """Return the identity of the run in a directory, None if there is none; DamagedError if it is damaged."""
+        path = directory / FILE
+        if not path.is_file():
+            return None
+        held = json.loads(payload_of(TITLE, path.read_bytes()))
+        return cls(held["configuration"], held["versions"])
+
+    def check(self, directory: Path) -> None:
+        """Raise ValueError if the directory holds another run.
+
+        A damaged file says nothing: every state has the hash of its run too.
+        """
+        try:
+            found = Identity.read(directory)
+        except DamagedError:
+            return
+        if found is None:
+            return
+        for name in _DECISIVE:
+            here, there = self.versions[name], found.versions.get(name)
+            if here != there:
+                raise ValueError(
+                    f"checkpoint: {directory} was written with {name} {there}, and goes on bit for bit with that "
+                    f"version only (here is {here})"
+                )
+        differing = list(_differences(found.configuration, self.configuration))
+        if differing:
+            more = f", and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else ""
+            raise ValueError(f"checkpoint: {directory} holds another run: {'; '.join(differing[:_SHOWN])}{more}")
+
+
+@cache
+def arithmetic() -> str:
+    """Return what the last bits of results depend on beside versions: the BLAS, and the CPU it is at work for."""
+    from threadpoolctl import threadpool_info
+
+    blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")
+    kinds = {f"{lib['internal_api']} {lib['version']} for {lib.get('architecture')}" for lib in blas}
+    return ", ".join((platform.machine(), *sorted(kinds)))
+
+
+def _differences(there: Any, here: Any, where: str = "") -> Iterator[str]:
+    """Say where two configurations differ."""
+    if isinstance(there, Mapping) and isinstance(here, Mapping):
+        for key in dict.fromkeys((*there, *here)):
+            yield from _differences(there.get(key), here.get(key), f"{where}.{key}" if where else str(key))
+    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        for i, (one, other) in enumerate(zip(there, here, strict=True)):
+            yield from _differences(one, other, f"{where}.{i}")
+    elif json.dumps(there) != json.dumps(here):  # NaN is NaN
+        yield f"{where} {_short(there)} there, {_short(here)} here"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -1,0 +1,155 @@
+"""Who is at work in a directory: one process at a time, and a note of it, to be read without taking the lock."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from fmu.runs.files import write_durably
+
+FILE, LOCK, PHASE = "at-work.json", "lock", "phase.json"
+_NOTED_S = 0.5
+# fields of /proc/PID/stat, counted behind the number and the name
+_SINCE_BOOT = 22 - 3
+_ENDED = "ZX"
+
+
+@dataclass(frozen=True)
+class Presence:
+    """A process at work.
+
+    Attributes
+    ----------
+    host : str
+    pid : int
+    began : float
+        When, in seconds since 1970.
+    birth : str
+        What tells the process from a later one of the same number; empty where the system does not say.
+    """
+
+    host: str
+    pid: int
+    began: float
+    birth: str
+
+    def is_alive(self) -> bool | None:
+        """Say whether the process still exists; None if that cannot be known from here."""
+        if self.host != socket.gethostname() or os.name != "posix":
+            return None
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except PermissionError:  # of another user
+            pass
+        return not self.birth or self.birth == _birth(self.pid)
+
+
+class Hold:
+    """The lock of a directory, which a process that dies lets go of.
+
+    Parameters
+    ----------
+    directory : Path
+    refusal : str
+        What to say if another process has it.
+
+    Raises
+    ------
+    ValueError
+        If another process has it.
+    """
+
+    def __init__(self, directory: Path, refusal: str) -> None:
+        self._directory = directory
+        self._lock = FileLock(directory / LOCK, timeout=0)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise ValueError(refusal) from None
+
+    def release(self) -> None:
+        """Let others at the directory; no more is done the second time."""
+        if self._lock.is_locked:
+            leave(self._directory)
+        self._lock.release()
+
+
+def announce(directory: Path) -> None:
+    """Note that this process is at work in a directory, whose lock it holds; without room for that, do without."""
+    pid = os.getpid()
+    here = Presence(socket.gethostname(), pid, time.time(), _birth(pid))
+    with suppress(OSError):
+        write_durably(directory / FILE, json.dumps(asdict(here)).encode())
+
+
+def leave(directory: Path) -> None:
+    """Take the note away: whoever left it there afterwards was killed."""
+    with suppress(OSError):
+        for name in (PHASE, FILE):
+            (directory / name).unlink(missing_ok=True)
+
+
+def present(directory: Path) -> Presence | None:
+    """Return who is at work, or was killed at it; None if nobody, or the note is damaged."""
+    try:
+        held = json.loads((directory / FILE).read_text(encoding="utf-8"))
+        return Presence(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+class PhaseNote:
+    """A note of the phase under way in a directory, to be read without taking the lock; there is none between two.
+
+    Parameters
+    ----------
+    directory : Path
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / PHASE
+        self._noted = ("", 0.0)
+
+    def note(self, phase: str, done: int, total: int) -> None:
+        """Note how far a phase is, twice a second at most; an empty name for none."""
+        now = time.monotonic()
+        name, at = self._noted
+        if name == phase and now < at + _NOTED_S:
+            return
+        self._noted = phase, now
+        with suppress(OSError):  # without room for it, do without
+            if phase:
+                unfinished = self._path.with_name(f".{PHASE}.part")
+                unfinished.write_text(json.dumps({"phase": phase, "done": done, "total": total}))
+                os.replace(unfinished, self._path)
+            elif name:
+                self._path.unlink(missing_ok=True)
+
+
+def noted_phase(directory: Path) -> tuple[str, int, int] | None:
+    """Return the phase under way, its steps done and all; None if there is none, or the note is damaged."""
+    try:
+        held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
+        return str(held["phase"]), int(held["done"]), int(held["total"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _birth(pid: int) -> str:
+    """Return the system's start and the process's after it; empty without /proc, and of a process that ended."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
+        fields = behind_name.split()
+        return "" if fields[0] in _ENDED else f"{boot} {fields[_SINCE_BOOT]}"
+    except (OSError, IndexError):
+        return ""

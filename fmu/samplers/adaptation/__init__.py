@@ -1,0 +1,4 @@
+"""What is tuned in warm-up, and when.
+
+Reading order: schedule, tuners.
+"""

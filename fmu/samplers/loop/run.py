@@ -1,0 +1,459 @@
+"""The only loop: groups of chains, seeds, progress and what is kept."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from fmu.engines.engine import Engine, InProcess
+from fmu.interruption import shielded
+from fmu.numbers import apart
+from fmu.progress import Report
+from fmu.samplers.kernel import FloatArray, LogDensity, Sampler
+from fmu.samplers.loop.draws import Draws as Draws
+from fmu.samplers.loop.draws import RunResult as RunResult
+from fmu.samplers.loop.group import (
+    DRAWS,
+    WARMUP,
+    Done,
+    Part,
+    Setting,
+    Standing,
+    advance,
+    evaluated_again,
+    first_snapshot,
+)
+from fmu.samplers.loop.record import Record, Steps
+from fmu.samplers.loop.settings import describe, whole_number
+from fmu.samplers.loop.starts import starting_points
+
+MOST_STEPS = 1000
+"""Steps of a part of the work at most: they come as a copy into the record of the run."""
+_ENOUGH = 20  # steps, before which their diagnostics mean nothing
+LIVE_S = 1.0
+"""Seconds in which every group has its turn where somebody looks on, or may want to stop the run."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was asked to stop, and has stopped between two steps.
+
+    Attributes
+    ----------
+    result : RunResult or None
+        What had been drawn by then; None if that is nothing but warm-up.
+    """
+
+    def __init__(self, result: RunResult | None) -> None:
+        super().__init__("the run was stopped")
+        self.result = result
+
+
+class TooManyFailuresError(RuntimeError):
+    """Too large a share of the solves failed.
+
+    Attributes
+    ----------
+    result : RunResult or None
+        What had been drawn by then; None if that is nothing but warm-up.
+    """
+
+    def __init__(self, message: str, result: RunResult | None) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+class Kept(NamedTuple):
+    """A group of chains as it was kept last.
+
+    Attributes
+    ----------
+    standing : Standing
+    elapsed_s : mapping of str to float
+        What the phases of the run had taken by then.
+    steps : iterable of (str, int, Steps)
+        All steps that the group has taken: their phase, the number of the first, and the steps.
+    """
+
+    standing: Standing
+    elapsed_s: Mapping[str, float]
+    steps: Iterable[tuple[str, int, Steps]]
+
+
+class Unkept(NamedTuple):
+    """What is to be kept of a group of chains.
+
+    Attributes
+    ----------
+    standing : Standing
+    elapsed_s : mapping of str to float
+    phase : str
+    first : int
+        Number of the first of the steps in its phase.
+    steps : Steps
+    failures : list
+        Points without a finite log-density since the group was kept last.
+    total : int
+        Steps of the phase, as far as it is known.
+    """
+
+    standing: Standing
+    elapsed_s: Mapping[str, float]
+    phase: str
+    first: int
+    steps: Steps
+    failures: list[Any]
+    total: int
+
+
+class Keeper(Protocol):
+    """Where draws and the state of the chains are kept, so that nothing is lost when a run dies.
+
+    Attributes
+    ----------
+    most_steps : int
+        How many steps of a group may be lost.
+    most_seconds : float
+        How much of its time.
+    """
+
+    most_steps: int
+    most_seconds: float
+
+    def kept(self, group: int) -> Kept | None:
+        """Return a group as it was kept last, None if it has not been."""
+        ...
+
+    def is_due(self, group: int, steps: int) -> bool:
+        """Say whether a group that has since taken so many steps is to be kept again."""
+        ...
+
+    def keep(self, group: int, unkept: Unkept) -> None:
+        """Keep what has happened to a group since it was kept last."""
+        ...
+
+
+class _Group:
+    """A group of chains as the run follows it: where it stands, and from which step of a phase it is not kept."""
+
+    def __init__(self, index: int, first_chain: int, chains: int, standing: Standing) -> None:
+        self.index, self.chains = index, slice(first_chain, first_chain + chains)
+        self.standing = standing
+        self.unkept = dict(standing.done)
+        self.failures: list[Any] = []
+
+
+class Run:
+    """A run that can be carried on: warmed up once, extended as often as wanted.
+
+    The same density, settings and seed give the same draws, bit for bit, in however many parts they are drawn, by
+    however many workers, and however often the run was broken off. There is one generator a group of chains, from
+    ``SeedSequence(seed).spawn(groups)``.
+
+    Parameters
+    ----------
+    density : LogDensity
+        With attributes `offset` and `scale`, (ndim,), for the scaled view if it has them (see ScaledDensity).
+    sampler : Sampler
+        Settings, in the units of the scaled view.
+    warmup : int
+        Steps before the draws. What is learnt in them is frozen.
+    chains : int
+        Chains, or ensembles.
+    seed : int
+    init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
+        See starting_points.
+    groups : int, optional
+        The chains of a group advance in lockstep and learn together; groups can be advanced by different workers.
+        They are part of what determines the draws. If not given, all chains are one group, but every ensemble is
+        its own.
+    progress : callable, optional
+        Called as ``progress(phase, done, total, info)``: phase "warmup" or "draws", steps done of the phase's
+        total as far as it is known, and numbers by name; ``info["group"]`` tells which group it is where there
+        are several. In this process after every step, from other workers some times a second.
+    engine : Engine, optional
+        Who does the work: this process, if not given.
+    keeper : Keeper, optional
+        Where draws and states are kept. What it holds already is not drawn again.
+    stop : callable, optional
+        Asked between two parts of the work, at least once a second where a step is not longer: True to stop.
+    too_many_failed : callable, optional
+        ``too_many_failed(n_failed, n_solves, failures)`` says that too large a share of solves failed, or None.
+    live : callable, optional
+        Maps draws (chains, steps, walkers, ndim) to numbers by name for the progress.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, a setting does not fit the density, a start is outside the bounds or has a
+        log-density that is not finite, or the keeper holds a run on another density.
+    Interrupted
+        If `stop` said so.
+    TooManyFailuresError
+        If `too_many_failed` said so.
+    """
+
+    def __init__(
+        self,
+        density: LogDensity,
+        sampler: Sampler,
+        *,
+        warmup: int,
+        chains: int,
+        seed: int,
+        init: Any,
+        groups: int | None = None,
+        progress: Report | None = None,
+        engine: Engine | None = None,
+        keeper: Keeper | None = None,
+        stop: Callable[[], bool] | None = None,
+        too_many_failed: Callable[[int, int, list[Any]], str | None] | None = None,
+        live: Callable[[FloatArray], Mapping[str, float]] | None = None,
+    ) -> None:
+        self.sampler, self.chains = sampler, whole_number("chains", chains, 1)
+        self.warmup, self.seed = whole_number("warmup", warmup, 0), whole_number("seed", seed, 0)
+        self.init = init if isinstance(init, str) else "array"
+        self.groups = n_groups(groups, self.chains, sampler)
+        self._setting = Setting(density, sampler, self.warmup)
+        self._engine, self._keeper, self._stop = engine or InProcess(), keeper, stop or (lambda: False)
+        self._too_many_failed = too_many_failed or (lambda *_: None)
+        self._n_failed = self._n_solves = 0
+        self._hurried = progress is not None or keeper is not None or stop is not None
+        self._watch = None if progress is None else _Watch(progress, live)
+        walkers, ndim = sampler.walkers, self._setting.scaled.ndim
+        self._records = {phase: Record(self.chains, walkers, ndim) for phase in (WARMUP, DRAWS)}
+        self._elapsed_s = {WARMUP: 0.0, DRAWS: 0.0}
+        self._drawn = 0
+        self._groups = self._begun(init)
+        if keeper is not None:
+            for group in self._groups:
+                self._restore(group, keeper)
+        self._advance(WARMUP, self.warmup)
+
+    def extend(self, draws: int) -> RunResult:
+        """Draw as many further steps, and return everything drawn so far.
+
+        Raises
+        ------
+        ValueError
+            If `draws` is not a whole number of at least 1.
+        Interrupted
+            If the run was asked to stop.
+        """
+        target = self._drawn + whole_number("draws", draws, 1)
+        self._advance(DRAWS, target)
+        self._drawn = target
+        return self._result(target)
+
+    def _begun(self, init: Any) -> list[_Group]:
+        """Return the groups before their first step."""
+        setting, walkers = self._setting, self.sampler.walkers
+        seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
+        generators = [np.random.default_rng(child) for child in seeds]
+        positions = starting_points(setting.scaled, init, generators, self.chains, walkers)
+        each = self.chains // self.groups
+        groups = []
+        for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
+            group = first_snapshot(setting, rng, position, i * each)
+            groups.append(_Group(i, i * each, each, Standing(group, {WARMUP: 0, DRAWS: 0}, {})))
+        return groups
+
+    def _restore(self, group: _Group, keeper: Keeper) -> None:
+        """Put a group where it stood when it was kept."""
+        kept = keeper.kept(group.index)
+        if kept is None:
+            return
+        _check_same(self._setting, kept.standing)
+        for phase, record in self._records.items():
+            record.reserve(kept.standing.done[phase])
+        for phase, first, steps in kept.steps:
+            self._write(group, phase, first, steps)
+        group.standing, group.unkept = kept.standing, dict(kept.standing.done)
+        for phase, seconds in kept.elapsed_s.items():
+            self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
+
+    def _advance(self, phase: str, target: int) -> None:
+        """Advance every group to step number `target` of a phase."""
+        behind = [group for group in self._groups if group.standing.done[phase] < target]
+        if not behind:
+            return
+        self._records[phase].reserve(target)
+        began, before = time.perf_counter(), self._elapsed_s[phase]
+
+        def follow(line: int, done: Done) -> Part | None:
+            with shielded():
+                return taken(line, done)
+
+        def taken(line: int, done: Done) -> Part | None:
+            self._elapsed_s[phase] = before + time.perf_counter() - began
+            group = behind[line]
+            self._write(group, phase, group.standing.done[phase], done.steps)
+            group.standing = done.standing
+            group.failures += done.failures
+            why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
+            stopped = self._stop()
+            ended = stopped or why is not None or group.standing.done[phase] >= target
+            self._keep(group, phase, target, at_once=ended)
+            if why is not None:
+                raise TooManyFailuresError(why, self._so_far())
+            if stopped and self._engine.workers == 1 and any(g.standing.done[phase] < target for g in behind):
+                raise Interrupted(None)  # no other is under way: they need not take another step each
+            if self._watch is not None and phase == DRAWS:
+                self._watch.look(self._common(phase))
+            return None if ended else self._part(group, phase, target)
+
+        parts = [self._part(group, phase, target) for group in behind]
+        try:
+            self._engine.lines(advance, self._setting, parts, follow, self._watch)
+        except KeyboardInterrupt as stop:  # perhaps in the middle of a step, which is lost
+            if self._keeper is None and not isinstance(stop, Interrupted):
+                raise
+            with shielded():
+                for group in behind:
+                    self._keep(group, phase, target, at_once=True)
+            raise Interrupted(self._so_far()) from None
+        self._elapsed_s[phase] = before + time.perf_counter() - began
+        if any(group.standing.done[phase] < target for group in behind):
+            raise Interrupted(self._so_far())
+
+    def _part(self, group: _Group, phase: str, target: int) -> Part:
+        """Return the next part of a group's work."""
+        standing = group.standing
+        steps = min(MOST_STEPS, target - standing.done[phase])
+        turns = math.ceil(self.groups / self._engine.workers)
+        seconds = LIVE_S / turns if self._hurried else math.inf
+        if self._keeper is not None:
+            steps = min(steps, self._keeper.most_steps - (standing.done[phase] - group.unkept[phase]))
+            seconds = min(seconds, self._keeper.most_seconds)
+        label = f"{group.index + 1}/{self.groups}" if self.groups > 1 else ""
+        return Part(standing.group, phase, steps, seconds, target, label)
+
+    def _write(self, group: _Group, phase: str, first: int, steps: Steps) -> None:
+        """Take over steps of a group, and what they cost."""
+        self._records[phase].write(first, group.chains.start, steps)
+        self._n_solves += int(steps.stats["n_solves"].sum())
+        self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
+
+    def _keep(self, group: _Group, phase: str, target: int, *, at_once: bool) -> None:
+        """Have a group kept if it is time to."""
+        first, stop = group.unkept[phase], group.standing.done[phase]
+        if self._keeper is None or stop == first:
+            return
+        if not (at_once or self._keeper.is_due(group.index, stop - first)):
+            return
+        steps = self._records[phase].steps(first, stop, group.chains)
+        unkept = Unkept(group.standing, dict(self._elapsed_s), phase, first, steps, group.failures, target)
+        self._keeper.keep(group.index, unkept)
+        group.unkept[phase], group.failures = stop, []
+
+    def _common(self, phase: str) -> FloatArray:
+        """Return the positions of the steps that all groups have taken, (chains, steps, walkers, ndim)."""
+        return self._records[phase].steps(0, min(group.standing.done[phase] for group in self._groups)).position
+
+    def _so_far(self) -> RunResult | None:
+        """Return the draws that all groups have, None if there are none."""
+        drawn = min(group.standing.done[DRAWS] for group in self._groups)
+        return self._result(drawn) if drawn else None
+
+    def _result(self, draws: int) -> RunResult:
+        """Return the first `draws` draws."""
+        kept = self._records[DRAWS].draws(draws)
+        warm = self._records[WARMUP].draws(self.warmup)
+        if self.warmup == 0:  # no step has named the statistics
+            warm = Draws(warm.position, {key: value[:, :0] for key, value in kept.stats.items()})
+        return RunResult(
+            warmup=warm,
+            posterior=kept,
+            sampler=self.sampler.name,
+            settings=describe(self.sampler),
+            learnt=_merged([group.standing.learnt for group in self._groups]),
+            seed=self.seed,
+            walkers=self.sampler.walkers,
+            draws=draws,
+            warmup_draws=self.warmup,
+            chains=self.chains,
+            groups=self.groups,
+            init=self.init,
+            wall_s=sum(self._elapsed_s.values()),
+            warmup_wall_s=self._elapsed_s[WARMUP],
+        )
+
+
+def run(
+    density: LogDensity,
+    sampler: Sampler,
+    *,
+    draws: int,
+    warmup: int,
+    chains: int,
+    seed: int,
+    init: Any,
+    progress: Report | None = None,
+) -> RunResult:
+    """Sample a density: warm up, and draw `draws` steps. The arguments are those of `Run` and `Run.extend`."""
+    draws = whole_number("draws", draws, 1)
+    begun = Run(density, sampler, warmup=warmup, chains=chains, seed=seed, init=init, progress=progress)
+    return begun.extend(draws)
+
+
+def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
+    """Return how many groups the chains are divided into.
+
+    Raises
+    ------
+    ValueError
+        If the chains cannot be divided into so many groups, or the sampler does not allow it.
+    """
+    if groups is None:
+        return chains if sampler.walkers > 1 else 1
+    groups = whole_number("groups", groups, 1)
+    if chains % groups:
+        raise ValueError(f"groups: must divide the {chains} chains evenly (got {groups})")
+    if sampler.walkers > 1 and groups != chains:
+        raise ValueError(f"groups: must be the {chains} ensembles, each of which is a group (got {groups})")
+    if sampler.name == "tempering" and groups > 1:
+        raise ValueError(f"groups: must be 1 for tempering, whose chains learn one ladder together (got {groups})")
+    return groups
+
+
+def _check_same(setting: Setting, standing: Standing) -> None:
+    """Raise ValueError unless the density is the one that the chains were on."""
+    then, now = evaluated_again(setting, standing.group)
+    if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
+        worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
+        was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)
+        raise ValueError(
+            f"checkpoint: must be of the same posterior (where a chain is, its log-probability was "
+            f"{was}, and is {is_now})"
+        )
+
+
+def _merged(learnt: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the settings learnt: of several groups a list for each of them."""
+    if len(learnt) == 1:
+        return learnt[0]
+    return {name: [settings[name] for settings in learnt] for name in learnt[0]}
+
+
+class _Watch:
+    """Passes progress on, together with how the draws of all groups do."""
+
+    def __init__(self, progress: Report, live: Callable[[FloatArray], Mapping[str, float]] | None) -> None:
+        self._progress, self._live = progress, live
+        self._words: dict[str, float] = {}
+        self._next = 0.0
+
+    def __call__(self, phase: str, done: int, total: int, info: Mapping[str, str | int | float]) -> None:
+        self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
+
+    def look(self, draws: FloatArray) -> None:
+        """Look at the draws so far, if that has not been done just now: it may take a fiftieth of the time."""
+        began = time.monotonic()
+        if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
+            return
+        self._words = dict(self._live(draws))
+        ended = time.monotonic()
+        self._next = ended + 50.0 * (ended - began)

@@ -1,0 +1,129 @@
+"""Checks of the samplers' settings, and their plain form: comparable, and written as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fmu.samplers.kernel import FloatArray
+
+Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
+
+
+def positive_number(name: str, value: Any) -> float:
+    """Return `value` as a float; ValueError unless it is a positive finite number."""
+    number = _as_floats(name, value)
+    if number.ndim != 0 or not np.isfinite(number) or number <= 0:
+        raise ValueError(f"{name}: must be a positive finite number (got {value!r})")
+    return float(number)
+
+
+def whole_number(name: str, value: Any, minimum: int) -> int:
+    """Return `value` as an int; ValueError unless it is a whole number of at least `minimum`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+        raise ValueError(f"{name}: must be a whole number of at least {minimum} (got {value!r})")
+    return int(value)
+
+
+def one_of(name: str, value: Any, known: tuple[str, ...]) -> str:
+    """Return `value`; ValueError unless it is one of the `known` words."""
+    if value not in known:
+        raise ValueError(f"{name}: must be one of {', '.join(known)} (got {value!r})")
+    return str(value)
+
+
+def vector(name: str, value: Any) -> tuple[float, ...]:
+    """Return a vector as a tuple; ValueError unless it is finite and one-dimensional."""
+    array = _as_floats(name, value)
+    if array.ndim != 1 or array.size == 0 or not np.all(np.isfinite(array)):
+        raise ValueError(f"{name}: must be a vector of finite numbers (got {value!r})")
+    return tuple(array.tolist())
+
+
+def positive_scale(name: str, value: Any, *, matrix: bool) -> Scale:
+    """Return a positive number, a vector of them or a positive definite matrix in hashable form.
+
+    Parameters
+    ----------
+    name : str
+        The setting's name, for the error.
+    value : float or array_like, shape (ndim,) or (ndim, ndim)
+    matrix : bool
+        Whether a symmetric positive definite matrix is allowed.
+
+    Raises
+    ------
+    ValueError
+        If `value` is none of these.
+    """
+    array = _as_floats(name, value)
+    if not np.all(np.isfinite(array)) or array.size == 0:
+        raise ValueError(f"{name}: must be finite (got {value!r})")
+    if array.ndim <= 1:
+        if np.any(array <= 0):
+            raise ValueError(f"{name}: must be positive (got {value!r})")
+        return float(array) if array.ndim == 0 else tuple(array.tolist())
+    if not matrix or array.ndim != 2:
+        allowed = "a number, a vector or a square matrix" if matrix else "a number or a vector"
+        raise ValueError(f"{name}: must be {allowed} (got shape {array.shape})")
+    cholesky_factor(name, array)
+    return tuple(tuple(row) for row in array.tolist())
+
+
+def cholesky_factor(name: str, matrix: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor; ValueError unless `matrix` is symmetric and positive definite."""
+    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1]
+    if square and np.allclose(matrix, matrix.T, rtol=1e-8, atol=0.0):
+        try:
+            return np.linalg.cholesky(matrix)
+        except np.linalg.LinAlgError:
+            pass  # reported below, with the name of the setting
+    raise ValueError(f"{name}: must be a symmetric positive definite matrix (got {matrix.tolist()})")
+
+
+def orthonormal(name: str, value: Any) -> tuple[tuple[float, ...], ...]:
+    """Return a matrix in hashable form; ValueError unless its columns are orthonormal."""
+    array = _as_floats(name, value)
+    if array.ndim != 2 or array.shape[0] != array.shape[1]:
+        raise ValueError(f"{name}: must be a square matrix (got shape {array.shape})")
+    if not np.allclose(array.T @ array, np.eye(len(array)), rtol=0.0, atol=1e-8):
+        raise ValueError(f"{name}: must have orthonormal columns (got {value!r})")
+    return tuple(tuple(row) for row in array.tolist())
+
+
+def fits(name: str, value: Any, ndim: int) -> FloatArray:
+    """Return `value` as an array; ValueError unless its length, if it has one, is `ndim`."""
+    array = np.asarray(value, dtype=float)
+    if array.ndim and array.shape[0] != ndim:
+        raise ValueError(f"{name}: must have length {ndim}, one entry a coordinate (got {array.shape[0]})")
+    return array
+
+
+def describe(settings: Any) -> dict[str, Any]:
+    """Return the fields of a settings dataclass as plain JSON-able data, the nested ones with their class name."""
+    fields = (field for field in dataclasses.fields(settings) if field.init)
+    return {field.name: _plain(getattr(settings, field.name)) for field in fields}
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {"type": type(value).__name__, **describe(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return repr(value)
+
+
+def _as_floats(name: str, value: Any) -> FloatArray:
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: must be numeric (got {value!r})") from None

@@ -1,0 +1,104 @@
+"""Where chains begin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fmu.numbers import typed
+from fmu.samplers.kernel import FloatArray
+from fmu.samplers.loop.scaled import ScaledDensity
+
+BALL = 0.02
+"""Standard deviation, in scaled units, of the walkers of an ensemble around a single start."""
+
+
+def starting_points(
+    scaled: ScaledDensity, init: Any, generators: list[np.random.Generator], chains: int, walkers: int
+) -> list[FloatArray]:
+    """Return the scaled starting positions of every task.
+
+    Parameters
+    ----------
+    scaled : ScaledDensity
+    init : "prior", "start" or array_like
+        "prior": draws from ``density.sample_prior``. "start": ``density.start`` for every chain; the walkers of an
+        ensemble are spread around it by `BALL`, for they must span the space. An array holds theta itself, shape
+        (chains, ndim), or (chains, walkers, ndim) for ensembles.
+    generators : list of Generator
+        One a task; chains are divided among the tasks in equal parts.
+    chains, walkers : int
+        `walkers` is 1 for samplers whose chain is a single point.
+
+    Returns
+    -------
+    list of ndarray, shape (chains of the task, ndim) or (chains of the task, walkers, ndim)
+
+    Raises
+    ------
+    ValueError
+        If `init` is none of these, the density lacks what it asks for, or a start is outside the bounds.
+    """
+    each = chains // len(generators)
+    shape = (chains, scaled.ndim) if walkers == 1 else (chains, walkers, scaled.ndim)
+    if isinstance(init, str):
+        if init not in ("prior", "start"):
+            raise ValueError(f"init: must be 'prior', 'start' or an array of shape {shape} (got {init!r})")
+        source = {"prior": "sample_prior", "start": "start"}[init]
+        if not hasattr(scaled.density, source):
+            raise ValueError(f"init: {init!r} needs a density with {source!r} (got one without)")
+    if isinstance(init, str) and init == "prior":
+        parts = [_prior(scaled, rng, each, walkers) for rng in generators]
+        theta = np.concatenate(parts).reshape(shape)
+    else:
+        theta = scaled.density.start if isinstance(init, str) else init  # type: ignore[attr-defined]
+        theta = np.asarray(theta, dtype=float)
+        if isinstance(init, str):
+            theta = np.broadcast_to(theta, shape)
+    if theta.shape != shape:
+        raise ValueError(f"init: must have shape {shape} (got {theta.shape})")
+    check_inside(scaled, theta)
+    start = np.split(scaled.to_scaled(theta), len(generators))
+    if isinstance(init, str) and init == "start" and walkers > 1:
+        start = [_ball(scaled, rng, u) for rng, u in zip(generators, start, strict=True)]
+    return [np.clip(u, scaled.lower, scaled.upper) for u in start]
+
+
+def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
+    """Raise ValueError naming the first start that lies outside the bounds or is not finite."""
+    inside = (theta >= scaled.theta_lower) & (theta <= scaled.theta_upper) & np.isfinite(theta)
+    if not inside.all():
+        *where, i = (int(k) for k in np.argwhere(~inside)[0])
+        raise ValueError(
+            f"init: {_label(where)} must start within [{typed(scaled.theta_lower[i])}, "
+            f"{typed(scaled.theta_upper[i])}] in coordinate {i} (got {typed(theta[(*where, i)])})"
+        )
+
+
+def check_finite(scaled: ScaledDensity, position: FloatArray, log_prob: FloatArray, first_chain: int) -> None:
+    """Raise ValueError naming the first start whose log-density is not finite."""
+    bad = np.argwhere(~np.isfinite(log_prob))
+    if len(bad):
+        chain, *rest = (int(k) for k in bad[0])
+        theta = scaled.to_theta(position[(chain, *rest)])
+        raise ValueError(
+            f"init: {_label([first_chain + chain, *rest])} must start where the log-density is finite "
+            f"(got theta = {theta.tolist()})"
+        )
+
+
+def _label(where: list[int]) -> str:
+    return " ".join(f"{kind} {k}" for kind, k in zip(("chain", "walker"), where, strict=False))
+
+
+def _prior(scaled: ScaledDensity, rng: np.random.Generator, chains: int, walkers: int) -> FloatArray:
+    sample_prior = scaled.density.sample_prior  # type: ignore[attr-defined]
+    return np.asarray(sample_prior(rng, chains * walkers), dtype=float).reshape(chains, -1)
+
+
+def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
+    """Spread walkers around `u`, folding them back at the walls so that no two fall on the same point."""
+    spread = u + BALL * rng.standard_normal(u.shape)
+    spread = np.where(spread < scaled.lower, 2 * scaled.lower - spread, spread)
+    return np.where(spread > scaled.upper, 2 * scaled.upper - spread, spread)
