@@ -85,9 +85,9 @@ def sample(
     seed : int
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their shares
-        (`fmu.analysis.maxima.starts`); those of an updating problem are searched for if they are not given, and a plain
-        log-density without maxima is started from the prior. ``"prior"``: draws from the prior. ``"start"``: at
-        ``problem.start``. Or where the array says (SI units).
+        (`fmu.analysis.maxima.starts`); those of an updating problem are searched for if they are not given, and a
+        plain log-density without maxima is started from the prior. ``"prior"``: draws from the prior. ``"start"``:
+        at ``problem.start``. Or where the array says (SI units).
     groups : int, optional
         Groups that the chains are divided into, for several workers: the chains of a group advance together and
         learn together, so that another number gives other draws. If not given, all chains are one group, but each
@@ -118,11 +118,11 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        The trace, see `fmu.analysis.trace.conversion.to_trace`; its attributes include ``after_n_solves``, the solves after
-        the last draw, for predictions and what follows, and the certificate of the reduced model where there is
-        one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
-        (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.modes.pairing_changes`) and ``identifiability``
-        (`fmu.analysis.data.identifiability`) go with it.
+        The trace, see `fmu.analysis.trace.conversion.to_trace`; its attributes include ``after_n_solves``, the
+        solves after the last draw, for predictions and what follows, and the certificate of the reduced model
+        where there is one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
+        (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.modes.pairing_changes`) and
+        ``identifiability`` (`fmu.analysis.data.identifiability`) go with it.
 
     Raises
     ------

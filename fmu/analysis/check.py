@@ -57,7 +57,8 @@ class Check:
     tests : tuple of str
         What is doubtful in the order of repeated tests, a sentence each.
     shapes : xarray.Dataset or None
-        The shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), where there is a structure to draw.
+        The shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), where there is a structure to
+        draw.
     """
 
     name: str

@@ -77,7 +77,8 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     ----------
     trace : xarray.DataTree
     failures : callable
-        Says why a trace must not be called converged: `fmu.analysis.convergence.diagnostics.convergence_failures`, or more.
+        Says why a trace must not be called converged: `fmu.analysis.convergence.diagnostics.convergence_failures`,
+        or more.
 
     Notes
     -----

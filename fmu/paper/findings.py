@@ -32,8 +32,8 @@ class Findings:
     parameters, frequencies, comparison : DataFrame
         See `fmu.paper.pages.tables`.
     maxima : DataFrame
-        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), and beside them the
-        physical ``modes`` paired there.
+        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), and beside
+        them the physical ``modes`` paired there.
     reasons, warnings : mapping of str to tuple of str
         By sampler, why the long run has not converged, and what speaks against the model.
     places : mapping of str to mapping of str to float

@@ -42,10 +42,10 @@ class UpdatingProblem:
     parameters : sequence of Parameter
         Of the model, in the order of theta. Standard deviations that `error` infers come after them.
     pairing : {"shape", "index", "soft"}
-        Which computed mode answers to which measured one (`fmu.fem.pairing.rules`), for a SeparableModel: by MAC with
-        the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
-        weights exp(MAC/τ), so that the log-probability does not jump where modes veer: read what is given up for
-        that in `fmu.posterior.errors.mixture`.
+        Which computed mode answers to which measured one (`fmu.fem.pairing.rules`), for a SeparableModel: by MAC
+        with the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them,
+        with weights exp(MAC/τ), so that the log-probability does not jump where modes veer: read what is given up
+        for that in `fmu.posterior.errors.mixture`.
     softness : float
         τ, of ``"soft"`` alone.
     reduction : bool or float
@@ -58,8 +58,8 @@ class UpdatingProblem:
         it is 1, the paper's.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ε = f − f^m in Hz; or the residual of eq. (2) at the sensors, a pseudo-likelihood
-        (`fmu.posterior.errors.residual`) that needs measured shapes and a SeparableModel; or what is to be summed of
-        `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
+        (`fmu.posterior.errors.residual`) that needs measured shapes and a SeparableModel; or what is to be summed
+        of `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
     name : str
     engine : Engine, optional
         Trains the reduced model with its workers (see `fmu.engine`), to the same in every bit. It is not kept.

@@ -91,9 +91,9 @@ def reduce_model(
     Frequencies are good to the tolerance over the whole box, and the log-probability to its own wherever it is
     within `PLAUSIBLE` of its maximum, at every point that was tried. Points on a jump, where modes swap and either
     model may take either of them, say nothing of the basis. Where more points do not help, as what is left is
-    rounding of the full model, or the basis would have more vectors than pay (`fmu.fem.reduced.training.affordable`),
-    training ends; a run's certificate says what was promised and not kept (`fmu.analysis.certificate`). An engine
-    solves the full model at several points at once.
+    rounding of the full model, or the basis would have more vectors than pay
+    (`fmu.fem.reduced.training.affordable`), training ends; a run's certificate says what was promised and not kept
+    (`fmu.analysis.certificate`). An engine solves the full model at several points at once.
 
     Warns
     -----

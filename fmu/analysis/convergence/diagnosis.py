@@ -101,9 +101,9 @@ def diagnose(
     """Say whether a run has converged, and if not, why; and what speaks against the model.
 
     A run has converged where nothing speaks against it: the rule of
-    `fmu.analysis.convergence.diagnostics.convergence_failures`, in which whatever is NaN fails; and no place that holds 1 % of
-    the probability was left out. Such places are known from `find_map` and from other
-    runs. Chains alone cannot tell: in one of several modes they agree with each other perfectly.
+    `fmu.analysis.convergence.diagnostics.convergence_failures`, in which whatever is NaN fails; and no place that
+    holds 1 % of the probability was left out. Such places are known from `find_map` and from other runs. Chains
+    alone cannot tell: in one of several modes they agree with each other perfectly.
 
     Parameters
     ----------

@@ -149,7 +149,8 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     Returns
     -------
     list of str
-        One sentence a failed test, the gravest first, and what to do about it (`fmu.analysis.convergence.remedies`).
+        One sentence a failed test, the gravest first, and what to do about it
+        (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
     if table is None:

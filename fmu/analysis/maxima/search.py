@@ -51,8 +51,8 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     ----------
     problem : UpdatingProblem
     starts : int, optional
-        Climbs, see `fmu.posterior.maxima.local_maxima.local_maxima`. Fewer are faster and may miss a maximum. 256, or 16 where
-        the model has no derivatives of its own.
+        Climbs, see `fmu.posterior.maxima.local_maxima.local_maxima`. Fewer are faster and may miss a maximum. 256,
+        or 16 where the model has no derivatives of its own.
     seed : int
         Chooses the starts, and the draws that weigh the maxima.
 

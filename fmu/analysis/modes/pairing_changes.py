@@ -144,8 +144,8 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     Two different things: measured modes come in another *order* than in the model before updating, which is no
     harm as long as each stays itself; and another *computed mode* answers to a measured one. Where modes are
     paired by MAC one to one and veer, the log-probability jumps between the two, which samplers that follow
-    gradients do not expect; with ``pairing="soft"`` it does not (`fmu.posterior.errors.mixture`). Where they cross without
-    mixing (one symmetric, one antisymmetric) it goes on smoothly in any case.
+    gradients do not expect; with ``pairing="soft"`` it does not (`fmu.posterior.errors.mixture`). Where they cross
+    without mixing (one symmetric, one antisymmetric) it goes on smoothly in any case.
 
     Parameters
     ----------

@@ -53,8 +53,8 @@ class ReducedBlock:
 
     Notes
     -----
-    Where degrees of freedom have no mass, the reduced M may be singular as well, and the inverse problem
-    M x = ν (K + s M) x is solved, λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`), with s = tr K/tr M, which makes it
+    Where degrees of freedom have no mass, the reduced M may be singular as well, and the inverse problem M x = ν
+    (K + s M) x is solved, λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`), with s = tr K/tr M, which makes it
     definite for a free structure too.
 
     Every step is done theta by theta inside NumPy's loops, elementwise or in one small LAPACK or BLAS call a

@@ -147,12 +147,13 @@ class ModalData:
         frequencies : array_like, shape (n_tests, n_modes), Hz
             NaN where a test missed a mode; every mode needs two values.
         shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
-            In any scale and sign, all NaN where a test missed a mode; see `fmu.posterior.data.repeated.mean_shapes`.
-            Their scatter gives the standard deviation of the mean shapes (`fmu.posterior.data.repeated.shapes_sd`).
+            In any scale and sign, all NaN where a test missed a mode; see
+            `fmu.posterior.data.repeated.mean_shapes`. Their scatter gives the standard deviation of the mean
+            shapes (`fmu.posterior.data.repeated.shapes_sd`).
         scatter : {"each", "pooled", "joint"}
             Independent modes, each with the scatter of its own values; independent, and the same relative scatter
-            in all, for few tests; or a full covariance, for at least three tests more than modes. In all three
-            the spread is widened for how little few tests say of it: `fmu.posterior.data.repeated.mean_frequencies`.
+            in all, for few tests; or a full covariance, for at least three tests more than modes. In all three the
+            spread is widened for how little few tests say of it: `fmu.posterior.data.repeated.mean_frequencies`.
         numbers, sensors, labels
             As of the class.
 
@@ -206,8 +207,8 @@ class ModalData:
         modes : sequence of int, optional
             Numbers of modes in the file; all if not given.
         **options
-            ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; what else the class takes, as ``numbers``
-            or ``sd_hz``, of which the format knows nothing.
+            ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; what else the class takes, as
+            ``numbers`` or ``sd_hz``, of which the format knows nothing.
 
         Raises
         ------

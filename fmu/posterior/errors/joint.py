@@ -25,8 +25,8 @@ class JointLikelihood:
     Parameters
     ----------
     model : ModalModel
-        Takes the leading parameters. With ``observed`` as `fmu.fem.pairing.paired_model.PairedStructure` has it, where errors
-        are of shapes.
+        Takes the leading parameters. With ``observed`` as `fmu.fem.pairing.paired_model.PairedStructure` has it,
+        where errors are of shapes.
     data : ModalData
     errors : sequence of ErrorModel
 

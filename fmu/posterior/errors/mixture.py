@@ -51,9 +51,10 @@ class SoftLikelihood(JointLikelihood):
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
-    over the candidates k: the lowest modes of all blocks that a measured shape moves in (`fmu.fem.pairing.candidates`).
-    The weights depend on the computed shapes, and so on θ, their slopes are part of the gradient. Where two modes
-    of a block veer, shapes turn into each other continuously, and so does this; a pairing one to one jumps there.
+    over the candidates k: the lowest modes of all blocks that a measured shape moves in
+    (`fmu.fem.pairing.candidates`). The weights depend on the computed shapes, and so on θ, their slopes are part
+    of the gradient. Where two modes of a block veer, shapes turn into each other continuously, and so does this; a
+    pairing one to one jumps there.
 
     Parameters
     ----------

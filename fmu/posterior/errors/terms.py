@@ -87,7 +87,7 @@ class ErrorTerm(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FrequencyTerm:
-    """Gaussian errors of frequencies; `measured` (n_modes,) in Hz, see `fmu.posterior.errors.models.FrequencyErrors`."""
+    """Errors of frequencies; `measured` (n_modes,) in Hz, see `fmu.posterior.errors.models.FrequencyErrors`."""
 
     kind: str
     measured: FloatArray
@@ -144,7 +144,7 @@ class FrequencyTerm:
 
 @dataclass(frozen=True, eq=False)
 class ShapeTerm:
-    """Gaussian errors of shapes; `unit` (n_sensors, n_modes) measured, see `fmu.posterior.errors.models.ShapeErrors`."""
+    """Errors of shapes; `unit` (n_sensors, n_modes) measured, see `fmu.posterior.errors.models.ShapeErrors`."""
 
     unit: FloatArray
     spread: Spread
@@ -198,7 +198,7 @@ class ShapeTerm:
 
 @dataclass(frozen=True, eq=False)
 class MACTerm:
-    """Half-Gaussian errors 1 − MAC; `unit` (n_sensors, n_modes) measured, see `fmu.posterior.errors.models.MACErrors`."""
+    """Errors 1 − MAC; `unit` (n_sensors, n_modes) measured, see `fmu.posterior.errors.models.MACErrors`."""
 
     unit: FloatArray
     spread: Spread

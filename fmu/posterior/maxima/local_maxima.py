@@ -38,10 +38,10 @@ def local_maxima(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) 
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
     The starts are the problem's own and points of a scrambled Sobol sequence in its box. Under a likelihood of
-    errors in the modes all of them climb by Gauss–Newton steps in lockstep (`fmu.posterior.maxima.ascent`), and those
-    that stall at a kink go on by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995), the best eight of them; under another
-    likelihood every start climbs by L-BFGS-B. Two results are one maximum when there is no valley between them:
-    nowhere on the straight line is the log-probability more than a tenth below the lower end.
+    errors in the modes all of them climb by Gauss–Newton steps in lockstep (`fmu.posterior.maxima.ascent`), and
+    those that stall at a kink go on by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995), the best eight of them; under
+    another likelihood every start climbs by L-BFGS-B. Two results are one maximum when there is no valley between
+    them: nowhere on the straight line is the log-probability more than a tenth below the lower end.
 
     Parameters
     ----------
