@@ -197,7 +197,7 @@ def sample(
                 init=start,
                 progress=report,
                 engine=_engine(workers, stack),
-                keeper=store,
+                checkpointer=store,
                 stop=stop,
                 too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
                     failed, solves, max_failure_rate, failures=why

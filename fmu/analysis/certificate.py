@@ -21,7 +21,7 @@ _OF_MODES = ("eigenvalues", "block", "rank")
 
 
 class CertificateWarning(UserWarning):
-    """The reduced model is further from the full one than it promised, at draws that were kept."""
+    """The reduced model is further from the full one than its tolerance, at draws that were kept."""
 
 
 def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0) -> dict[str, Any]:
@@ -82,17 +82,17 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         plausible = total >= total.max() - PLAUSIBLE
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any((block != reduced.block) | (rank != reduced.rank), axis=1)
-    promised = getattr(problem, "promised", None) or Tolerance()
+    tolerance = getattr(problem, "tolerance", None) or Tolerance()
     certificate = {
         "certificate_draws": len(theta),
         "certificate_frequency_error": frequency_error,
         "certificate_log_prob_error": log_prob_error,
         "certificate_pairing_changes": int(np.sum(changed)),
         "certificate_full_solves": int(structure.full_solves) - full_solves,
-        "certificate_frequency_tolerance": promised.frequency,
-        "certificate_log_prob_tolerance": promised.log_prob,
+        "certificate_frequency_tolerance": tolerance.frequency,
+        "certificate_log_prob_tolerance": tolerance.log_prob,
     }
-    if not (frequency_error <= promised.frequency and log_prob_error <= promised.log_prob) or changed.any():
+    if not (frequency_error <= tolerance.frequency and log_prob_error <= tolerance.log_prob) or changed.any():
         warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
     return certificate
 
@@ -101,8 +101,8 @@ def _missed(certificate: dict[str, Any]) -> str:
     """Say by how much the reduced model is off."""
     off = []
     for words, name in (("its frequencies", "frequency"), ("its log-probability", "log_prob")):
-        found, promised = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))
-        off.append(f"{words} by up to {apart(found, promised, digits=2)[0]} (promised: {typed(promised)})")
+        found, tolerance = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))
+        off.append(f"{words} by up to {apart(found, tolerance, digits=2)[0]} (tolerance: {typed(tolerance)})")
     return (
         f"the reduced model missed its tolerance at {certificate['certificate_draws']} draws solved again: "
         f"{', '.join(off)}, its pairing at {certificate['certificate_pairing_changes']} of them"

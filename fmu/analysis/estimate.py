@@ -121,23 +121,23 @@ def _timed(work: Callable[[], object]) -> float:
 
 def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any]) -> float:
     """Return how long a solve takes in a sampler, its own work counted, from the first steps of its warm-up."""
-    from fmu.samplers.loop.group import DRAWS, WARMUP, Part, Setting, advance, first_snapshot
+    from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, RunContext, advance, first_snapshot
     from fmu.samplers.loop.run import n_groups
 
-    setting = Setting(problem, settings, max(orders["warmup"], 1))
+    context = RunContext(problem, settings, max(orders["warmup"], 1))
     rng = np.random.default_rng(0)
     chains = orders["chains"] // n_groups(orders["groups"], orders["chains"], settings)
     shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
     theta = problem.sample_prior(rng, chains * settings.walkers).reshape(shape)
     phase = WARMUP if orders["warmup"] else DRAWS
-    group = first_snapshot(setting, rng, setting.scaled.to_scaled(theta), 0)
+    group = first_snapshot(context, rng, context.scaled.to_scaled(theta), 0)
     each_s = []
     for _ in range(_PROBES):
         began = time.perf_counter()
-        done = advance(setting, Part(group, phase, max(orders[phase], 1), _PROBE_S, 1))
+        done = advance(context, Chunk(group, phase, max(orders[phase], 1), _PROBE_S, 1))
         solves = int(done.steps.stats["n_solves"].sum())
         each_s.append((time.perf_counter() - began) / max(solves, 1))
-        group = done.standing.group
+        group = done.group_state.group
     return float(np.median(each_s))  # the first has something to load, and others may be at the machine
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Tag
 
-from fmu.config.fields import Name, Number, Numbers, ParameterName, Positive, Table, by_kind
+from fmu.config.fields import Name, Number, Numbers, ParameterName, Positive, TomlTable, by_kind
 from fmu.config.mistakes import Mistake, got
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.formats.shown import names_shown
@@ -22,7 +22,7 @@ Rows = Annotated[list[list[Positive]], Tag("<rows>")]
 Deviation = Annotated[Number | Numbers | Named, by_kind("a number, a list of numbers, or the name of a noise")]
 
 
-class NoiseTable(Table):
+class NoiseTable(TomlTable):
     """A standard deviation to be inferred, which error models refer to by its name."""
 
     name: ParameterName
@@ -38,7 +38,7 @@ class NoiseTable(Table):
         return Parameter(self.name, self.start, self.lower, upper, self.prior.build(), self.unit)
 
 
-class FrequencyErrorTable(Table):
+class FrequencyErrorTable(TomlTable):
     """Errors of frequencies: ``kind``, and ``sd`` if not the measurement's: a number, one a mode, or a name."""
 
     of: Literal["frequencies"]
@@ -52,7 +52,7 @@ class FrequencyErrorTable(Table):
         return FrequencyErrors(self.kind, _sd(self.sd, noise), self.weights, noise.get(self.discrepancy or ""))
 
 
-class ShapeErrorTable(Table):
+class ShapeErrorTable(TomlTable):
     """Errors of mode shapes of unit length; ``sd`` a number, one a mode, a row a sensor, or a name."""
 
     of: Literal["shapes"]
@@ -68,7 +68,7 @@ class ShapeErrorTable(Table):
         return ShapeErrors(_sd(self.sd, noise), self.weights, noise.get(self.discrepancy or ""))
 
 
-class MACErrorTable(Table):
+class MACErrorTable(TomlTable):
     """Errors 1 − MAC; ``sd`` a number, one a mode, or a name."""
 
     of: Literal["mac"]

@@ -52,7 +52,7 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 """A place and a direction."""
 
 
-class Table(BaseModel):
+class TomlTable(BaseModel):
     """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted.
 
     The string below a key describes it in the schema that editors show (`fmu.config.schema`).

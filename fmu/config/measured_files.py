@@ -8,16 +8,16 @@ from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from fmu.config.fields import FileName, Table
+from fmu.config.fields import FileName, TomlTable
 from fmu.config.mistakes import BrokenError, Mistake
-from fmu.formats.modes.measured_modes import LEAST_MPC, Modes, ModesError
+from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes, ModesError
 from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes
 from fmu.formats.modes.uff import read_uff
 
 NodeNumber = Annotated[str, StringConstraints(pattern=r"^\d{1,9}$")]
 
 
-class _ModesTable(Table):
+class _ModesTable(TomlTable):
     """A file with modes; ``modes`` are the numbers of those to take, all if there are none."""
 
     file: FileName
@@ -30,7 +30,7 @@ class UffTable(_ModesTable):
 
     nodes: dict[NodeNumber, int | str] = {}
 
-    def read(self, folder: Path, sensors: Sequence[tuple[Any, str]]) -> Modes:
+    def read(self, folder: Path, sensors: Sequence[tuple[Any, str]]) -> MeasuredModes:
         """Return the modes of the file, at `sensors`, or where anything moves if there are none."""
         return read_uff(
             folder / self.file, self.nodes or None, self.modes or None, sensors or None, self.least_mpc
@@ -40,7 +40,7 @@ class UffTable(_ModesTable):
 class OmaTable(_ModesTable):
     """A result of pyOMA_2, written by ``fmu.formats.modes.pyoma.save_pyoma``; its channels are the ``sensors``."""
 
-    def read(self, folder: Path, sensors: Sequence[tuple[Any, str]]) -> Modes:
+    def read(self, folder: Path, sensors: Sequence[tuple[Any, str]]) -> MeasuredModes:
         """Return the modes of the file."""
         return pyoma_modes(load_pyoma(folder / self.file), sensors, self.modes or None, self.least_mpc)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
-from fmu.config.fields import FileName, Name, NumberOrNumbers, Positive, SensorTable, Table
+from fmu.config.fields import FileName, Name, NumberOrNumbers, Positive, SensorTable, TomlTable
 from fmu.config.measured_files import OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model.table import Built
@@ -45,7 +45,7 @@ class _Read(NamedTuple):
     tests: RepeatedTests | None = None
 
 
-class MeasurementTable(Table):
+class MeasurementTable(TomlTable):
     """The modes measured, from one of ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff`` and ``oma``.
 
     Of the errors in frequency ``sd`` in Hz, or ``beta`` = 1/(2 sd²), or ``covariance`` in Hz²; they hold instead

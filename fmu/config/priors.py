@@ -6,13 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from fmu.config.fields import Positive, Table
+from fmu.config.fields import Positive, TomlTable
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 from fmu.posterior.priors.scipy_distributions import ScaledBeta
 
 
-class UniformTable(Table):
+class UniformTable(TomlTable):
     """Constant between the bounds."""
 
     distribution: Literal["uniform"]
@@ -22,7 +22,7 @@ class UniformTable(Table):
         return Uniform()
 
 
-class NormalTable(Table):
+class NormalTable(TomlTable):
     """Gaussian, cut off at the bounds: eq. (6) of the paper with α = 1/sd².
 
     A ``truncated-normal`` is the same, of which a bound is expected.
@@ -37,7 +37,7 @@ class NormalTable(Table):
         return Normal(self.sd, self.mean)
 
 
-class HalfNormalTable(Table):
+class HalfNormalTable(TomlTable):
     """The upper half of a Gaussian, from `at` on."""
 
     distribution: Literal["half-normal"]
@@ -49,7 +49,7 @@ class HalfNormalTable(Table):
         return HalfNormal(self.sd, self.at)
 
 
-class LogNormalTable(Table):
+class LogNormalTable(TomlTable):
     """Positive: by `mode` and `sd`, by `mean` and `sd`, or by `median` and `sigma`, the sd of the logarithm."""
 
     distribution: Literal["log-normal"]
@@ -76,7 +76,7 @@ class LogNormalTable(Table):
         raise ValueError("must have either mode and sd, or mean and sd, or median and sigma")
 
 
-class BetaTable(Table):
+class BetaTable(TomlTable):
     """On the interval from `low` to `high`: by the shapes `a` and `b`, or by `mean` and `sd`."""
 
     distribution: Literal["beta"]

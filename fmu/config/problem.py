@@ -10,7 +10,7 @@ from pydantic import Field, Tag
 
 from fmu.config import parameters as given
 from fmu.config.errors import ErrorTable, NoiseTable, beside_tests, built_noise, vanishing
-from fmu.config.fields import Name, Positive, Table, by_kind
+from fmu.config.fields import Name, Positive, TomlTable, by_kind
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.model.frame import FrameTable
@@ -35,7 +35,7 @@ MOST_PARAMETERS = 200
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
-class ProblemFile(Table):
+class ProblemFile(TomlTable):
     """A file: a model, the modes measured, and what is uncertain. SI units throughout."""
 
     name: Name

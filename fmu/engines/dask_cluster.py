@@ -104,7 +104,7 @@ class DaskCluster(ContextManager):
         """How many tasks run at once with the workers that are there now, at least 1."""
         return max(1, sum(self._client.nthreads().values()))
 
-    def lines(
+    def run_tasks(
         self,
         work: Work,
         shared: Any,
@@ -112,9 +112,9 @@ class DaskCluster(ContextManager):
         follow: Follow | None = None,
         report: Report | None = None,
     ) -> list[Any]:
-        """Do the tasks of all lines, see `fmu.engines.engine.Engine.lines`."""
+        """Do the tasks of all lines, see `fmu.engines.engine.Engine.run_tasks`."""
         if not self._busy.acquire(blocking=False):
-            return InProcess().lines(work, shared, tasks, follow, report)
+            return InProcess().run_tasks(work, shared, tasks, follow, report)
         results: list[Any] = [None] * len(tasks)
         waiting = deque(Flight(i, Order(work, task, report is not None)) for i, task in enumerate(tasks))
         try:

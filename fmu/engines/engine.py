@@ -50,7 +50,7 @@ class Engine(Protocol):
         """How many tasks run at once."""
         ...
 
-    def lines(
+    def run_tasks(
         self,
         work: Work,
         shared: Any,
@@ -123,7 +123,7 @@ class InProcess(ContextManager):
     def __repr__(self) -> str:
         return "InProcess()"
 
-    def lines(
+    def run_tasks(
         self,
         work: Work,
         shared: Any,
@@ -131,7 +131,7 @@ class InProcess(ContextManager):
         follow: Follow | None = None,
         report: Report | None = None,
     ) -> list[Any]:
-        """Do the tasks of all lines, see `Engine.lines`; `shared` is passed as it is."""
+        """Do the tasks of all lines, see `Engine.run_tasks`; `shared` is passed as it is."""
         from threadpoolctl import threadpool_limits
 
         results: list[Any] = [None] * len(tasks)

@@ -113,7 +113,7 @@ class ProcessPool(ContextManager):
     def __repr__(self) -> str:
         return f"ProcessPool({self.workers} workers)"
 
-    def lines(
+    def run_tasks(
         self,
         work: Work,
         shared: Any,
@@ -121,9 +121,9 @@ class ProcessPool(ContextManager):
         follow: Follow | None = None,
         report: Report | None = None,
     ) -> list[Any]:
-        """Do the tasks of all lines, see `fmu.engines.engine.Engine.lines`."""
+        """Do the tasks of all lines, see `fmu.engines.engine.Engine.run_tasks`."""
         if not self._busy.acquire(blocking=False):
-            return InProcess().lines(work, shared, tasks, follow, report)
+            return InProcess().run_tasks(work, shared, tasks, follow, report)
         try:
             return self._lines(work, shared, tasks, follow, report)
         except BaseException:

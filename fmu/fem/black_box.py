@@ -227,7 +227,7 @@ def _spread(model: BlackBoxModel, theta: FloatArray, engine: Engine) -> list[tup
             found[missing[line]] = result
 
         try:
-            engine.lines(_try_there, model, [theta[i] for i in missing], keep)
+            engine.run_tasks(_try_there, model, [theta[i] for i in missing], keep)
         except LostTaskError as lost:
             found[missing[lost.line]] = None, f"the process that called it died {MOST_DEATHS} times ({lost.how})"
     return [found[i] for i in range(len(theta))]

@@ -56,7 +56,7 @@ def run_paper(
         # The experiments by number take longest: they go first, whatever the order on the pages.
         tasks = sorted(plan.experiments, key=_by_shape)
         with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:
-            found = {f.name: f for f in pool.lines(_one_of, (plan, stage), tasks, report=progress)}
+            found = {f.name: f for f in pool.run_tasks(_one_of, (plan, stage), tasks, report=progress)}
         write_closing_pages([found[directory_of(*experiment)] for experiment in plan.experiments], plan, stage)
 
 

@@ -73,7 +73,7 @@ class UpdatingProblem:
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
         (theta − offset)/scale is of order one: the unit box where there are bounds.
-    promised : Tolerance or None
+    tolerance : Tolerance or None
         What the reduced model promises; None where there is none.
     failures : list of Failure
         ``(theta, reason)`` for every theta inside the bounds whose solve failed or whose log-likelihood was not
@@ -119,7 +119,7 @@ class UpdatingProblem:
         check_names(self.parameters)
         wanted = Tolerance.of(reduction)
         self.model = paired_model(model, data, self.parameters, pairing, softness)
-        self.promised = wanted if isinstance(self.model, PairedStructure) else None
+        self.tolerance = wanted if isinstance(self.model, PairedStructure) else None
         self.likelihood: Likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
         if isinstance(self.likelihood, JointLikelihood):
             self.parameters += self.likelihood.noise
@@ -140,8 +140,8 @@ class UpdatingProblem:
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
         self._prior = JointPrior(self.parameters)
-        if self.promised is not None and isinstance(self.model, PairedStructure):
-            reduce_model(self, self.model, self.promised, engine)
+        if self.tolerance is not None and isinstance(self.model, PairedStructure):
+            reduce_model(self, self.model, self.tolerance, engine)
             self._failed = FailureRecord()  # what failed on the way is nobody's evaluation
         require_digits(self)
 
@@ -284,7 +284,7 @@ class UpdatingProblem:
 
     def configuration(self) -> dict[str, Any]:
         """Return what defines the posterior, in plain Python types."""
-        other = {} if self.promised in (None, Tolerance()) else {"reduction": self.promised.frequency}
+        other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
         return other | {
             "name": self.name,
             "model": self._model_description(),

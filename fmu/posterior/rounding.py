@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fmu.fem.modes.modal import RIGID
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
 from fmu.posterior.errors.frequency import FrequencyLikelihood
@@ -191,7 +191,7 @@ def _in_sd(problem: UpdatingProblem, frequencies: FloatArray, error: FloatArray)
     if isinstance(likelihood, FrequencyLikelihood):
         return np.asarray(np.linalg.norm(likelihood.error.whitened(np.diag(error)[None])[0], axis=0))
     assert isinstance(likelihood, JointLikelihood)  # narrowed for the type checker
-    seen = Observed(frequencies[None], np.empty((1, 0, len(frequencies))))
+    seen = ModalPrediction(frequencies[None], np.empty((1, 0, len(frequencies))))
     noise = problem.start[None, likelihood.n_structural :]
     squares = np.zeros(len(frequencies))
     for term in likelihood.terms_of:

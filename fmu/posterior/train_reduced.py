@@ -84,7 +84,7 @@ class Tolerance:
 
 
 def reduce_model(
-    problem: UpdatingProblem, structure: PairedStructure, promised: Tolerance, engine: Engine | None = None
+    problem: UpdatingProblem, structure: PairedStructure, tolerance: Tolerance, engine: Engine | None = None
 ) -> None:
     """Train the reduced model of `structure`, or fetch it from the cache.
 
@@ -100,12 +100,12 @@ def reduce_model(
     ReductionWarning
         If training ended before the tolerances were met, from the cache too.
     """
-    tolerances = (promised.frequency, promised.log_prob, PLAUSIBLE)
+    tolerances = (tolerance.frequency, tolerance.log_prob, PLAUSIBLE)
     key = {"problem": problem.configuration(), "tolerances": tolerances}
     state = load_basis(key)
     if state is not None:
         structure.restore(state)
-        _warn_if_missed(structure, promised, state)
+        _warn_if_missed(structure, tolerance, state)
         return
     n = structure.n_parameters
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
@@ -114,26 +114,26 @@ def reduce_model(
 
     differences: list[float] = []
 
-    def wanting() -> FloatArray | None:
+    def inaccurate_points() -> FloatArray | None:
         points = plausible_points(problem, 64, rng)
         exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
         difference = np.sum(likelihood.terms(points) - exact, axis=1)
-        wrong = ~(np.abs(difference) <= promised.log_prob)
+        wrong = ~(np.abs(difference) <= tolerance.log_prob)
         if not isinstance(structure.rule, SoftPairing):
-            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], promised.frequency)
+            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], tolerance.frequency)
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         return points[:, :n] if wrong.any() and not has_stalled(differences) else None
 
     # without such terms the computed modes take no part in the log-probability
     state = structure.train(
-        lower, upper, promised.frequency, wanting if hasattr(likelihood, "full_terms") else None, engine
+        lower, upper, tolerance.frequency, inaccurate_points if hasattr(likelihood, "full_terms") else None, engine
     )
-    error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, promised.frequency)
+    error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
-    if not (reached[0] <= promised.frequency and reached[1] <= promised.log_prob):
+    if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
     store_basis(key, state)
-    _warn_if_missed(structure, promised, state)
+    _warn_if_missed(structure, tolerance, state)
 
 
 def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
@@ -148,33 +148,33 @@ def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArr
     return float(np.max(error[wrong], initial=0.0))
 
 
-def _off(found: float, promised: float) -> str:
-    return f"{apart(found, promised, digits=3)[0]} (asked for: {typed(promised)})"
+def _off(found: float, tolerance: float) -> str:
+    return f"{apart(found, tolerance, digits=3)[0]} (asked for: {typed(tolerance)})"
 
 
-def _warn_if_missed(structure: PairedStructure, promised: Tolerance, state: dict[str, FloatArray]) -> None:
+def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]) -> None:
     if "reached" not in state:
         return
     frequency, log_prob = state["reached"].tolist()
     blocks = structure.reduced.blocks if structure.reduced is not None else ()
     sizes = " + ".join(str(block.size) for block in blocks if isinstance(block, ReducedBlock))
     missed = []
-    if not frequency <= promised.frequency:
-        missed.append(f"its frequencies by up to {_off(frequency, promised.frequency)}")
-    if not log_prob <= promised.log_prob:
-        missed.append(f"its log-probability by up to {_off(log_prob, promised.log_prob)}")
+    if not frequency <= tolerance.frequency:
+        missed.append(f"its frequencies by up to {_off(frequency, tolerance.frequency)}")
+    if not log_prob <= tolerance.log_prob:
+        missed.append(f"its log-probability by up to {_off(log_prob, tolerance.log_prob)}")
     warnings.warn(
         f"reduction: with a basis of {sizes} vectors the reduced model is off, {' and '.join(missed)}; take a "
-        f"looser tolerance, as reduction={typed(_looser(promised, frequency))}, narrower bounds or priors, or "
+        f"looser tolerance, as reduction={typed(_looser(tolerance, frequency))}, narrower bounds or priors, or "
         "reduction=False, the full model",
         ReductionWarning,
         stacklevel=4,
     )
 
 
-def _looser(promised: Tolerance, reached: float) -> float:
+def _looser(tolerance: Tolerance, reached: float) -> float:
     """Return the next power of ten that has been reached, or is looser than what was asked for."""
-    wanted = max(reached, 10.0 * promised.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
+    wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
     return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 
 
@@ -200,7 +200,7 @@ def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -
         block = structure.reduced.blocks[b] if structure.reduced is not None else structure.full.blocks[b]
         row, column = np.nonzero(full.block == b)
         rank = full.rank[row, column]
-        known = rank < block.trusted
+        known = rank < block.n_trained
         if known.any():
             lam = block.eigenvalues(theta, int(rank[known].max()) + 1)
             answers[row[known], column[known]] = lam[row[known], rank[known]]

@@ -13,7 +13,18 @@ from fmu.analysis.check import Check
 from fmu.analysis.data.uninformed import doubts as doubts_of_information
 from fmu.fem.frame.drawing import UNCHANGED
 from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
-from fmu.report.document import Details, Items, Page, Part, Picture, Pictures, Section, Table, Text, Verdict
+from fmu.report.document import (
+    Details,
+    Items,
+    Page,
+    PageSection,
+    PageTable,
+    Part,
+    Picture,
+    Pictures,
+    Text,
+    Verdict,
+)
 from fmu.report.files import OutputDirectory
 from fmu.report.html import render
 from fmu.report.pages import INDEX
@@ -89,7 +100,7 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     return tuple(verdicts)
 
 
-def _model(found: Check) -> Section:
+def _model(found: Check) -> PageSection:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
         caption = "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors."
@@ -106,8 +117,10 @@ def _model(found: Check) -> Section:
         )
         for name, row in found.parameters.iterrows()
     )
-    parts.append(Table("Parameters, in the units of the file.", header, rows, words=(1, *range(5, len(header)))))
-    return Section("model", "The model", tuple(parts))
+    parts.append(
+        PageTable("Parameters, in the units of the file.", header, rows, words=(1, *range(5, len(header))))
+    )
+    return PageSection("model", "The model", tuple(parts))
 
 
 def _legend(found: Check) -> Markup:
@@ -123,7 +136,7 @@ def _legend(found: Check) -> Markup:
     return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entries))
 
 
-def _modes(found: Check) -> Section:
+def _modes(found: Check) -> PageSection:
     modes = found.modes
     table = found.mode_table()
     rows = tuple(tuple(map(str, row)) for row in table.itertuples(index=False))
@@ -131,12 +144,12 @@ def _modes(found: Check) -> Section:
     caption = "The lowest modes of the model at the start, and the measured ones that they answer to."
     if "moves" in table.columns:
         caption += " Moves: the directions that hold most of a mode's kinetic energy."
-    parts: list[Part] = [Text(_largest_error(found)), Table(caption, tuple(table.columns), rows, words)]
+    parts: list[Part] = [Text(_largest_error(found)), PageTable(caption, tuple(table.columns), rows, words)]
     if modes.notes:
         parts.append(Items(modes.notes))
     if found.shapes is not None:
         parts.append(Pictures(_shapes(found, found.shapes)))
-    return Section("modes", "Modes at the start", tuple(parts))
+    return PageSection("modes", "Modes at the start", tuple(parts))
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
@@ -165,7 +178,7 @@ def _largest_error(found: Check) -> str:
     return f"Before updating, mode {found.modes.labels[k]} is farthest off: {change(errors[k] / 100)}."
 
 
-def _prior(found: Check) -> Section:
+def _prior(found: Check) -> PageSection:
     from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
     from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
 
@@ -191,11 +204,11 @@ def _prior(found: Check) -> Section:
         rows = tuple((label, *row) for label, row in zip(labels, table.to_numpy(), strict=True))
         noise = f"Of {found.measurement}: its error is in the sd." if np.isfinite(prior.noise_sd).all() else ""
         header = ("mode", "measured, Hz", "the prior predicts, Hz", "distance, sd")
-        parts.append(Table(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
-    return Section("prior", "What the prior predicts", tuple(parts))
+        parts.append(PageTable(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
+    return PageSection("prior", "What the prior predicts", tuple(parts))
 
 
-def _informed(found: Check) -> Section:
+def _informed(found: Check) -> PageSection:
     informed = found.identifiability
     if informed is None:
         raise ValueError("found: must know what the data tell (got nothing)")
@@ -213,11 +226,11 @@ def _informed(found: Check) -> Section:
         "the data leave the given part of the prior's standard deviation."
     )
     header = ("direction", "singular value", "sd left", *informed.names)
-    table = Details("The directions and their singular values", (Table(caption, header, rows),))
-    return Section("informed", "What the data can tell", (Items(tuple(informed.sentences())), table))
+    table = Details("The directions and their singular values", (PageTable(caption, header, rows),))
+    return PageSection("informed", "What the data can tell", (Items(tuple(informed.sentences())), table))
 
 
-def _gradient(found: Check) -> Section:
+def _gradient(found: Check) -> PageSection:
     gradient = found.gradient
     rows = tuple(
         (name, *(significant(float(error), 2) for error in errors))
@@ -227,5 +240,5 @@ def _gradient(found: Check) -> Section:
         "Exact gradient of the log-probability against central differences: their difference over the size of "
         "the gradient at the point, in coordinates in which the parameters are of order one."
     )
-    table = Details("Parameter by parameter", (Table(caption, ("parameter", *gradient.points), rows),))
-    return Section("gradient", "Gradient", (Text(gradient.sentence()), table))
+    table = Details("Parameter by parameter", (PageTable(caption, ("parameter", *gradient.points), rows),))
+    return PageSection("gradient", "Gradient", (Text(gradient.sentence()), table))

@@ -33,7 +33,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table.
 
     Attributes
@@ -102,11 +102,11 @@ class Details:
     parts: tuple[Part, ...]
 
 
-Part = Text | Items | Table | Picture | Pictures | Code | Details
+Part = Text | Items | PageTable | Picture | Pictures | Code | Details
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A heading and what is below it."""
 
     id: str
@@ -163,7 +163,7 @@ class Page:
         One line below it.
     verdicts : tuple of Verdict
         What comes first.
-    sections : tuple of Section
+    sections : tuple of PageSection
     others : tuple of Link
         The other pages of the report.
     footer : str
@@ -172,6 +172,6 @@ class Page:
     title: str
     lead: str
     verdicts: tuple[Verdict, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[PageSection, ...]
     others: tuple[Link, ...]
     footer: str

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fmu.progress.phases import Phase, phase
 from fmu.report.document import Page
 from fmu.report.pages import INDEX, file_names, index_page, sampler_page
-from fmu.report.run import Run, runs_of
+from fmu.report.run import ReportedRun, runs_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -82,7 +82,7 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
         return _written(runs, directory, under_way)
 
 
-def _written(runs: dict[str, Run], directory: Path, under_way: Phase) -> Path:
+def _written(runs: dict[str, ReportedRun], directory: Path, under_way: Phase) -> Path:
     """Write the pages of runs, and return the index."""
     files = file_names(runs)
     directory.mkdir(parents=True, exist_ok=True)

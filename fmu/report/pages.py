@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from fmu.report.document import Items, Link, Omitted, Page, Section, Verdict
-from fmu.report.run import Run
+from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
+from fmu.report.run import ReportedRun
 from fmu.report.sections import chains, comparison, evidence, origin, prediction, structure, updating
 from fmu.report.sections.verdicts import verdicts
 
@@ -28,9 +28,9 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
     return files
 
 
-def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) -> Page:
+def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, ReportedRun]) -> Page:
     """Return the page of one run."""
-    found: list[Section | Omitted] = [
+    found: list[PageSection | Omitted] = [
         updating.parameters(run),
         updating.frequencies(run),
         updating.maxima(run),
@@ -58,18 +58,18 @@ def sampler_page(run: Run, files: Mapping[str, str], runs: Mapping[str, Run]) ->
     return Page(run.title, lead, verdicts(run), _without_omissions(found), tuple(others), _footer(run))
 
 
-def _without_omissions(found: Iterable[Section | Omitted]) -> tuple[Section, ...]:
+def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
     """Return the sections, and at the end one that says which are missing, and why."""
     found = tuple(found)
-    sections = [part for part in found if isinstance(part, Section)]
+    sections = [part for part in found if isinstance(part, PageSection)]
     omitted = [part for part in found if isinstance(part, Omitted)]
     if omitted:
         said = Items(tuple(f"{part.title}: {part.reason}." for part in omitted))
-        sections.append(Section("omitted", "Not on this page", (said,)))
+        sections.append(PageSection("omitted", "Not on this page", (said,)))
     return tuple(sections)
 
 
-def index_page(runs: Mapping[str, Run], files: Mapping[str, str]) -> Page:
+def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Page:
     """Return the page that compares the runs."""
     found = (
         comparison.overview(runs, files),
@@ -91,12 +91,12 @@ def index_page(runs: Mapping[str, Run], files: Mapping[str, str]) -> Page:
     )
 
 
-def _told(runs: Mapping[str, Run]) -> Run:
+def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
     """Return the run whose draws speak for the model: a converged one, if there is any."""
     return next((run for run in runs.values() if run.diagnosis.converged), next(iter(runs.values())))
 
 
-def _common_verdicts(runs: Mapping[str, Run]) -> tuple[Verdict, ...]:
+def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:
     """Return the verdicts on all runs together: how many converged, and what one that did says of the model."""
     failed = [run for run in runs.values() if not run.diagnosis.converged]
     good = len(runs) - len(failed)
@@ -111,5 +111,5 @@ def _common_verdicts(runs: Mapping[str, Run]) -> tuple[Verdict, ...]:
     )
 
 
-def _footer(run: Run) -> str:
+def _footer(run: ReportedRun) -> str:
     return f"Written by fmu from the traces alone. Configuration {run.trace.attrs['configuration_hash']}."

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ReportedRun:
     """A trace and what was made of it.
 
     Attributes
@@ -82,7 +82,7 @@ class Run:
         return f"{chains} {kind}, {steps} steps each, after {self.trace.attrs['warmup']} of warm-up"
 
 
-def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, Run]:
+def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
     """Diagnose the traces of several samplers on one problem, each with what the others know.
 
     Raises
@@ -101,7 +101,9 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, Run]:
     verdicts = diagnose_all(traces, summaries=summaries)
     costs = side_by_side(traces, summaries, verdicts)
     return {
-        name: Run(name, trace, summaries[name], verdicts[name], costs.T[name], maxima_of(trace), _predicted(trace))
+        name: ReportedRun(
+            name, trace, summaries[name], verdicts[name], costs.T[name], maxima_of(trace), _predicted(trace)
+        )
         for name, trace in traces.items()
     }
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fmu.posterior.failures import Failure
 from fmu.runs.files import DamagedError
-from fmu.samplers.loop.group import Standing
+from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
 from fmu.samplers.loop.snapshot import Snapshot
 
@@ -41,7 +41,7 @@ class Segment(NamedTuple):
     failed: int
 
 
-class State(NamedTuple):
+class SavedState(NamedTuple):
     """What is known of a group of chains when it is kept.
 
     Attributes
@@ -50,7 +50,7 @@ class State(NamedTuple):
         Hash of what determines the draws.
     arithmetic : str
         What their last bits depend on.
-    standing : Standing
+    group_state : GroupState
     elapsed_s : mapping of str to float
         What the phases of the run have taken.
     segments : list of Segment
@@ -61,7 +61,7 @@ class State(NamedTuple):
 
     configuration: str
     arithmetic: str
-    standing: Standing
+    group_state: GroupState
     elapsed_s: Mapping[str, float]
     segments: list[Segment]
     total: int
@@ -106,7 +106,7 @@ def unpacked_failures(content: bytes) -> list[Failure]:
         return [Failure(theta, str(why)) for theta, why in zip(file["failures/theta"][()], reasons, strict=True)]
 
 
-def packed_state(state: State) -> bytes:
+def packed_state(state: SavedState) -> bytes:
     """Return a state as bytes: NumPy arrays in a zip file, one of them the outline as JSON.
 
     Raises
@@ -114,40 +114,40 @@ def packed_state(state: State) -> bytes:
     ValueError
         If it holds objects that are not of this package.
     """
-    standing = state.standing
-    if standing.group.others:
-        kind = type(standing.group.others[0])
+    group_state = state.group_state
+    if group_state.group.others:
+        kind = type(group_state.group.others[0])
         raise ValueError(f"sampler: must be one of this package to be kept on disk (got {kind!r})")
     outline = {
         "configuration": state.configuration,
         "arithmetic": state.arithmetic,
-        "group": standing.group.outline,
-        "done": dict(standing.done),
-        "learnt": standing.learnt,
+        "group": group_state.group.outline,
+        "done": dict(group_state.done),
+        "learnt": group_state.learnt,
         "elapsed_s": dict(state.elapsed_s),
         "segments": state.segments,
         "total": state.total,
     }
-    arrays = {f"group{k}": array for k, array in enumerate(standing.group.arrays)}
+    arrays = {f"group{k}": array for k, array in enumerate(group_state.group.arrays)}
     arrays["outline"] = np.frombuffer(json.dumps(outline).encode(), dtype=np.uint8)
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
-def unpacked_state(payload: bytes) -> State:
+def unpacked_state(payload: bytes) -> SavedState:
     """Return the state; DamagedError if the bytes are none."""
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         outline = json.loads(arrays.pop("outline").tobytes())
         group = Snapshot(outline["group"], [arrays[f"group{k}"] for k in range(len(arrays))])
-        standing = Standing(group, outline["done"], outline["learnt"])
+        group_state = GroupState(group, outline["done"], outline["learnt"])
         segments = [Segment(*segment) for segment in outline["segments"]]
-        return State(
+        return SavedState(
             outline["configuration"],
             outline["arithmetic"],
-            standing,
+            group_state,
             outline["elapsed_s"],
             segments,
             outline["total"],

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.runs.content import Segment, State, unpacked_steps
+from fmu.runs.content import SavedState, Segment, unpacked_steps
 from fmu.runs.files import DamagedError, digest
 from fmu.runs.store import numbered, read_state
 from fmu.samplers.kernel import FloatArray
@@ -85,9 +85,9 @@ class GroupReader:
         files = [file for segment in state.segments if (file := self._steps(segment, phase, damaged)) is not None]
         accepted, moves = sum(file.accepted for file in files), sum(file.moves for file in files)
         positions = [file.position for file in files if file.position is not None]
-        is_whole = sum(x.shape[1] for x in positions) == state.standing.done[DRAWS]
+        is_whole = sum(x.shape[1] for x in positions) == state.group_state.done[DRAWS]
         group = KeptGroup(
-            done=dict(state.standing.done),
+            done=dict(state.group_state.done),
             phase=phase,
             total=state.total,
             at=at,
@@ -99,7 +99,7 @@ class GroupReader:
         )
         return group, damaged
 
-    def _last_state(self, damaged: list[str]) -> tuple[State, float] | None:
+    def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
         """Return the newest state that is whole, and when it was written; put into words what is not."""
         for _ in range(_TRIES):
             damaged.clear()

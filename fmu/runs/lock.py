@@ -22,7 +22,7 @@ _ENDED = "ZX"
 
 
 @dataclass(frozen=True)
-class Presence:
+class ProcessInfo:
     """A process at work.
 
     Attributes
@@ -53,7 +53,7 @@ class Presence:
         return not self.birth or self.birth == _birth(self.pid)
 
 
-class Hold:
+class DirectoryLock:
     """The lock of a directory, which a process that dies lets go of.
 
     Parameters
@@ -86,7 +86,7 @@ class Hold:
 def announce(directory: Path) -> None:
     """Note that this process is at work in a directory, whose lock it holds; without room for that, do without."""
     pid = os.getpid()
-    here = Presence(socket.gethostname(), pid, time.time(), _birth(pid))
+    here = ProcessInfo(socket.gethostname(), pid, time.time(), _birth(pid))
     with suppress(OSError):
         write_durably(directory / FILE, json.dumps(asdict(here)).encode())
 
@@ -98,11 +98,11 @@ def leave(directory: Path) -> None:
             (directory / name).unlink(missing_ok=True)
 
 
-def present(directory: Path) -> Presence | None:
+def present(directory: Path) -> ProcessInfo | None:
     """Return who is at work, or was killed at it; None if nobody, or the note is damaged."""
     try:
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
-        return Presence(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
+        return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

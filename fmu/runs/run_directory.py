@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from fmu.config.kept import ORIGIN, KeptProblem, keep
 from fmu.runs.lock import FILE as PRESENCE
-from fmu.runs.lock import LOCK, Hold, PhaseNote, announce
+from fmu.runs.lock import LOCK, DirectoryLock, PhaseNote, announce
 from fmu.runs.maxima import keep_maxima, kept_maxima
 from fmu.runs.store import LEDGER
 
@@ -39,7 +39,7 @@ class RunDirectory:
     def __init__(self, path: Path) -> None:
         self.path, self.folder = path, path / FOLDER
         self.folder.mkdir(exist_ok=True)
-        self._hold = Hold(self.folder, f"--out: another fmu run is at work in {path}")
+        self._hold = DirectoryLock(self.folder, f"--out: another fmu run is at work in {path}")
         announce(self.folder)
         self._phase = PhaseNote(self.folder)
 

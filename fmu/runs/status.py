@@ -15,7 +15,7 @@ from fmu.runs.group_reading import GroupReader, KeptGroup
 from fmu.runs.identity import FILE as IDENTITY
 from fmu.runs.identity import Identity
 from fmu.runs.lock import FILE as PRESENCE
-from fmu.runs.lock import LOCK, Presence, noted_phase, present
+from fmu.runs.lock import LOCK, ProcessInfo, noted_phase, present
 from fmu.runs.run_directory import FOLDER, unfinished
 from fmu.runs.sampler_reading import Progress, of_group, of_trace, together
 from fmu.runs.store import numbered
@@ -59,7 +59,7 @@ class RunReading:
     ----------
     directory : Path
     state : {"running", "stopped", "killed", "silent", "finished"}
-    at_work : Presence or None
+    at_work : ProcessInfo or None
         Who is at work, or was when the run was killed.
     samplers : tuple of SamplerReading
     is_of_command : bool
@@ -73,7 +73,7 @@ class RunReading:
 
     directory: Path
     state: str
-    at_work: Presence | None
+    at_work: ProcessInfo | None
     samplers: tuple[SamplerReading, ...]
     is_of_command: bool
     phase: str
@@ -207,7 +207,7 @@ def _each(sampler: SamplerReading) -> tuple[Progress, ...]:
     return sampler.groups or (sampler.together,)
 
 
-def _state(at_work: Presence | None, directory: Path) -> str:
+def _state(at_work: ProcessInfo | None, directory: Path) -> str:
     """Return the state of a run that has not come to its end."""
     if at_work is None:  # or it has but made the directory, and is about to say so
         return RUNNING if _begins(directory) else STOPPED

@@ -14,8 +14,8 @@ import numpy as np
 from fmu.analysis.trace.failure_ledger import FailedSolves, failures_csv
 from fmu.posterior.failures import Failure
 from fmu.runs.content import (
+    SavedState,
     Segment,
-    State,
     packed_state,
     packed_steps,
     unpacked_failures,
@@ -33,10 +33,10 @@ from fmu.runs.files import (
     write_durably,
 )
 from fmu.runs.identity import Identity, arithmetic
-from fmu.runs.lock import Hold, announce
+from fmu.runs.lock import DirectoryLock, announce
 from fmu.runs.settings import Checkpoint
 from fmu.samplers.loop.record import Steps
-from fmu.samplers.loop.run import LIVE_S, Kept, Unkept
+from fmu.samplers.loop.run import LIVE_S, PendingGroup, SavedGroup
 
 LEDGER = "failures.csv"
 TITLE = "fmu state 1"
@@ -86,7 +86,7 @@ class Store:
         self._groups: dict[int, _GroupFiles] = {}
         self._kept_at: dict[int, float] = {}
         self.directory.mkdir(parents=True, exist_ok=True)
-        self._hold = Hold(self.directory, f"checkpoint: another run is at work in {self.directory}")
+        self._hold = DirectoryLock(self.directory, f"checkpoint: another run is at work in {self.directory}")
         try:
             identity.check(self.directory)
             self._tidy()
@@ -95,7 +95,7 @@ class Store:
             self.close()
             raise
 
-    def kept(self, group: int) -> Kept | None:
+    def kept(self, group: int) -> SavedGroup | None:
         """Return a group as it was kept last and intact, None if there is no such thing.
 
         Warns
@@ -118,14 +118,14 @@ class Store:
                 stacklevel=4,
             )
         self._note(files.failures(group))
-        return Kept(state.standing, state.elapsed_s, files.steps(state))
+        return SavedGroup(state.group_state, state.elapsed_s, files.steps(state))
 
     def is_due(self, group: int, steps: int) -> bool:
         """Say whether a group that has since taken so many steps is to be kept again."""
         waited = time.monotonic() - self._kept_at[group]
         return steps >= self.most_steps or waited >= self.settings.seconds - LIVE_S
 
-    def keep(self, group: int, unkept: Unkept) -> None:
+    def keep(self, group: int, pending: PendingGroup) -> None:
         """Append the steps to what is kept, and note where they led to.
 
         Raises
@@ -133,20 +133,20 @@ class Store:
         OSError
             If the disk is full, or gone. What was kept before is intact.
         """
-        failures = [Failure(failure.theta, writable(failure.reason)) for failure in unkept.failures]
-        unkept = unkept._replace(failures=failures)
+        failures = [Failure(failure.theta, writable(failure.reason)) for failure in pending.failures]
+        pending = pending._replace(failures=failures)
         try:
             if not self._is_named:  # not before there are draws: a call that fails leaves the directory to another
                 self.identity.write(self.directory)
                 self._is_named = True
-            segment = self._files(group).append(self.identity.hash, unkept)
+            segment = self._files(group).append(self.identity.hash, pending)
             if segment.failed:
                 self._note([_failed(group, segment, failures)])
         except OSError as error:
-            done = unkept.first
+            done = pending.first
             raise OSError(
                 f"checkpoint: cannot write to {self.directory} ({error.strerror or error}); what was drawn before "
-                f"{unkept.phase} step {done + 1} of group {group + 1} is kept there"
+                f"{pending.phase} step {done + 1} of group {group + 1} is kept there"
             ) from error
         self._kept_at[group] = time.monotonic()
 
@@ -188,7 +188,7 @@ class _GroupFiles:
         self._number = 0
         self._intact: list[Path] = []
 
-    def last_intact(self, configuration: str) -> State | None:
+    def last_intact(self, configuration: str) -> SavedState | None:
         """Return the newest state that is whole, with all its segments, and go on from there."""
         states = numbered(self.directory, "state")
         for _, path in reversed(states):
@@ -208,7 +208,7 @@ class _GroupFiles:
         self._number = states[-1][0] if states else 0
         return None
 
-    def steps(self, state: State) -> Iterator[tuple[str, int, Steps]]:
+    def steps(self, state: SavedState) -> Iterator[tuple[str, int, Steps]]:
         """Read the segments of a state, one after the other."""
         for segment in state.segments:
             yield segment.phase, segment.first, unpacked_steps(self._content(segment))
@@ -218,23 +218,25 @@ class _GroupFiles:
         failing = (segment for segment in self.segments if segment.failed)
         return [_failed(group, segment, unpacked_failures(self._content(segment))) for segment in failing]
 
-    def append(self, configuration: str, unkept: Unkept) -> Segment:
+    def append(self, configuration: str, pending: PendingGroup) -> Segment:
         """Write a segment, then the state that lists it, and forget older states; the segment is returned."""
         make_directory(self.directory)
-        content = packed_steps(unkept.steps, unkept.failures)
-        stats = unkept.steps.stats
+        content = packed_steps(pending.steps, pending.failures)
+        stats = pending.steps.stats
         segment = Segment(
             f"steps-{len(self.segments) + 1:06d}.h5",
             digest(content),
-            unkept.phase,
-            unkept.first,
-            len(unkept.steps),
+            pending.phase,
+            pending.first,
+            len(pending.steps),
             int(stats["n_solves"].sum()),
-            max(int(np.sum(stats.get("n_nonfinite", 0))), len(unkept.failures)),
+            max(int(np.sum(stats.get("n_nonfinite", 0))), len(pending.failures)),
         )
         write_durably(self.directory / segment.name, content)
         segments = [*self.segments, segment]
-        state = State(configuration, arithmetic(), unkept.standing, unkept.elapsed_s, segments, unkept.total)
+        state = SavedState(
+            configuration, arithmetic(), pending.group_state, pending.elapsed_s, segments, pending.total
+        )
         path = self.directory / f"state-{self._number + 1:06d}"
         write_durably(path, signed(TITLE, packed_state(state)))
         self.segments.append(segment)
@@ -267,6 +269,6 @@ def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:
     return sorted((int(match[1]), path) for match, path in matches if match)
 
 
-def read_state(path: Path) -> State:
+def read_state(path: Path) -> SavedState:
     """Return the state in a file; DamagedError if it is not as it was written."""
     return unpacked_state(payload_of(TITLE, path.read_bytes()))

@@ -60,8 +60,8 @@ def test_a_looser_promise_is_kept_where_the_usual_one_is_not(trace, problem, mon
     assert certificate["certificate_log_prob_tolerance"] == 0.1
     assert 1e-6 < certificate["certificate_frequency_error"] <= 1e-3
     assert certificate["certificate_log_prob_error"] <= 0.1
-    monkeypatch.setattr(loose, "promised", Tolerance())
-    with pytest.warns(CertificateWarning, match=r"frequencies by up to [\d.]+e-6 \(promised: 1e-06\)"):
+    monkeypatch.setattr(loose, "tolerance", Tolerance())
+    with pytest.warns(CertificateWarning, match=r"frequencies by up to [\d.]+e-6 \(tolerance: 1e-06\)"):
         certify(trace, loose)
 
 

@@ -40,7 +40,7 @@ def test_jumps_are_those_of_the_model(veering):
     found = fmu.pairing_changes(trace)
     assert found.rule == "shape"
     assert not found.constant
-    assert found.looked_at == len(theta)
+    assert found.project == len(theta)
     assert 0 < found.jumps == np.sum(np.any(rank != best, axis=1)) < len(theta)
     assert_allclose(found.changed, np.mean(rank != best, axis=0))
     f = problem.frequencies(theta)

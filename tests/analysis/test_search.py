@@ -8,7 +8,7 @@ from scipy.integrate import simpson
 
 import fmu
 from fmu.analysis.maxima.curvature import hessian_at
-from fmu.analysis.maxima.mass import LocalQuadratic, masses
+from fmu.analysis.maxima.mode_weights import LocalQuadratic, mode_weights
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map
 from fmu.posterior.data.modal_data import ModalData
@@ -154,7 +154,7 @@ def test_hopeless_maxima_keep_their_laplace_mass():
         calls.append(len(u))
         return 50.0 - peak.drop(u)
 
-    one, other = masses(log_prob, [peak, wall], np.zeros(1), np.ones(1), np.random.default_rng(0))
+    one, other = mode_weights(log_prob, [peak, wall], np.zeros(1), np.ones(1), np.random.default_rng(0))
     assert one.effective > 300
     assert one.log_mass == pytest.approx(50.0 + 0.5 * np.log(2 * np.pi / 400.0), abs=0.05)
     assert other.effective == 0

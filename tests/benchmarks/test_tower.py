@@ -67,7 +67,7 @@ def beam_of_size(size):
     data = fmu.ModalData([31.9, 190.0, 197.9, 540.0, 553.0, 1082.2])
     problem = fmu.UpdatingProblem(model, data, parameters)
     (b,) = (i for i, block in enumerate(problem.model.reduced.blocks) if isinstance(block, ReducedBlock))
-    full, trained = problem.model.full.blocks[b], problem.model.reduced.blocks[b].trusted
+    full, trained = problem.model.full.blocks[b], problem.model.reduced.blocks[b].n_trained
     blown_up = ReducedBlock(full, full.modes(problem.start[None], size)[1][0], trained)
     blocks = tuple(blown_up if i == b else other for i, other in enumerate(problem.model.reduced.blocks))
     problem.model._solve_reduced = problem.model.pairing.bind(BlockModel(blocks, 8))

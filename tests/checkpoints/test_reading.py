@@ -38,8 +38,8 @@ def stopped(tmp_path_factory):
     directory = tmp_path_factory.mktemp("run") / "kept"
     keep, count = Store.keep, []
 
-    def keeping(store, group, unkept):
-        keep(store, group, unkept)
+    def keeping(store, group, pending):
+        keep(store, group, pending)
         count.append(group)
         if len(count) == 11:
             signal.raise_signal(signal.SIGINT)

@@ -46,7 +46,7 @@ def ran(directory, draws=DRAWS, *, sampler="mh", density=None, identity=IDENTITY
     where = checkpoint or Checkpoint(directory, draws=STEPS)
     names = [f"x{k}" for k in range(density.ndim)]
     with Store(where, identity, names, [""] * density.ndim) as store:
-        return Run(density, SAMPLERS[sampler], keeper=store, **settings).extend(draws)
+        return Run(density, SAMPLERS[sampler], checkpointer=store, **settings).extend(draws)
 
 
 @cache
@@ -214,7 +214,7 @@ class TestFiles:
             *(("warmup", k, STEPS) for k in range(0, WARMUP, STEPS)),
             *(("draws", k, STEPS) for k in range(0, HALF, STEPS)),
         ]
-        assert newest.standing.done == {"warmup": WARMUP, "draws": HALF}
+        assert newest.group_state.done == {"warmup": WARMUP, "draws": HALF}
         assert newest.configuration == IDENTITY.hash
         assert [number for number, _ in numbered(half / "group-1", "state")] == [6, 7]
 

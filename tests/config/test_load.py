@@ -73,12 +73,12 @@ def test_a_frame(frame_text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "promised"), [("true", Tolerance()), ("1e-3", Tolerance(1e-3, 0.1)), ("false", None)]
+    ("value", "tolerance"), [("true", Tolerance()), ("1e-3", Tolerance(1e-3, 0.1)), ("false", None)]
 )
-def test_how_good_the_reduced_model_must_be(frame_text, tmp_path, value, promised):
+def test_how_good_the_reduced_model_must_be(frame_text, tmp_path, value, tolerance):
     text = frame_text.replace("reduction = false", f"reduction = {value}")
     (tmp_path / "portal.toml").write_text(text)
-    assert load(tmp_path / "portal.toml").promised == promised
+    assert load(tmp_path / "portal.toml").tolerance == tolerance
 
 
 @pytest.mark.parametrize(

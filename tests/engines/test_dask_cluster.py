@@ -24,10 +24,10 @@ def cluster():
 
 def test_workers_are_processes_of_one_thread(cluster):
     assert cluster.workers == 2
-    pids = set(cluster.lines(engine_tasks.process_id, None, [0.05] * 20))
+    pids = set(cluster.run_tasks(engine_tasks.process_id, None, [0.05] * 20))
     assert len(pids) == 2
     assert os.getpid() not in pids
-    for interrupt, threads in cluster.lines(engine_tasks.threads, None, [0, 0]):
+    for interrupt, threads in cluster.run_tasks(engine_tasks.threads, None, [0, 0]):
         assert interrupt == signal.SIG_IGN
         assert set(threads) == {1}
 
@@ -35,13 +35,13 @@ def test_workers_are_processes_of_one_thread(cluster):
 def test_what_is_shared_is_sent_once(cluster, tmp_path):
     shared = engine_tasks.Counted(tmp_path / "arrivals")
     for _ in range(2):
-        cluster.lines(engine_tasks.process_id, shared, [0.05] * 10)
+        cluster.run_tasks(engine_tasks.process_id, shared, [0.05] * 10)
     assert len((tmp_path / "arrivals").read_text()) == 2
 
 
 def test_a_task_whose_worker_was_killed_is_done_again(cluster, tmp_path):
     given = ["a", "mortal", "b", "c", "d"]
-    assert cluster.lines(engine_tasks.die_once, str(tmp_path), given) == given
+    assert cluster.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
 
 
 def test_a_run_whose_worker_was_killed_draws_the_same(cluster, tmp_path):
@@ -57,21 +57,21 @@ def test_workers_that_die_between_calls_are_replaced(cluster):
     for shared in (10, 20):
         for nanny in cluster._processes.workers.values():
             os.kill(nanny.pid, signal.SIGKILL)
-        assert cluster.lines(engine_tasks.add, shared, [1, 2, 3]) == [shared + 1, shared + 2, shared + 3]
+        assert cluster.run_tasks(engine_tasks.add, shared, [1, 2, 3]) == [shared + 1, shared + 2, shared + 3]
 
 
 def test_a_task_that_kills_three_workers_is_given_up(cluster, tmp_path):
     with pytest.raises(LostTaskError, match="task 1: its worker died 3 times in a row") as error:
-        cluster.lines(engine_tasks.die_often, str(tmp_path), ["a", "lethal"])
+        cluster.run_tasks(engine_tasks.die_often, str(tmp_path), ["a", "lethal"])
     assert error.value.line == 1
     assert (tmp_path / "tries-lethal").read_text() == "xxx"
-    assert cluster.lines(engine_tasks.square, None, [2, 3]) == [4, 9]
+    assert cluster.run_tasks(engine_tasks.square, None, [2, 3]) == [4, 9]
 
 
 def test_the_error_of_one_task_stops_the_others(cluster, tmp_path):
     with pytest.raises(ValueError, match="must be long"):
-        cluster.lines(engine_tasks.beat, str(tmp_path), ["beat", "fail"])
-    assert cluster.lines(engine_tasks.square, None, [2, 3]) == [4, 9]
+        cluster.run_tasks(engine_tasks.beat, str(tmp_path), ["beat", "fail"])
+    assert cluster.run_tasks(engine_tasks.square, None, [2, 3]) == [4, 9]
     before = (tmp_path / "beat").read_text()
     time.sleep(0.1)
     assert (tmp_path / "beat").read_text() == before
@@ -84,17 +84,19 @@ def test_a_cluster_that_is_there_already(cluster, tmp_path):
     seen = []
     with engine(cluster=address) as another:
         assert another.workers == 2
-        results = another.lines(engine_tasks.square, None, [1, 2, 3], report=lambda *message: seen.append(message))
+        results = another.run_tasks(
+            engine_tasks.square, None, [1, 2, 3], report=lambda *message: seen.append(message)
+        )
     assert results == [1, 4, 9]
     assert sorted(message[3]["run"] for message in seen) == ["1", "2", "3"]
-    assert cluster.lines(engine_tasks.square, None, [4]) == [16]
+    assert cluster.run_tasks(engine_tasks.square, None, [4]) == [16]
 
 
 def test_what_was_lost_with_the_last_worker_is_sent_again(tmp_path):
     with engine(cluster="local:1") as cluster:
-        assert cluster.lines(engine_tasks.die_once, str(tmp_path), ["mortal", "a"]) == ["mortal", "a"]
+        assert cluster.run_tasks(engine_tasks.die_once, str(tmp_path), ["mortal", "a"]) == ["mortal", "a"]
         with pytest.raises(LostTaskError, match="task 0"):
-            cluster.lines(engine_tasks.die_often, str(tmp_path), ["lethal"])
+            cluster.run_tasks(engine_tasks.die_often, str(tmp_path), ["lethal"])
     assert (tmp_path / "tries-lethal").read_text() == "xxx"
 
 

@@ -21,7 +21,7 @@ def pool():
 
 
 def pids(pool):
-    return set(pool.lines(engine_tasks.process_id, None, [0.01] * 20))
+    return set(pool.run_tasks(engine_tasks.process_id, None, [0.01] * 20))
 
 
 def is_still(path):
@@ -33,33 +33,33 @@ def is_still(path):
 
 def test_workers_stay_and_what_is_shared_is_sent_once(pool, tmp_path):
     shared = engine_tasks.Counted(tmp_path / "arrivals")
-    first = set(pool.lines(engine_tasks.process_id, shared, [0.01] * 20))
-    assert set(pool.lines(engine_tasks.process_id, shared, [0.01] * 20)) == first
+    first = set(pool.run_tasks(engine_tasks.process_id, shared, [0.01] * 20))
+    assert set(pool.run_tasks(engine_tasks.process_id, shared, [0.01] * 20)) == first
     assert len((tmp_path / "arrivals").read_text()) == len(first) == 2
     assert os.getpid() not in first
 
 
 def test_workers_ignore_interrupts_and_have_one_thread(pool):
-    for interrupt, threads in pool.lines(engine_tasks.threads, None, [0, 0]):
+    for interrupt, threads in pool.run_tasks(engine_tasks.threads, None, [0, 0]):
         assert interrupt == signal.SIG_IGN
         assert set(threads) == {1}
 
 
 def test_where_an_error_was_raised_is_its_cause(pool):
     with pytest.raises(ValueError, match="negative") as error:
-        pool.lines(engine_tasks.square, None, [-1])
+        pool.run_tasks(engine_tasks.square, None, [-1])
     assert "engine_tasks.py" in str(error.value.__cause__)
 
 
 def test_an_error_that_cannot_travel_comes_in_words(pool):
     with pytest.raises(RuntimeError, match="HardToPickleError: no because luck"):
-        pool.lines(engine_tasks.fail_oddly, None, [0])
+        pool.run_tasks(engine_tasks.fail_oddly, None, [0])
 
 
 def test_the_error_of_one_task_stops_the_others(pool, tmp_path):
     began = time.monotonic()
     with pytest.raises(ValueError, match="must be long"):
-        pool.lines(engine_tasks.beat, str(tmp_path), ["beat", "fail", "never"], report=lambda *_: None)
+        pool.run_tasks(engine_tasks.beat, str(tmp_path), ["beat", "fail", "never"], report=lambda *_: None)
     assert time.monotonic() - began < 100  # what the long task would take is ten times that
     assert is_still(tmp_path / "beat")
     assert not (tmp_path / "never").exists()
@@ -72,23 +72,23 @@ def test_an_interrupt_stops_the_tasks(pool, tmp_path):
 
     threading.Thread(target=interrupt).start()
     with pytest.raises(KeyboardInterrupt):
-        pool.lines(engine_tasks.beat, str(tmp_path), ["beat"])
+        pool.run_tasks(engine_tasks.beat, str(tmp_path), ["beat"])
     assert is_still(tmp_path / "beat")
 
 
 def test_a_task_whose_worker_was_killed_is_done_again(pool, tmp_path):
     given = ["a", "mortal", "b", "c", "d"]
-    assert pool.lines(engine_tasks.die_once, str(tmp_path), given) == given
+    assert pool.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
     assert len(pids(pool)) == 2
 
 
 def test_a_task_that_kills_three_workers_is_given_up(pool, tmp_path):
     results = {}
     with pytest.raises(LostTaskError, match=r"task 1: its worker died 3 times in a row \(SIGKILL\)") as error:
-        pool.lines(engine_tasks.die_often, str(tmp_path), ["a", "lethal", "b"], results.__setitem__)
+        pool.run_tasks(engine_tasks.die_often, str(tmp_path), ["a", "lethal", "b"], results.__setitem__)
     assert error.value.line == 1
     assert (tmp_path / "tries-lethal").read_text() == "xxx"
-    assert pool.lines(engine_tasks.square, None, [2, 3]) == [4, 9]
+    assert pool.run_tasks(engine_tasks.square, None, [2, 3]) == [4, 9]
 
 
 SCRIPT = """
@@ -101,8 +101,8 @@ def three_times(shared, task, report):
     return 3 * task
 
 engine = fmu.engines.engine.engine(workers=2)
-print(engine.lines(three_times, None, [1, 2]), flush=True)
-engine.lines(engine_tasks.beat, {folder!r}, {tasks!r})
+print(engine.run_tasks(three_times, None, [1, 2]), flush=True)
+engine.run_tasks(engine_tasks.beat, {folder!r}, {tasks!r})
 """
 
 

@@ -112,7 +112,7 @@ def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
     monkeypatch.setattr(Training, "_good_for", lambda self, fresh: rounds.append(1) or good(self, fresh))
     monkeypatch.setattr(training, "DENSE_LIMIT", 10)
     monkeypatch.setattr(training, "affordable", lambda n_dof: 12)
-    cut, *_ = paired(wanting=lambda: np.full((1, PARTS), 2e11))
+    cut, *_ = paired(inaccurate_points=lambda: np.full((1, PARTS), 2e11))
     assert not cut.confirmed
     assert rounds == []
     assert [b.size for b in cut.reduced.blocks] == [12]

@@ -76,7 +76,7 @@ def test_one_failed_block_leaves_no_row_of_the_spectrum_to_trust():
 def test_a_mode_that_a_block_may_hold_back_makes_the_row_doubtful():
     """A block that gives one mode of two shows completeness only of what lies below that one."""
     model = crossing()
-    model.blocks[0].trusted = 1
+    model.blocks[0].n_trained = 1
     lowest = model.spectrum(np.array([[0.5], [2.0], [4.0], [6.0]]), 2)
     assert_array_equal(np.isnan(lowest.eigenvalues).all(axis=1), [True, True, True, False])
     assert_allclose(lowest.eigenvalues[3], [3.0, 5.0], rtol=1e-14)
@@ -242,7 +242,7 @@ def test_constant_assignment_is_told_from_one_that_changes():
 
     def at(quotients):
         theta = 4e-8 * np.array(quotients)[:, None]
-        return pairing.constant(full, {0: full.blocks[0].modes(theta, pairing.offered(full, 0))[1]})
+        return pairing.constant(full, {0: full.blocks[0].modes(theta, pairing.n_candidates(full, 0))[1]})
 
     assert at([0.7, 0.8, 0.95]) == RankPairing((0, 0), (0, 1))
     assert at([1.1, 1.3]) == RankPairing((0, 0), (1, 0))

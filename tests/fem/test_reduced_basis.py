@@ -208,7 +208,7 @@ def test_smallest_basis_is_found_by_bisection(trained):
         assert smallest_basis(reduced, acceptable, 1).size == wanted
         assert len(tried) <= 6
     assert smallest_basis(reduced, lambda candidate: False, 1).size == reduced.size
-    assert smallest_basis(reduced, lambda candidate: True, 1).size == COUNT  # the trusted modes need as many
+    assert smallest_basis(reduced, lambda candidate: True, 1).size == COUNT  # the trained modes need as many
     assert smallest_basis(reduced, lambda candidate: True, 8).size == 8
 
 

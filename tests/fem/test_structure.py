@@ -126,8 +126,8 @@ def test_restored_structure_repeats_its_bits(trained):
 def test_where_the_reduced_model_cannot_be_sure_the_full_one_answers():
     structure = beam_in_halves("index")
     structure.train(LOWER, UPPER)
-    weak = max(structure.reduced.blocks, key=lambda block: block.trusted)
-    weak.trusted = 3  # of the five that the numbers ask for
+    weak = max(structure.reduced.blocks, key=lambda block: block.n_trained)
+    weak.n_trained = 3  # of the five that the numbers ask for
     theta = box_sample(LOWER, UPPER, 6, seed=4)
     assert_array_equal(structure.modes(theta).eigenvalues, structure.full_modes(theta).eigenvalues)
     assert structure.full_solves == 6

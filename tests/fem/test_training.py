@@ -115,7 +115,7 @@ def test_an_assignment_that_never_changes_becomes_a_rank():
         ranks = [r for o, r in zip(trained.pairing.block, trained.pairing.rank, strict=True) if o == b]
         assert isinstance(block, ReducedBlock) == bool(rule.observe(full).get(b))
         if ranks:
-            assert block.trusted == max(ranks) + 1
+            assert block.n_trained == max(ranks) + 1
             assert block.size < 0.5 * full.blocks[b].size
 
 
@@ -132,7 +132,7 @@ def test_an_assignment_that_changes_keeps_the_general_path(build):
     same = np.all((exact.rank == reduced.rank) & (exact.block == reduced.block), axis=1)
     assert np.sum(same) >= 58
     assert_allclose(frequency_hz(reduced.eigenvalues[same]), frequency_hz(exact.eigenvalues[same]), rtol=2e-6)
-    assert all(b.trusted >= 4 for b in trained.model.blocks if isinstance(b, ReducedBlock))
+    assert all(b.n_trained >= 4 for b in trained.model.blocks if isinstance(b, ReducedBlock))
 
 
 def test_small_blocks_are_kept_whole():
@@ -151,8 +151,8 @@ def test_by_number_each_block_shows_one_mode_more_than_was_ever_among_the_lowest
     theta = inside(lower, upper, 60)
     exact = full.spectrum(theta, 6)
     for b, block in enumerate(trained.model.blocks):
-        assert block.trusted >= 1 + np.max(np.sum(exact.block == b, axis=1))
-        assert block.trusted < 6
+        assert block.n_trained >= 1 + np.max(np.sum(exact.block == b, axis=1))
+        assert block.n_trained < 6
     assert_allclose(trained.model.spectrum(theta, 6).eigenvalues, exact.eigenvalues, rtol=3e-6)
 
 
@@ -169,7 +169,7 @@ def test_a_mode_that_a_reduced_block_does_not_show_makes_the_row_fall_back():
     assert structure.full_solves == 0
     blind = max(range(len(structure.full.blocks)), key=lambda b: np.sum(exact.block == b))
     needed = int(np.max(exact.rank[exact.block == blind])) + 1
-    state[f"trusted{blind}"] = np.array(float(needed - 1))
+    state[f"n_trained{blind}"] = np.array(float(needed - 1))
     structure.restore(state)
     assert np.all(np.isnan(structure.reduced.spectrum(theta, 5).eigenvalues))
     modes = structure.modes(theta, gradient=True)
@@ -222,7 +222,7 @@ def test_a_mode_that_is_needed_at_fresh_points_alone_is_noticed(monkeypatch):
     full, trained = full_and_trained(model, IndexPairing((6, 1)), lower, upper, tolerance=1e9)
     blocks = full.spectrum(inside(lower, upper, 60), 6).block
     for b, block in enumerate(trained.model.blocks):
-        assert block.trusted > np.max(np.sum(blocks == b, axis=1))
+        assert block.n_trained > np.max(np.sum(blocks == b, axis=1))
 
 
 def test_too_few_points_are_made_up_for_by_fresh_ones(monkeypatch):

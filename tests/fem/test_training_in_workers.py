@@ -53,9 +53,9 @@ class Counting:
     def __init__(self, engine, calls):
         self.engine, self.calls, self.workers = engine, calls, engine.workers
 
-    def lines(self, work, shared, tasks, follow=None, report=None):
+    def run_tasks(self, work, shared, tasks, follow=None, report=None):
         self.calls.append(len(tasks))
-        return self.engine.lines(work, shared, tasks, follow, report)
+        return self.engine.run_tasks(work, shared, tasks, follow, report)
 
 
 def test_a_problem_answers_the_same(engine, monkeypatch, tmp_path):

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.frequency import FrequencyLikelihood, frequency_error
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.residual import ModalResidual
@@ -55,7 +55,7 @@ def closed_form(gap, theta):
     above, below = np.stack([np.cos(alpha), np.sin(alpha)], 1), np.stack([-np.sin(alpha), np.cos(alpha)], 1)
     shapes = np.stack([below, above], axis=2) / np.stack([np.ones_like(m), np.sqrt(m)], axis=1)[:, :, None]
     frequencies = np.sqrt(np.stack([middle - r, middle + r], axis=1)) / (2 * np.longdouble(np.pi))
-    return Observed(frequencies, Q[:, :2] @ shapes)
+    return ModalPrediction(frequencies, Q[:, :2] @ shapes)
 
 
 def measured(gap):

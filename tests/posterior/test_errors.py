@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.models import FrequencyErrors, MACErrors, ShapeErrors
@@ -114,7 +114,7 @@ def test_rows_do_not_depend_on_their_batch(likelihood):
 def at(frequencies, shapes=None):
     """What a model would observe."""
     shapes = SHAPES if shapes is None else shapes
-    return Observed(np.atleast_2d(frequencies), np.asarray(shapes)[None])
+    return ModalPrediction(np.atleast_2d(frequencies), np.asarray(shapes)[None])
 
 
 def bound(model, data):

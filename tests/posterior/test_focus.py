@@ -271,7 +271,7 @@ def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
     theta = np.array([[0.8, 1.2], [1.2, 0.8]])
     poor = structure.reduced.blocks[0]
     half = poor.basis[:, : poor.basis.shape[1] // 2]
-    changed = ReducedBlock(structure.full.blocks[0], half, poor.trusted)
+    changed = ReducedBlock(structure.full.blocks[0], half, poor.n_trained)
     structure._install(Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3)))
     assert not focus.on_a_jump(structure, theta, focus.FREQUENCY_TOLERANCE).any()
 
@@ -316,7 +316,7 @@ def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_
     assert "reduction" not in usual.configuration()
     assert loose.configuration() == usual.configuration() | {"reduction": 1e-4}
     assert oscillators(chain, reduction=1e-6).configuration() == usual.configuration()
-    assert oscillators(chain, reduction=False).promised is None
+    assert oscillators(chain, reduction=False).tolerance is None
     assert len(list(bases.iterdir())) == len(trainings) == 2
     young = cases.load("cantilever-young")
     sizes, errors = [], []
@@ -331,7 +331,7 @@ def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_
         full = problem.likelihood.error.log_prob_terms(exact).sum(axis=1)
         near = full > full.max() - focus.PLAUSIBLE
         assert_allclose(
-            problem.log_likelihood(theta)[near], full[near], rtol=0, atol=2 * problem.promised.log_prob
+            problem.log_likelihood(theta)[near], full[near], rtol=0, atol=2 * problem.tolerance.log_prob
         )
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] > sizes[-1]

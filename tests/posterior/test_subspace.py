@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import orth
 
 import fmu
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.subspace import in_span
 from tests.veering import SENSORS, veering_problem
 
@@ -42,7 +42,7 @@ def test_the_mac_with_a_span():
     rng = np.random.default_rng(1)
     S, unit = rng.standard_normal((4, 6, 5)), rng.standard_normal((6, 5))
     unit /= np.linalg.norm(unit, axis=0)
-    seen = in_span(Observed(np.ones((4, 5)), S), unit, ((1, 3), (0, 2)))
+    seen = in_span(ModalPrediction(np.ones((4, 5)), S), unit, ((1, 3), (0, 2)))
     for one, given in zip(seen.shapes, S, strict=True):
         for group in ([1, 3], [0, 2]):
             basis = orth(given[:, group])
@@ -53,9 +53,11 @@ def test_the_mac_with_a_span():
 def test_slopes_against_differences():
     rng = np.random.default_rng(2)
     S, unit, dS = rng.standard_normal((3, 6, 3)), rng.standard_normal((6, 3)), rng.standard_normal((3, 6, 3, 2))
-    own = in_span(Observed(np.ones((3, 3)), S, np.zeros((3, 3, 2)), dS), unit, ((0, 2),)).shape_slopes
+    own = in_span(ModalPrediction(np.ones((3, 3)), S, np.zeros((3, 3, 2)), dS), unit, ((0, 2),)).shape_slopes
     for k in range(2):
-        up, down = (in_span(Observed(np.ones((3, 3)), S + h * dS[..., k]), unit, ((0, 2),)) for h in (1e-6, -1e-6))
+        up, down = (
+            in_span(ModalPrediction(np.ones((3, 3)), S + h * dS[..., k]), unit, ((0, 2),)) for h in (1e-6, -1e-6)
+        )
         assert_allclose(own[..., k], (up.shapes - down.shapes) / 2e-6, rtol=1e-6, atol=1e-7)
 
 
@@ -88,7 +90,7 @@ def test_rows_do_not_depend_on_their_batch(problem):
 def test_shapes_that_are_one_at_the_sensors():
     S = np.ones((1, 4, 2))
     unit = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
-    seen = in_span(Observed(np.ones((1, 2)), S), unit, ((0, 1),))
+    seen = in_span(ModalPrediction(np.ones((1, 2)), S), unit, ((0, 1),))
     assert_allclose(seen.shapes, 0.25, rtol=1e-6)
 
 

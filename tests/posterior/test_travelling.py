@@ -111,7 +111,7 @@ def test_answers_are_the_same_in_every_bit(pool, name, tmp_path):
     if np.isfinite(problem.upper[0]):
         theta[-1, 0] = problem.upper[0] + 0.1 * problem.scale[0]  # where the full model answers
     here = answers(problem, theta)
-    there = pool.lines(answers, problem, [theta])[0]
+    there = pool.run_tasks(answers, problem, [theta])[0]
     assert np.isfinite(here[0][:-1]).any()
     for mine, other in zip(here, there, strict=True):
         np.testing.assert_array_equal(mine, other)

@@ -11,7 +11,7 @@ from fmu.analysis.data.identifiability import contraction, kept_identifiability
 from fmu.analysis.data.prediction import leave_one_out
 from fmu.analysis.modes.pairing_doubts import ALIKE
 from fmu.analysis.trace.modal_states import MEASURED
-from fmu.report.document import Details, Items, Link, Omitted, Table, Text
+from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
 from fmu.report.sections.verdicts import COVERED, SOUND, convergence, model_fit
@@ -29,7 +29,7 @@ def hmc(runs):
 
 def table(section, caption=""):
     """Return the rows of a section's table as dicts."""
-    found = next(part for part in section.parts if isinstance(part, Table) and caption in part.caption)
+    found = next(part for part in section.parts if isinstance(part, PageTable) and caption in part.caption)
     return [dict(zip(found.header, row, strict=True)) for row in found.rows]
 
 
@@ -44,7 +44,7 @@ def shows(text, value):
 
 
 def test_parameters(hmc):
-    tables = [part for part in updating.parameters(hmc).parts if isinstance(part, Table)]
+    tables = [part for part in updating.parameters(hmc).parts if isinstance(part, PageTable)]
     rows = {row[0]: dict(zip(part.header, row, strict=True)) for part in tables for row in part.rows}
     for name, expected in hmc.summary.iterrows():
         row = rows.pop(name)

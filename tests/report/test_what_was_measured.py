@@ -11,7 +11,7 @@ from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report import plots
 from fmu.report.check_page import check_page
-from fmu.report.document import Items, Table
+from fmu.report.document import Items, PageTable
 from fmu.report.html import write_pages
 from fmu.report.run import runs_of
 from fmu.report.sections import prediction, updating
@@ -74,11 +74,11 @@ def test_the_trace_keeps_the_tests(run, problem, tmp_path):
 
 
 def test_tables_say_which_is_which(run, problem):
-    (table,) = (part for part in updating.frequencies(run).parts if isinstance(part, Table))
+    (table,) = (part for part in updating.frequencies(run).parts if isinstance(part, PageTable))
     assert table.header[-2:] == ("90 %, mean of tests, Hz", "90 %, one more test, Hz")
     assert f"the mean of {N - 1} to {N} tests; and where one more test would" in table.caption
     section = prediction.predictive(run)
-    _, singles = (part for part in section.parts if isinstance(part, Table))
+    _, singles = (part for part in section.parts if isinstance(part, PageTable))
     rows = [dict(zip(singles.header, row, strict=True)) for row in singles.rows]
     assert [row["tests"] for row in rows] == [str(N - 1), str(N), str(N)]
     tests = problem.data.tests.frequencies_hz
@@ -104,7 +104,7 @@ def test_figures_say_which_is_which(run):
 
 
 def test_what_was_not_updated_is_not_among_what_was(run):
-    first, second = (part for part in updating.parameters(run).parts if isinstance(part, Table))
+    first, second = (part for part in updating.parameters(run).parts if isinstance(part, PageTable))
     assert [row[0] for row in first.rows] == ["a", "b"]
     assert [(row[0], row[-1]) for row in second.rows] == [("c", "the prior")]
     verdict = updated(run)

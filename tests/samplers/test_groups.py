@@ -105,7 +105,7 @@ class TestIndependence:
 class Backwards(InProcess):
     """Does the lines from the last to the first, each to its end."""
 
-    def lines(self, work, shared, tasks, follow=None, report=None):
+    def run_tasks(self, work, shared, tasks, follow=None, report=None):
         results = [None] * len(tasks)
         for i in reversed(range(len(tasks))):
             task = tasks[i]

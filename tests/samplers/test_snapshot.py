@@ -9,10 +9,10 @@ import pytest
 from targets import CorrelatedGaussian
 from tempered_targets import LinearGaussian
 
-from fmu.runs.content import State, packed_state
+from fmu.runs.content import SavedState, packed_state
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, Independence, MetropolisHastings, Slice, Tempering
 from fmu.samplers.hmc.metric import Metric
-from fmu.samplers.loop.group import Part, Setting, Standing, advance, first_snapshot
+from fmu.samplers.loop.group import Chunk, GroupState, RunContext, advance, first_snapshot
 from fmu.samplers.loop.snapshot import Snapshot, restored, taken
 from fmu.samplers.loop.starts import starting_points
 
@@ -52,15 +52,15 @@ SAMPLERS = {
 
 
 def setting_of(name):
-    return Setting(
+    return RunContext(
         LinearGaussian() if name.startswith("tempering") else CorrelatedGaussian(), SAMPLERS[name], WARMUP
     )
 
 
-def begun(setting):
+def begun(context):
     rng = np.random.default_rng(3)
-    (start,) = starting_points(setting.scaled, "prior", [rng], CHAINS, setting.sampler.walkers)
-    return first_snapshot(setting, rng, start, 0)
+    (start,) = starting_points(context.scaled, "prior", [rng], CHAINS, context.sampler.walkers)
+    return first_snapshot(context, rng, start, 0)
 
 
 def through_a_file(snapshot):
@@ -72,8 +72,8 @@ def through_a_file(snapshot):
     return Snapshot(json.loads(json.dumps(snapshot.outline)), arrays)
 
 
-def advanced(setting, group, phase, steps):
-    return advance(setting, Part(group, phase, steps, math.inf, steps))
+def advanced(context, group, phase, steps):
+    return advance(context, Chunk(group, phase, steps, math.inf, steps))
 
 
 def same(one, other):
@@ -86,38 +86,38 @@ def test_going_on_from_files_is_bitwise_going_on(name):
     whole, group = [], begun(setting_of(name))
     for phase, steps in (("warmup", WARMUP), ("draws", DRAWS)):
         done = advanced(setting_of(name), group, phase, steps)
-        group = done.standing.group
+        group = done.group_state.group
         whole.append(done)
     group, learnt = begun(setting_of(name)), {}
     for phase, steps, expected in zip(("warmup", "draws"), (WARMUP, DRAWS), whole, strict=True):
         for first in range(0, steps, 7):
             stop = min(first + 7, steps)
             done = advanced(setting_of(name), through_a_file(group), phase, stop - first)
-            group, learnt = done.standing.group, done.standing.learnt
+            group, learnt = done.group_state.group, done.group_state.learnt
             part = expected.steps.part(first, stop)
             assert same(done.steps.position, part.position)
             assert done.steps.stats.keys() == part.stats.keys()
             assert all(same(done.steps.stats[key], part.stats[key]) for key in part.stats)
-            assert done.standing.done[phase] == stop
-    assert learnt == whole[-1].standing.learnt
-    assert len(group.arrays) == len(whole[-1].standing.group.arrays)
+            assert done.group_state.done[phase] == stop
+    assert learnt == whole[-1].group_state.learnt
+    assert len(group.arrays) == len(whole[-1].group_state.group.arrays)
 
 
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_what_has_been_learnt_halfway_comes_back(name):
-    setting = setting_of(name)
-    group = advanced(setting, begun(setting), "warmup", WARMUP // 2).standing.group
-    again = taken(restored(through_a_file(group), setting.given()), setting.given())
+    context = setting_of(name)
+    group = advanced(context, begun(context), "warmup", WARMUP // 2).group_state.group
+    again = taken(restored(through_a_file(group), context.given()), context.given())
     assert again.outline == json.loads(json.dumps(group.outline))
     assert len(again.arrays) == len(group.arrays)
     assert all(same(one, other) for one, other in zip(again.arrays, group.arrays, strict=True))
 
 
 def test_a_snapshot_stays_what_it_was():
-    setting = setting_of("hmc")
-    group = advanced(setting, begun(setting), "warmup", 20).standing.group
+    context = setting_of("hmc")
+    group = advanced(context, begun(context), "warmup", 20).group_state.group
     before = [array.copy() for array in group.arrays]
-    first, again = (advanced(setting, group, "warmup", 20) for _ in range(2))
+    first, again = (advanced(context, group, "warmup", 20) for _ in range(2))
     assert same(first.steps.position, again.steps.position)
     assert all(same(one, other) for one, other in zip(group.arrays, before, strict=True))
 
@@ -237,7 +237,7 @@ def test_what_is_not_of_this_package_is_handed_on_but_never_written(thing):
     first, again = restored(snapshot, {})["deep"]
     assert first is thing or first == thing or all(one is other for one, other in zip(first, thing, strict=True))
     assert again is first or again == first
-    state = State("", "", Standing(snapshot, {}, {}), {}, [], 0)
+    state = SavedState("", "", GroupState(snapshot, {}, {}), {}, [], 0)
     with pytest.raises(ValueError, match="sampler: must be one of this package to be kept on disk"):
         packed_state(state)
 

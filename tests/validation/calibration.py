@@ -67,7 +67,7 @@ def calibrate(contender: Contender, replicates: int, seed: int, engine: Engine |
     model = reduced_model()
     seeds = np.random.SeedSequence(seed).spawn(replicates)
     tasks = [seeds[first : first + TOGETHER] for first in range(0, replicates, TOGETHER)]
-    parts = (engine or InProcess()).lines(_replicates, (contender, model), tasks)
+    parts = (engine or InProcess()).run_tasks(_replicates, (contender, model), tasks)
     ranks, ess, draws = zip(*(outcome for part in parts for outcome in part), strict=True)
     return Calibration(np.array(ranks), np.array(ess), np.array(draws))
 

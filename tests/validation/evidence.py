@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.maxima.mass import LocalQuadratic, masses
+from fmu.analysis.maxima.mode_weights import LocalQuadratic, masses
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from tests.two_storeys import quadrature
 

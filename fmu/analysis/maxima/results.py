@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.maxima.mass import LocalQuadratic
+from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.maxima.text import MOST_SHOWN, in_words, maxima_as_text
 from fmu.analysis.trace.provenance import configuration_hash
 from fmu.text_table import distinct, text_table, wrapped

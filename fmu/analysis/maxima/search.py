@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.maxima.curvature import hessian_at
-from fmu.analysis.maxima.mass import LocalQuadratic, Mass, masses
+from fmu.analysis.maxima.mode_weights import LocalQuadratic, ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.progress.phases import phase
 
@@ -61,7 +61,7 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     Maxima
         The highest first. The Hessians are differences of the exact gradient where that is smooth
         (`fmu.analysis.maxima.curvature`). The masses are integrals over the box by importance sampling around each
-        maximum (`fmu.analysis.maxima.mass.masses`), so that active bounds and what a Hessian leaves out count.
+        maximum (`mode_weights`), so that active bounds and what a Hessian leaves out count.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
         for m, g, H in zip(found, gradient, hessians, strict=True)
     ]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
-    weighed = masses(lambda u: problem.log_prob(_theta(problem, u)), models, lower, upper, rng)
+    weighed = mode_weights(lambda u: problem.log_prob(_theta(problem, u)), models, lower, upper, rng)
     frequencies = problem.frequencies(theta)
     total = float(np.logaddexp.reduce([mass.log_mass for mass in weighed]))
     return Maxima(
@@ -124,7 +124,7 @@ def _in_si(
     found: Maximum,
     model: LocalQuadratic,
     curvature: str,
-    mass: Mass,
+    mass: ModeWeight,
     frequencies: FloatArray,
 ) -> PosteriorMaximum:
     """Return one maximum, back from scaled coordinates."""

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from fmu.analysis.maxima.mass import LocalQuadratic
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
+from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.maxima.text import NEGLIGIBLE
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.samplers.loop.scaled import ScaledDensity

@@ -53,7 +53,7 @@ class PairingChanges:
         How modes are paired; None where the trace does not keep it, and then nothing is known of the following.
     constant : bool
         Whether the pairing cannot change: every mode is a fixed number of a block in which that was verified.
-    looked_at : int
+    project : int
         How many draws `changed` and `gap` are about.
     changed : ndarray, shape (n_modes,)
         Share of these in which another computed mode (block, or number within it) answers to the measured one than
@@ -69,7 +69,7 @@ class PairingChanges:
     swapped: FloatArray
     rule: str | None
     constant: bool
-    looked_at: int
+    project: int
     changed: FloatArray
     jumps: int
     gap: FloatArray
@@ -97,7 +97,7 @@ class PairingChanges:
             said.append("Every measured mode is answered by one computed mode throughout: that was verified.")
         elif self.rule is not None and not self.jumps:
             said.append(
-                f"Every measured mode is answered by one computed mode in all of {self.looked_at} draws looked at."
+                f"Every measured mode is answered by one computed mode in all of {self.project} draws looked at."
             )
         nearest = int(np.argmin(np.where(np.isnan(self.gap), np.inf, self.gap)))
         if np.isfinite(self.gap[nearest]):
@@ -117,7 +117,7 @@ class PairingChanges:
         return f"<ul>{items}</ul>{shown}"
 
     def _jumped(self) -> list[str]:
-        of = f"of {self.looked_at} draws looked at"
+        of = f"of {self.project} draws looked at"
         return [
             f"Mode {self.labels[i]} is answered by another computed mode than at the most probable draw in "
             f"{share(float(self.changed[i]))} {of}: {_MEANS[str(self.rule)]}."
@@ -184,11 +184,11 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     best = int(kept.attrs["most_probable"])
     other = (block != block[best]) | (rank != rank[best])
     if constant:
-        looked_at = len(f)
+        project = len(f)
     else:
-        looked_at, gap = len(block), kept["gap"].transpose("sample", "mode").to_numpy().min(axis=0).astype(float)
+        project, gap = len(block), kept["gap"].transpose("sample", "mode").to_numpy().min(axis=0).astype(float)
     return PairingChanges(
-        labels, swapped, rule, constant, looked_at, other.mean(axis=0), int(np.sum(other.any(axis=1))), gap
+        labels, swapped, rule, constant, project, other.mean(axis=0), int(np.sum(other.any(axis=1))), gap
     )
 
 
@@ -201,7 +201,7 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
         return []
     modes = ", ".join(label for label, changed in zip(found.labels, found.changed, strict=True) if changed > 0)
     return [
-        f"the pairing by MAC changes in {share(found.jumps / found.looked_at)} of the draws (measured "
+        f"the pairing by MAC changes in {share(found.jumps / found.project)} of the draws (measured "
         f"{'modes' if ',' in modes else 'mode'} {modes}): where the modes veer the log-probability jumps, which "
         'pairing="soft" does not'
     ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from fmu.config.fields import Name, Table, Vector
+from fmu.config.fields import Name, TomlTable, Vector
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model.joints import Direction, MassTable, OffsetTable, SpringTable
 from fmu.config.model.sections import MaterialTable, SectionTable
@@ -28,7 +28,7 @@ MOST_ELEMENTS = 10_000
 """60 000 degrees of freedom, a second a solve: a larger structure comes condensed, as matrices."""
 
 
-class Member(Table):
+class Member(TomlTable):
     """A straight row of `elements` elements between two points; `y_direction` as that of an `ElementGroup`."""
 
     start: Annotated[Name, Field(alias="from")]
@@ -40,7 +40,7 @@ class Member(Table):
     y_direction: Vector | None = None
 
 
-class FrameTable(Table):
+class FrameTable(TomlTable):
     """A structure of beam elements; ``free = true`` if nothing holds it, on purpose."""
 
     type: Literal["frame"]

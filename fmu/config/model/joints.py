@@ -6,13 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from fmu.config.fields import Name, NotNegative, Positive, Table, Vector
+from fmu.config.fields import Name, NotNegative, Positive, TomlTable, Vector
 from fmu.config.mistakes import got
 
 Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
 
 
-class MassTable(Table):
+class MassTable(TomlTable):
     """A point mass, kg, with rotary inertias about global axes, kg·m²; its name is the point's by default."""
 
     point: Name
@@ -26,7 +26,7 @@ class MassTable(Table):
         return self.name or self.point
 
 
-class SpringTable(Table):
+class SpringTable(TomlTable):
     """Springs along global axes, in N/m and N·m/rad: of one ``point`` to the ground, or between two ``points``.
 
     In the directions of ``tied`` two points at the same place move as one.
@@ -58,7 +58,7 @@ class SpringTable(Table):
         return self.points if self.points is not None else [str(self.point)]
 
 
-class OffsetTable(Table):
+class OffsetTable(TomlTable):
     """A place for sensors, rigidly joined to a point, `offset` from it along global axes, m."""
 
     point: Name

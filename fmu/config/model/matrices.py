@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from pydantic import Field, model_validator
 
-from fmu.config.fields import FileName, Name, SensorTable, Table
+from fmu.config.fields import FileName, Name, SensorTable, TomlTable
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model.table import Built, without_targets
 from fmu.fem.frame.stability import require_stable
@@ -34,7 +34,7 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 MOST_TERMS = 1000
 
 
-class TermTable(Table):
+class TermTable(TomlTable):
     """One matrix, in SI units, times the product of parameters to their powers."""
 
     file: FileName | None = None
@@ -73,7 +73,7 @@ class TermTable(Table):
         return Labelled(symmetric_matrix(np.array(rows), self.triangle), None)
 
 
-class MatricesTable(Table):
+class MatricesTable(TomlTable):
     """K(theta) and M(theta) as sums of matrices; ``free = true`` if nothing holds the structure, on purpose."""
 
     type: Literal["matrices"]

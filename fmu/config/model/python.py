@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from fmu.config.fields import Table
+from fmu.config.fields import TomlTable
 from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
 from fmu.config.model.table import Built, without_targets
 from fmu.fem.black_box import BlackBoxModel
@@ -31,7 +31,7 @@ LARGEST_MODULE = 2**24
 """Bytes of a module's source, which Python reads as a whole."""
 
 
-class PythonTable(Table):
+class PythonTable(TomlTable):
     """A function from theta to frequencies in Hz, or to frequencies, shapes and gradients.
 
     ``batched = true`` if it takes many theta at once; ``step``, relative to the range of each parameter, of the

@@ -7,11 +7,11 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from fmu.config.fields import Positive, Table
+from fmu.config.fields import Positive, TomlTable
 from fmu.fem.frame.section import Section
 
 
-class MaterialTable(Table):
+class MaterialTable(TomlTable):
     """E in N/m², Poisson's ratio nu, density rho in kg/m³."""
 
     E: Positive
@@ -19,14 +19,14 @@ class MaterialTable(Table):
     rho: Positive
 
 
-class Rectangle(Table):
+class Rectangle(TomlTable):
     """`width` along local y, `height` along local z, m."""
 
     width: Positive
     height: Positive
 
 
-class Tube(Table):
+class Tube(TomlTable):
     """A circular tube: outer `diameter`, wall `thickness`, m."""
 
     diameter: Positive
@@ -38,7 +38,7 @@ class Tube(Table):
         return self
 
 
-class ISection(Table):
+class ISection(TomlTable):
     """An I: `height` over all and the web along local z, flanges of `width` along local y; thicknesses, m."""
 
     height: Positive
@@ -52,7 +52,7 @@ class ISection(Table):
         return self
 
 
-class SectionTable(Table):
+class SectionTable(TomlTable):
     """A cross-section: ``rectangle``, ``tube``, ``i``, or the constants A (m²), Iy, Iz, J (m⁴) themselves."""
 
     rectangle: Rectangle | None = None
@@ -85,7 +85,7 @@ class SectionTable(Table):
         return Section(A=self.A, Iy=self.Iy, Iz=self.Iz, J=self.J)  # type: ignore[arg-type]
 
 
-def _made(make: Callable[..., Section], table: Table) -> Section:
+def _made(make: Callable[..., Section], table: TomlTable) -> Section:
     """Return the section of a table's dimensions; ValueError in words that follow the table's place."""
     try:
         return make(**table.model_dump())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
-from fmu.config.fields import Name, Table
+from fmu.config.fields import Name, TomlTable
 from fmu.config.mistakes import Mistake, got
 from fmu.config.model.joints import Direction, MassTable, SpringTable
 from fmu.fem.frame.updates import PROPERTIES
@@ -18,7 +18,7 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 """Which key names the things that have a property."""
 
 
-class Target(Table):
+class Target(TomlTable):
     """What a parameter is the value of, or the factor that multiplies its value in the file.
 
     Of a frame: a ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``, of the last two

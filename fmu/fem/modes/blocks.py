@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.modes.modal import FullBlock, Seen
+from fmu.fem.modes.modal import BlockPrediction, FullBlock
 from fmu.fem.modes.separable import SeparableModel
 
 FloatArray = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Block(Protocol):
     dofs: IntArray
     size: int
     n_modes: int
-    trusted: int
+    n_trained: int
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
         """Return the lowest eigenvalues, shape (n, count), (rad/s)²."""
@@ -66,7 +66,7 @@ class Block(Protocol):
         """
         ...
 
-    def needed(self, count: int, gradient: bool) -> int:
+    def n_required(self, count: int, gradient: bool) -> int:
         """Return how many modes it takes to say how the lowest are seen, and how they move if `gradient`."""
         ...
 
@@ -77,16 +77,16 @@ class Block(Protocol):
         rows: Any,
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> Seen:
+    ) -> BlockPrediction:
         """Return the lowest modes as the sensors of sparse `rows` (n_sensors, size) see them.
 
-        With `solved`, what `modes` returned for `needed` modes or more, if that is at hand.
+        With `solved`, what `modes` returned for `n_required` modes or more, if that is at hand.
         """
         ...
 
 
 @dataclass(frozen=True)
-class Modes:
+class ModalSolution:
     """Chosen modes of a structure at n parameter vectors.
 
     Attributes
@@ -102,10 +102,10 @@ class Modes:
     block: IntArray
     rank: IntArray
 
-    def columns(self, picked: IntArray) -> Modes:
+    def columns(self, picked: IntArray) -> ModalSolution:
         """Return the modes at the given columns alone."""
         gradient = None if self.gradient is None else self.gradient[:, picked]
-        return Modes(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
+        return ModalSolution(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ class BlockModel:
         """How many modes have a finite frequency."""
         return sum(block.n_modes for block in self.blocks)
 
-    def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> Modes:
+    def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> ModalSolution:
         """Return the lowest `count` modes of the whole structure, ascending over the blocks.
 
         A reduced block gives only the modes that it was trained for. Where one more of them might have been
@@ -147,12 +147,12 @@ class BlockModel:
             raise ValueError(f"count: must lie in 1..{available}, the modes of the structure (got {count})")
         values, slopes = [], []
         for block in self.blocks:
-            trusted = min(count, block.trusted)
+            n_trained = min(count, block.n_trained)
             if gradient:
-                lam, phi = block.modes(theta, trusted)
+                lam, phi = block.modes(theta, n_trained)
                 slopes.append(block.eigenvalue_gradient(theta, lam, phi))
             else:
-                lam = block.eigenvalues(theta, trusted)
+                lam = block.eigenvalues(theta, n_trained)
             values.append(lam)
         merged = np.concatenate(values, axis=1)
         order = np.argsort(merged, axis=1, kind="stable")[:, :count]
@@ -167,4 +167,4 @@ class BlockModel:
         widths = [lam.shape[1] for lam in values]
         owner, rank = np.repeat(np.arange(len(widths)), widths), np.concatenate([np.arange(w) for w in widths])
         chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
-        return Modes(lowest, chosen, owner[order], rank[order])
+        return ModalSolution(lowest, chosen, owner[order], rank[order])

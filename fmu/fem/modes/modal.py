@@ -81,7 +81,7 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     return np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0)
 
 
-class Seen(NamedTuple):
+class BlockPrediction(NamedTuple):
     """Modes of one block as sensors see them.
 
     Attributes
@@ -121,7 +121,7 @@ class FullBlock:
         self._K_map = CoefficientMap(self.K_terms)
         self._M_map = CoefficientMap(self.M_terms)
         self.size = len(dofs)
-        self.n_modes = self.trusted = _finite_modes(self.M_terms)
+        self.n_modes = self.n_trained = _finite_modes(self.M_terms)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is prepared when needed."""
@@ -169,7 +169,7 @@ class FullBlock:
         gradient = self._K_map.contract(theta, _quadratic_forms(self.K_terms, phi))
         return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))
 
-    def needed(self, count: int, gradient: bool) -> int:
+    def n_required(self, count: int, gradient: bool) -> int:
         """Return `count`."""
         return count
 
@@ -180,12 +180,12 @@ class FullBlock:
         rows: Any,
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> Seen:
+    ) -> BlockPrediction:
         """Return the lowest modes as sensors see them, derivatives by a bordered system a mode."""
         lam, phi = self.modes(theta, count) if solved is None else (solved[0][:, :count], solved[1][:, :, :count])
         shapes = np.stack([rows @ shape for shape in phi]) if len(phi) else np.empty((0, rows.shape[0], count))
         if not gradient:
-            return Seen(lam, shapes)
+            return BlockPrediction(lam, shapes)
         lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
         shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
         K_sum, M_sum = self._sums
@@ -199,7 +199,7 @@ class FullBlock:
             for k in range(count):
                 slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
                 shape_slopes[i, :, k] = rows @ slope
-        return Seen(lam, shapes, lam_slopes, shape_slopes)
+        return BlockPrediction(lam, shapes, lam_slopes, shape_slopes)
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return what takes shapes (n, size, m) to the coordinates `rows`, and the references as they are."""

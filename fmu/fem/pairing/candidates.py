@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import Block, BlockModel
-from fmu.fem.modes.modal import Seen, frequency_gradient, frequency_hz
+from fmu.fem.modes.modal import BlockPrediction, frequency_gradient, frequency_hz
 from fmu.fem.pairing.rules import RankPairing, ShapePairing
 from fmu.fem.reduced.basis import ReducedBlock
 
@@ -76,7 +76,7 @@ class _View(NamedTuple):
     """A block, how many modes it offers, the coordinates of comparison, and the references there."""
 
     block: Block
-    offered: int
+    n_candidates: int
     rows: Any
     reference: FloatArray
 
@@ -114,7 +114,7 @@ class CandidateView:
                 if len(rows) > block.size and not self._at_sensors:
                     Q, rows = np.linalg.qr(rows)
                     reference = Q.T @ reference
-            views.append(_View(block, self._rule.offered(self._model, b), rows, reference))
+            views.append(_View(block, self._rule.n_candidates(self._model, b), rows, reference))
         return views
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> Candidates:
@@ -133,9 +133,9 @@ class CandidateView:
 
     def _of_block(self, view: _View, theta: FloatArray, gradient: bool) -> Candidates:
         if isinstance(view.block, ReducedBlock):
-            seen = view.block.seen_in_basis(theta, view.offered, view.rows, gradient)
+            seen = view.block.seen_in_basis(theta, view.n_candidates, view.rows, gradient)
         else:
-            seen = view.block.seen(theta, view.offered, view.rows, gradient)
+            seen = view.block.seen(theta, view.n_candidates, view.rows, gradient)
         kept = slice(None) if self._at_sensors else slice(0)
         f = frequency_hz(seen.eigenvalues)
         mac, mac_slopes = self._alike(view, seen)
@@ -144,7 +144,7 @@ class CandidateView:
         slopes = frequency_gradient(f, seen.eigenvalue_slopes)
         return Candidates(f, seen.shapes[:, kept], mac, slopes, seen.shape_slopes[:, kept], mac_slopes)
 
-    def _alike(self, view: _View, seen: Seen) -> tuple[FloatArray, FloatArray | None]:
+    def _alike(self, view: _View, seen: BlockPrediction) -> tuple[FloatArray, FloatArray | None]:
         """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), slopes if those of shapes are known."""
         phi, psi = np.ascontiguousarray(seen.shapes), view.reference
         length = np.sum(phi**2, axis=1)

@@ -12,7 +12,7 @@ from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
 from fmu.fem.modes.memory import Memory
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_model import PAIRINGS
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import assign
 
 FloatArray = NDArray[np.float64]
@@ -118,7 +118,7 @@ class PairedBlackBox:
         """Whether the function gives shapes, at as many sensors as were measured."""
         return self._n_sensors is not None
 
-    def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.
 
         Those of shapes are central differences, as are those of frequencies that the function does not give.
@@ -132,7 +132,7 @@ class PairedBlackBox:
             raise ValueError("model.function: must give shapes where they have errors (it gives none)")
         frequencies, slopes, shapes = self._paired(theta)
         if not gradient:
-            return Observed(frequencies, shapes)
+            return ModalPrediction(frequencies, shapes)
         values = np.concatenate([frequencies[:, None], shapes], axis=1)
         n, rows, m = values.shape
 
@@ -144,7 +144,7 @@ class PairedBlackBox:
 
         all_slopes = self._differences(theta, values.reshape(n, -1), nearby).reshape(n, rows, m, -1)
         own = ~np.isnan(slopes).all(axis=(1, 2))
-        return Observed(
+        return ModalPrediction(
             frequencies, shapes, np.where(own[:, None, None], slopes, all_slopes[:, 0]), all_slopes[:, 1:]
         )
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.engines.engine import Engine
-from fmu.fem.modes.blocks import BlockModel, Modes
+from fmu.fem.modes.blocks import BlockModel, ModalSolution
 from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.threads import single_thread
 from fmu.fem.pairing.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
-from fmu.fem.pairing.prediction import Observed, SensorView, with_rows
+from fmu.fem.pairing.prediction import ModalPrediction, SensorView, with_rows
 from fmu.fem.pairing.rules import SPARE, IndexPairing, Pairing, ShapePairing, count_rigid, reference_modes
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.training import Trained, Training
@@ -137,7 +137,7 @@ class PairedStructure:
         lower: FloatArray,
         upper: FloatArray,
         tolerance: float = 1e-6,
-        wanting: Callable[[], FloatArray | None] | None = None,
+        inaccurate_points: Callable[[], FloatArray | None] | None = None,
         engine: Engine | None = None,
     ) -> dict[str, FloatArray]:
         """Train the reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
@@ -147,7 +147,7 @@ class PairedStructure:
         lower, upper : ndarray, shape (n_parameters,)
         tolerance : float
             Largest relative error of a frequency at any point of the box that was tried.
-        wanting : callable, optional
+        inaccurate_points : callable, optional
             Returns points (n, n_parameters) at which the reduced model, as trained so far, is not good enough for
             a purpose of one's own; None where it is.
         engine : Engine, optional
@@ -161,8 +161,8 @@ class PairedStructure:
         training = Training(self.full, self.rule, lower, upper, tolerance, engine=engine)
         with single_thread():
             self._install(training.run())
-            for _ in range(20 if wanting is not None else 0):
-                points = wanting()  # type: ignore[misc]
+            for _ in range(20 if inaccurate_points is not None else 0):
+                points = inaccurate_points()  # type: ignore[misc]
                 if points is None or training.is_cut():
                     break
                 self._install(training.refined(points))
@@ -173,7 +173,7 @@ class PairedStructure:
         with single_thread():
             self._install(Training.restored(self.full, self.rule, state))
 
-    def modes(self, theta: FloatArray, gradient: bool = False) -> Modes:
+    def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
         solved(len(theta))
         with single_thread():
@@ -218,13 +218,15 @@ class PairedStructure:
                 start = 0
                 for b, count in counts.items():
                     if model is not None and rows.any():
-                        trusted = min(count, model.blocks[b].trusted)
-                        found[rows, start : start + trusted] = model.blocks[b].eigenvalues(theta[rows], trusted)
+                        n_trained = min(count, model.blocks[b].n_trained)
+                        found[rows, start : start + n_trained] = model.blocks[b].eigenvalues(
+                            theta[rows], n_trained
+                        )
                     start += count
         ranks = np.concatenate([np.arange(count) for count in counts.values()])
         return found, np.repeat(list(counts), list(counts.values())), ranks
 
-    def full_modes(self, theta: FloatArray) -> Modes:
+    def full_modes(self, theta: FloatArray) -> ModalSolution:
         """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""
         solved(len(theta))
         with single_thread():
@@ -246,11 +248,11 @@ class PairedStructure:
                 shapes[np.ix_(self.full.blocks[b].dofs, columns)] = phi[0][:, ranks]
         return shapes
 
-    def observed(self, theta: FloatArray, gradient: bool = False) -> Observed:
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
         return self._looked_at(self._see_reduced, self._see_full, theta, gradient)
 
-    def full_observed(self, theta: FloatArray) -> Observed:
+    def full_observed(self, theta: FloatArray) -> ModalPrediction:
         """Return frequencies and shapes at the sensors by the full model, paired by the rule itself."""
         solved(len(theta))
         with single_thread():
@@ -316,20 +318,20 @@ class PairedStructure:
             self._reduced_candidates = self._candidates_of(trained.model, self.rule)
         self.full_solves = 0
 
-    def _reduced_modes(self, theta: FloatArray, gradient: bool) -> Modes:
+    def _reduced_modes(self, theta: FloatArray, gradient: bool) -> ModalSolution:
         """Return the reduced model's modes, a few theta at a time where their matrices would take much memory."""
         if len(theta) <= self._at_once:
             return self._solve_reduced(theta, gradient)
         starts = range(0, len(theta), self._at_once)
         parts = [self._solve_reduced(theta[i : i + self._at_once], gradient) for i in starts]
-        return Modes(
+        return ModalSolution(
             np.concatenate([part.eigenvalues for part in parts]),
             np.concatenate([part.gradient for part in parts]) if gradient else None,
             np.concatenate([part.block for part in parts]),
             np.concatenate([part.rank for part in parts]),
         )
 
-    def _looked_at[Look: (Observed, Candidates)](
+    def _looked_at[Look: (ModalPrediction, Candidates)](
         self,
         reduced: Callable[[FloatArray, bool], Look],
         full: Callable[[FloatArray, bool], Look],
@@ -352,7 +354,7 @@ class PairedStructure:
     def _candidates_of(self, model: BlockModel, rule: ShapePairing) -> CandidateView:
         return CandidateView(model, rule, self._at_sensors)
 
-    def _repaired(self, theta: FloatArray, modes: Modes, rows: NDArray[np.bool_]) -> Modes:
+    def _repaired(self, theta: FloatArray, modes: ModalSolution, rows: NDArray[np.bool_]) -> ModalSolution:
         exact = self._solve_full(theta[rows], modes.gradient is not None)
         self.full_solves += int(np.sum(rows))
         lam, block, rank = modes.eigenvalues.copy(), modes.block.copy(), modes.rank.copy()
@@ -361,4 +363,4 @@ class PairedStructure:
         if modes.gradient is not None:
             gradient = modes.gradient.copy()
             gradient[rows] = exact.gradient
-        return Modes(lam, gradient, block, rank)
+        return ModalSolution(lam, gradient, block, rank)

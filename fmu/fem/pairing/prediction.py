@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import BlockModel
-from fmu.fem.modes.modal import Seen, frequency_gradient, frequency_hz
+from fmu.fem.modes.modal import BlockPrediction, frequency_gradient, frequency_hz
 from fmu.fem.pairing.rules import IndexPairing, Observation, PairedSolve, Pairing, RankPairing, ShapePairing
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ Solved = dict[int, tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True)
-class Observed:
+class ModalPrediction:
     """What a modal test would have given at n parameter vectors, if the model were right.
 
     Attributes
@@ -89,12 +89,12 @@ class SensorView:
     def _rows(self) -> list[Any]:
         return [self._sensors[:, block.dofs] for block in self.model.blocks]
 
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> Observed:
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return what the sensors see at theta (n, n_parameters)."""
         block, rank, solved = self._paired(theta, gradient)
         n, m = block.shape
         p = self.model.n_parameters
-        seen = Seen(np.full((n, m), np.nan), np.full((n, self._n_sensors, m), np.nan))
+        seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, self._n_sensors, m), np.nan))
         if gradient:
             slopes = np.full((n, m, p), np.nan), np.full((n, self._n_sensors, m, p), np.nan)
             seen = seen._replace(eigenvalue_slopes=slopes[0], shape_slopes=slopes[1])
@@ -110,10 +110,10 @@ class SensorView:
                 seen.shape_slopes[row, :, column] = found.shape_slopes[row, :, ranks]  # type: ignore[index]
         frequencies = frequency_hz(seen.eigenvalues)
         if not gradient:
-            return Observed(frequencies, seen.shapes)
+            return ModalPrediction(frequencies, seen.shapes)
         assert seen.eigenvalue_slopes is not None  # narrowed for the type checker: asked for above
         slopes_hz = frequency_gradient(frequencies, seen.eigenvalue_slopes)
-        return Observed(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
+        return ModalPrediction(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
 
     def _paired(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved on the way.
@@ -130,9 +130,9 @@ class SensorView:
             return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
         solved, shapes = {}, {}
         for b in self._compared:
-            offered = self.pairing.offered(self.model, b)
-            solved[b] = self.model.blocks[b].modes(theta, self.model.blocks[b].needed(offered, gradient))
-            shapes[b] = solved[b][1][:, :, :offered]
+            n_candidates = self.pairing.n_candidates(self.model, b)
+            solved[b] = self.model.blocks[b].modes(theta, self.model.blocks[b].n_required(n_candidates, gradient))
+            shapes[b] = solved[b][1][:, :, :n_candidates]
         block, rank, _ = self.pairing.assigned(self._compared, shapes)
         values = [lam[:, : shapes[b].shape[2]] for b, (lam, _) in solved.items()]
         failed = np.isnan(np.concatenate(values, axis=1)).any(axis=1, keepdims=True)

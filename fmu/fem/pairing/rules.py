@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.modes.blocks import Block, BlockModel, Modes
+from fmu.fem.modes.blocks import Block, BlockModel, ModalSolution
 from fmu.fem.modes.modal import is_rigid
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +32,7 @@ Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
 class PairedSolve(Protocol):
     """A pairing rule bound to a model: solve at theta (n, n_parameters), and pick the measured modes."""
 
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
         ...
 
@@ -64,7 +64,7 @@ class IndexPairing:
         """Return how many of the lowest modes of which blocks may be among those paired."""
         return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
 
-    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> Modes:
+    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         picked = np.array(self.numbers) - 1
         return model.spectrum(theta, max(self.numbers), gradient).columns(picked)
 
@@ -95,7 +95,7 @@ class _RankSolve:
             self.parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
         self.order = np.argsort(np.concatenate(columns))
 
-    def __call__(self, theta: FloatArray, gradient: bool = False) -> Modes:
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         values, slopes = [], []
         for block, count, ranks in self.parts:
             if gradient:
@@ -106,7 +106,7 @@ class _RankSolve:
             values.append(lam[:, ranks])
         n = len(theta)
         labels = self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0)
-        return Modes(self._joined(values), self._joined(slopes) if gradient else None, *labels)
+        return ModalSolution(self._joined(values), self._joined(slopes) if gradient else None, *labels)
 
     def _joined(self, parts: list[FloatArray]) -> FloatArray:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self.order]
@@ -150,29 +150,29 @@ class ShapePairing:
         observed: Mapping[int, Observation],
         theta: FloatArray,
         gradient: bool = False,
-    ) -> Modes:
+    ) -> ModalSolution:
         values, shapes = {}, {}
         for b in observed:
-            values[b], shapes[b] = model.blocks[b].modes(theta, self.offered(model, b))
+            values[b], shapes[b] = model.blocks[b].modes(theta, self.n_candidates(model, b))
         block, rank, column = self.assigned(observed, shapes)
         merged = np.concatenate(list(values.values()), axis=1)
         # a block that failed must not leave its references to the others
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
         lam = np.take_along_axis(merged, column, axis=1)
         if not gradient:
-            return Modes(lam, None, block, rank)
+            return ModalSolution(lam, None, block, rank)
         slopes = np.concatenate(
             [model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in observed], axis=1
         )
-        return Modes(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+        return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
 
-    def offered(self, model: BlockModel, b: int) -> int:
+    def n_candidates(self, model: BlockModel, b: int) -> int:
         """Return how many modes block `b` offers as candidates."""
         return min(self.shapes.shape[1] + self.margin, model.blocks[b].n_modes)
 
     def counts(self, model: BlockModel) -> dict[int, int]:
         """Return how many of the lowest modes of which blocks may be among those paired."""
-        return {b: self.offered(model, b) for b in self.observe(model)}
+        return {b: self.n_candidates(model, b) for b in self.observe(model)}
 
     def observe(self, model: BlockModel) -> dict[int, Observation]:
         """Return, for every block that a reference moves in, how its shapes are compared."""
@@ -189,7 +189,7 @@ class ShapePairing:
 
         Parameters
         ----------
-        shapes : mapping of int to ndarray, shape (n, size, offered)
+        shapes : mapping of int to ndarray, shape (n, size, n_candidates)
             Modes of each observed block at points that cover the parameter box, its corners among them.
         """
         block, rank, _ = self.assigned(self.observe(model), shapes)
@@ -206,7 +206,7 @@ class ShapePairing:
         ----------
         observed : mapping of int to Observation
             As `observe` returns it.
-        shapes : mapping of int to ndarray, shape (n, size, offered)
+        shapes : mapping of int to ndarray, shape (n, size, n_candidates)
             Modes of each of these blocks.
         """
         reference_size = np.sum(self.shapes**2, axis=0)[:, None]

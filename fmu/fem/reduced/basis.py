@@ -21,7 +21,7 @@ import scipy.linalg as sl
 from numpy.typing import NDArray
 
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
-from fmu.fem.modes.modal import FullBlock, Seen
+from fmu.fem.modes.modal import BlockPrediction, FullBlock
 from fmu.fem.modes.shape_maps import Mapped
 from fmu.fem.modes.terms import CoefficientMap, Term
 
@@ -43,7 +43,7 @@ class ReducedBlock:
     block : FullBlock
     basis : ndarray, shape (block.size, r)
         Orthonormal in the mass matrix at the box's centre.
-    trusted : int
+    n_trained : int
         How many of the lowest modes the basis was trained for.
 
     Attributes
@@ -61,11 +61,11 @@ class ReducedBlock:
     theta, so that a result does not depend, in any bit, on what else is in the batch.
     """
 
-    def __init__(self, block: FullBlock, basis: FloatArray, trusted: int) -> None:
+    def __init__(self, block: FullBlock, basis: FloatArray, n_trained: int) -> None:
         self.dofs = block.dofs
         self.basis = basis
         self.size = basis.shape[1]
-        self.trusted = trusted
+        self.n_trained = n_trained
         self.n_modes = min(block.n_modes, self.size)
         self.massless = block.n_modes < block.size
         self.n_parameters = block.n_parameters
@@ -123,7 +123,7 @@ class ReducedBlock:
             gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
         return gradient
 
-    def needed(self, count: int, gradient: bool) -> int:
+    def n_required(self, count: int, gradient: bool) -> int:
         """Return how many modes `seen` takes: for the derivatives all of them, where all are finite."""
         return self.size if gradient and not self.massless else count
 
@@ -134,7 +134,7 @@ class ReducedBlock:
         rows: Any,
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> Seen:
+    ) -> BlockPrediction:
         """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
         return self.seen_in_basis(theta, count, rows @ self.basis, gradient, solved)
 
@@ -145,16 +145,16 @@ class ReducedBlock:
         sensors: FloatArray,
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> Seen:
+    ) -> BlockPrediction:
         """Return `seen` for sensors that are given by what they see of the basis, shape (n_sensors, size)."""
-        lam, phi = solved or self.modes(theta, self.needed(count, gradient))
+        lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
         if not gradient:
-            return Seen(lam[:, :count], sensors @ phi[:, :, :count])
+            return BlockPrediction(lam[:, :count], sensors @ phi[:, :, :count])
         if self.massless:
             lam, phi = lam[:, :count], phi[:, :, :count]
             slopes = self._bordered_slopes(theta, lam, phi)
             lam_slopes = self.eigenvalue_gradient(theta, lam, phi)
-            return Seen(lam, sensors @ phi, lam_slopes, _seen_slopes(sensors, slopes))
+            return BlockPrediction(lam, sensors @ phi, lam_slopes, _seen_slopes(sensors, slopes))
         dK, dM = (
             self._slopes(theta, coefficient, matrices, phi, count)
             for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
@@ -162,7 +162,9 @@ class ReducedBlock:
         i = np.arange(count)
         slopes = by_all_modes(lam, phi, dK, dM, count)
         lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
-        return Seen(lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, _seen_slopes(sensors, slopes))
+        return BlockPrediction(
+            lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, _seen_slopes(sensors, slopes)
+        )
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
         """Return ∂φ, shape (n, r, m, n_parameters), a mode at a time; NaN where its eigenvalue is repeated."""

@@ -145,7 +145,7 @@ def smallest_basis(
     By bisection: in nested spaces the reduced eigenvalues fall monotonically towards the exact ones (Courant and
     Fischer), so that what is acceptable stays so as vectors are added.
     """
-    low, high = max(smallest, reduced.trusted) - 1, reduced.size
+    low, high = max(smallest, reduced.n_trained) - 1, reduced.size
     while high - low > 1:
         middle = (low + high) // 2
         if acceptable(reduced.truncated(middle)):

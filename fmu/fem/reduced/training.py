@@ -106,7 +106,7 @@ class Training:
         self.snapshots: dict[int, Snapshots] = {}
         self.pairing: Pairing = rule
         self.basis: dict[int, FloatArray] = {}
-        self.trusted: dict[int, int] = {}
+        self.n_trained: dict[int, int] = {}
         self.confirmed = True
 
     def run(self) -> Trained:
@@ -144,7 +144,7 @@ class Training:
             state["pairing"] = np.array([self.pairing.block, self.pairing.rank], dtype=float)
         for b, basis in self.basis.items():
             state[f"basis{b}"] = basis
-            state[f"trusted{b}"] = np.array(float(self.trusted[b]))
+            state[f"n_trained{b}"] = np.array(float(self.n_trained[b]))
         return state
 
     @classmethod
@@ -159,13 +159,13 @@ class Training:
         for b in range(len(full.blocks)):
             if f"basis{b}" in state:
                 training.basis[b] = state[f"basis{b}"]
-                training.trusted[b] = int(state[f"trusted{b}"])
+                training.n_trained[b] = int(state[f"n_trained{b}"])
         return training._trained()
 
     def _trained(self) -> Trained:
         blocks: list[Block] = list(self.full.blocks)
         for b, basis in self.basis.items():
-            blocks[b] = ReducedBlock(self._block(b), basis, self.trusted[b])
+            blocks[b] = ReducedBlock(self._block(b), basis, self.n_trained[b])
         model = BlockModel(tuple(blocks), self.full.n_parameters)
         return Trained(model, self.pairing, self.lower, self.upper, self.confirmed)
 
@@ -175,7 +175,7 @@ class Training:
         parts = [theta[first : first + _CHUNK] for first in range(0, len(theta), _CHUNK)]
         tasks = [(b, part, count) for b, count in counts.items() for part in parts]
         with phase("training", len(tasks)) as under_way:
-            outcome = iter(self._engine.lines(_solve_there, self.full, tasks, lambda *_: under_way.advance()))
+            outcome = iter(self._engine.run_tasks(_solve_there, self.full, tasks, lambda *_: under_way.advance()))
             solved(len(theta))
         return {b: Snapshots.joined(list(islice(outcome, len(parts)))) for b in counts}
 
@@ -210,9 +210,9 @@ class Training:
 
     def _compress(self, share: float = 1.0) -> None:
         """Make the basis as small as the `share` of the tolerance allows at the points that are known."""
-        self.pairing, self.trusted = self._needed(self.snapshots)
+        self.pairing, self.n_trained = self._needed(self.snapshots)
         tolerance = share * self.tolerance
-        self.basis = {b: self._compressed(b, needed, tolerance) for b, needed in self.trusted.items()}
+        self.basis = {b: self._compressed(b, needed, tolerance) for b, needed in self.n_trained.items()}
 
     def is_cut(self) -> bool:
         """Say whether a basis has as many vectors as pay: then more points cannot make it better."""
@@ -240,27 +240,27 @@ class Training:
         pairing, needed = self._needed(fresh)
         if isinstance(self.pairing, RankPairing) and pairing != self.pairing:
             return False
-        for b, trusted in self.trusted.items():
-            if needed[b] > trusted:
+        for b, n_trained in self.n_trained.items():
+            if needed[b] > n_trained:
                 return False
-            reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
-            if not np.max(fresh[b].lowest(trusted).largest_error(reduced)) <= self.tolerance:
+            reduced = ReducedBlock(self._block(b), self.basis[b], n_trained)
+            if not np.max(fresh[b].lowest(n_trained).largest_error(reduced)) <= self.tolerance:
                 return False
         return True
 
     def _worth_adding(self, fresh: dict[int, Snapshots]) -> dict[int, Snapshots]:
         """Return the points of `fresh` that are to join the others: where these are many, the bad ones alone."""
         many = any(
-            s.eigenvalues.shape[0] * self.trusted[b] > MANY_SHAPES and self._block(b).size > LARGE
+            s.eigenvalues.shape[0] * self.n_trained[b] > MANY_SHAPES and self._block(b).size > LARGE
             for b, s in self.snapshots.items()
         )
         pairing, needed = self._needed(fresh)
-        if not many or pairing != self.pairing or any(needed[b] > n for b, n in self.trusted.items()):
+        if not many or pairing != self.pairing or any(needed[b] > n for b, n in self.n_trained.items()):
             return fresh
         bad = np.zeros(len(next(iter(fresh.values())).theta), dtype=bool)
-        for b, trusted in self.trusted.items():
-            reduced = ReducedBlock(self._block(b), self.basis[b], trusted)
-            bad |= ~(fresh[b].lowest(trusted).largest_error(reduced) <= 0.5 * self.tolerance)
+        for b, n_trained in self.n_trained.items():
+            reduced = ReducedBlock(self._block(b), self.basis[b], n_trained)
+            bad |= ~(fresh[b].lowest(n_trained).largest_error(reduced) <= 0.5 * self.tolerance)
         return {b: s.rows(bad) for b, s in fresh.items()}
 
     def _add(self, fresh: dict[int, Snapshots]) -> None:

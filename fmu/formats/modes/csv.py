@@ -34,13 +34,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.formats.modes.measured_modes import MOST_MODES, Modes, ModesError, checked_file
+from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesError, checked_file
 from fmu.formats.shown import shown
 
 FloatArray = NDArray[np.float64]
 
 MOST_ROWS = 10_000
-"""Modes, or sensors."""
+"""MeasuredModes, or sensors."""
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
 _TEST = "test"
 _MISSED = ("", "nan")
@@ -54,7 +54,7 @@ class _Row(NamedTuple):
     values: dict[str, str]
 
 
-def read_frequencies(path: Path) -> tuple[Modes, tuple[int, ...]]:
+def read_frequencies(path: Path) -> tuple[MeasuredModes, tuple[int, ...]]:
     """Return the modes of a table of frequencies, and their numbers, none if it has no such column.
 
     Raises
@@ -85,10 +85,12 @@ def read_frequencies(path: Path) -> tuple[Modes, tuple[int, ...]]:
     ]
     if found:
         raise ModesError(path.name, found)
-    return Modes(np.array(frequencies), tuple(labels), None if sd is None else np.array(sd)), tuple(numbers)
+    return MeasuredModes(np.array(frequencies), tuple(labels), None if sd is None else np.array(sd)), tuple(
+        numbers
+    )
 
 
-def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
+def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
     """Return sensors and shapes of a table, its columns in the order of `labels`; without frequencies.
 
     Raises
@@ -119,7 +121,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> Modes:
         (int(place) if re.fullmatch(r"-?\d{1,18}", place) else place, row.values["direction"])
         for place, row in zip(places, rows, strict=True)
     ]
-    return Modes(np.full(len(labels), np.nan), labels, None, tuple(sensors), np.array(shapes))
+    return MeasuredModes(np.full(len(labels), np.nan), labels, None, tuple(sensors), np.array(shapes))
 
 
 def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:

@@ -39,7 +39,7 @@ class ModesError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Modes:
+class MeasuredModes:
     """Frequencies, and what there is of shapes and uncertainty.
 
     Attributes

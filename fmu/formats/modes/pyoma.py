@@ -14,7 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from fmu.formats.modes.measured_modes import LEAST_MPC, MOST_MODES, Modes, ModesError, checked_file, real_shapes
+from fmu.formats.modes.measured_modes import (
+    LEAST_MPC,
+    MOST_MODES,
+    MeasuredModes,
+    ModesError,
+    checked_file,
+    real_shapes,
+)
 from fmu.formats.shown import in_words, shown
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Xi")
@@ -25,7 +32,7 @@ def pyoma_modes(
     sensors: Sequence[tuple[Any, str]],
     modes: Sequence[int] | None = None,
     least_mpc: float = LEAST_MPC,
-) -> Modes:
+) -> MeasuredModes:
     """Return the modes of a result of pyOMA_2.
 
     Parameters
@@ -88,7 +95,7 @@ def pyoma_modes(
     except ValueError as error:
         raise ModesError(source, [str(error)]) from None
     labels = tuple(map(str, chosen))
-    return Modes(
+    return MeasuredModes(
         frequencies[columns],
         labels,
         None if sd is None else sd[columns],

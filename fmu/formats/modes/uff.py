@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.formats.modes.measured_modes import LEAST_MPC, Modes, ModesError, checked_file, real_shapes
+from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes, ModesError, checked_file, real_shapes
 from fmu.formats.modes.uff_datasets import REAL, SHAPES, datasets, imported_pyuff
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
@@ -26,7 +26,7 @@ def read_uff(
     modes: Sequence[int] | None = None,
     sensors: Sequence[tuple[Any, str]] | None = None,
     least_mpc: float = LEAST_MPC,
-) -> Modes:
+) -> MeasuredModes:
     """Return the modes of a universal file.
 
     Parameters
@@ -45,7 +45,7 @@ def read_uff(
 
     Returns
     -------
-    Modes
+    MeasuredModes
         Labels are the numbers of the modes in the file. Of a complex mode the frequency is |s|/2π of its
         eigenvalue s. Coordinates come from datasets 15 and 2411; shapes are in global directions, as the format
         says they are.
@@ -86,7 +86,7 @@ def read_uff(
         raise ModesError(path.name, [str(error)]) from None
     is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
     positions = {place_of[node]: xyz for node, xyz in _positions(node_sets).items() if node in place_of}
-    return Modes(
+    return MeasuredModes(
         frequencies,
         tuple(map(str, chosen)),
         None,

@@ -49,7 +49,7 @@ class Judgement:
 
 
 def judge(findings: Findings) -> list[Judgement]:
-    """Hold the paper's statements on one experiment against its long runs.
+    """DirectoryLock the paper's statements on one experiment against its long runs.
 
     A sampler whose long run did not converge has no efficiency to speak of; where the other one of the pair did
     converge, that decides.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from fmu.fem.modes.blocks import Modes
+    from fmu.fem.modes.blocks import ModalSolution
     from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 
@@ -76,7 +76,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) ->
     return [shares(column[:, np.newaxis]) for column in names.T]
 
 
-def _names(structure: PairedStructure, modes: Modes) -> StrArray:
+def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
     """Return plane and number in it; the blocks of a straight beam are its four planes of motion."""
     planes = []
     for block in structure.full.blocks:

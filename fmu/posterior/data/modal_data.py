@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.formats.modes.csv import read_frequencies, read_shapes
-from fmu.formats.modes.measured_modes import LEAST_MPC, Modes
+from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
 from fmu.formats.modes.pyoma import pyoma_modes
 from fmu.formats.modes.uff import read_uff, write_uff
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
@@ -274,7 +274,7 @@ class ModalData:
         write_uff(Path(path), self.frequencies_hz, self.shapes, self.sensors, self.numbers, nodes)
 
     @classmethod
-    def _of(cls, modes: Modes, options: dict[str, Any]) -> Self:
+    def _of(cls, modes: MeasuredModes, options: dict[str, Any]) -> Self:
         own = {} if {"sd_hz", "covariance_hz2"} & set(options) else {"sd_hz": modes.sd_hz}
         given = {"sensors": modes.sensors, "labels": modes.labels, "shapes": modes.shapes, **own}
         return cls(modes.frequencies_hz, **(given | options))

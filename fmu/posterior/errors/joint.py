@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import ModalModel
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.models import ErrorModel
 from fmu.posterior.errors.terms import Evaluated, FrequencyTerm
@@ -73,7 +73,7 @@ class JointLikelihood:
         """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
         return self.terms_of_observed(self._observed(theta, False), theta)
 
-    def terms_of_observed(self, seen: Observed, theta: FloatArray) -> FloatArray:
+    def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), for what a model of one's own observes."""
         return np.asarray(sum(self._parts(seen, theta)))
 
@@ -171,26 +171,26 @@ class JointLikelihood:
         """Return names and settings."""
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
-    def _parts(self, seen: Observed, theta: FloatArray) -> list[FloatArray]:
+    def _parts(self, seen: ModalPrediction, theta: FloatArray) -> list[FloatArray]:
         noise = theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            return [term.evaluate(term.looked_at(seen), noise, gradient=False).terms for term in self.terms_of]
+            return [term.evaluate(term.project(seen), noise, gradient=False).terms for term in self.terms_of]
 
-    def _observed(self, theta: FloatArray, gradient: bool) -> Observed:
+    def _observed(self, theta: FloatArray, gradient: bool) -> ModalPrediction:
         structural = theta[:, : self.n_structural]
         if self.needs_shapes:
-            observed: Observed = self.model.observed(structural, gradient)  # type: ignore[attr-defined]
+            observed: ModalPrediction = self.model.observed(structural, gradient)  # type: ignore[attr-defined]
             return observed
         nothing = np.empty((len(theta), 0, self.model.n_modes))
         if gradient:
             frequencies, slopes = self.model.frequencies_and_gradient(structural)
-            return Observed(frequencies, nothing, slopes)
-        return Observed(self.model.frequencies(structural), nothing)
+            return ModalPrediction(frequencies, nothing, slopes)
+        return ModalPrediction(self.model.frequencies(structural), nothing)
 
-    def _terms_and_gradient(self, seen: Observed, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _terms_and_gradient(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         noise = theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            views = [term.looked_at(seen) for term in self.terms_of]
+            views = [term.project(seen) for term in self.terms_of]
             parts = [
                 term.evaluate(of, noise, gradient=True) for term, of in zip(self.terms_of, views, strict=True)
             ]
@@ -198,12 +198,12 @@ class JointLikelihood:
             slopes = np.asarray(sum(chained))
         return np.asarray(sum(part.terms for part in parts)), np.where(np.isfinite(slopes), slopes, np.nan)
 
-    def _residuals_and_slopes(self, seen: Observed, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _residuals_and_slopes(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         noise = theta[:, self.n_structural :]
         values, slopes = [], []
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for term in self.terms_of:
-                of = term.looked_at(seen)
+                of = term.project(seen)
                 r = term.residuals(of, noise)
                 n, m, q = r.values.shape
                 J = np.zeros((n, m, q, self.n_structural))
@@ -215,7 +215,7 @@ class JointLikelihood:
                 slopes.append(J.reshape(n, m * q, -1))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
-    def _chained(self, part: Evaluated, seen: Observed, ndim: int) -> FloatArray:
+    def _chained(self, part: Evaluated, seen: ModalPrediction, ndim: int) -> FloatArray:
         """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim)."""
         gradient = np.zeros((*part.terms.shape, ndim))
         leading = gradient[..., : self.n_structural]

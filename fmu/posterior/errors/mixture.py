@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.fem.pairing.candidates import Candidates
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.models import ErrorModel
@@ -140,7 +140,7 @@ class SoftLikelihood(JointLikelihood):
         n, m, k = candidates.mac.shape
         f, phi = candidates.frequencies, np.swapaxes(candidates.shapes, 1, 2)
         q = phi.shape[2]
-        each = Observed(
+        each = ModalPrediction(
             np.broadcast_to(f[:, :, None], (n, k, m)).reshape(n * k, m),
             np.broadcast_to(phi[..., None], (n, k, q, m)).reshape(n * k, q, m),
         )
@@ -184,10 +184,10 @@ def _best(score: FloatArray) -> IntArray:
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 
-def _picked(candidates: Candidates, best: IntArray) -> Observed:
+def _picked(candidates: Candidates, best: IntArray) -> ModalPrediction:
     """Return what the sensors see of one candidate for each measured mode, with its slopes."""
     of: Any = candidates
-    return Observed(
+    return ModalPrediction(
         np.take_along_axis(of.frequencies, best, axis=1),
         np.take_along_axis(of.shapes, best[:, None], axis=2),
         np.take_along_axis(of.frequency_slopes, best[..., None], axis=1),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
     return tuple(tuple(list(labels).index(str(name)) for name in group) for group in together)
 
 
-def in_span(seen: Observed, unit: FloatArray, groups: Groups) -> Observed:
+def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPrediction:
     """Return what is seen with each shape of a group replaced by what the group's span has of the measured one.
 
     With S the computed shapes of a group at the sensors and P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i,
@@ -52,7 +52,7 @@ def in_span(seen: Observed, unit: FloatArray, groups: Groups) -> Observed:
 
     Parameters
     ----------
-    seen : Observed
+    seen : ModalPrediction
     unit : ndarray, shape (n_sensors, n_modes)
         Measured shapes of unit length.
     groups : tuple of tuple of int

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from fmu.fem.pairing.prediction import Observed
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.noise import Spread
 from fmu.posterior.errors.subspace import Groups, in_span
 
@@ -60,15 +60,15 @@ class ErrorTerm(Protocol):
         """Whether the errors are of shapes."""
         ...
 
-    def looked_at(self, seen: Observed) -> Observed:
+    def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return what of the modes seen the errors are of: what the other methods, and their derivatives, take."""
         ...
 
-    def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms for inferred standard deviations (n, n_noise), with the derivatives if wanted."""
         ...
 
-    def residuals(self, seen: Observed, noise: FloatArray) -> Residuals:
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the errors over their standard deviations: −½ Σ r² is the log-density but for normalisers."""
         ...
 
@@ -94,11 +94,11 @@ class FrequencyTerm:
     spread: Spread
     needs_shapes: bool = False
 
-    def looked_at(self, seen: Observed) -> Observed:
+    def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the modes as they are seen."""
         return seen
 
-    def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
         error, slope = self._errors(seen.frequencies)
         V = self.spread.variance(noise)
@@ -109,7 +109,7 @@ class FrequencyTerm:
         by_noise = {k: by_V * dV for k, dV in self.spread.slopes(noise).items()}
         return Evaluated(terms, -error / V * slope, None, by_noise)
 
-    def residuals(self, seen: Observed, noise: FloatArray) -> Residuals:
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals, see `ErrorTerm`."""
         error, slope = self._errors(seen.frequencies)
         sd = np.sqrt(self.spread.variance(noise))
@@ -150,11 +150,11 @@ class ShapeTerm:
     spread: Spread
     needs_shapes: bool = True
 
-    def looked_at(self, seen: Observed) -> Observed:
+    def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the modes as they are seen."""
         return seen
 
-    def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
         s, u = seen.shapes, self.unit
         Lam = 1.0 / self.spread.variance(noise)
@@ -170,7 +170,7 @@ class ShapeTerm:
         by_noise = {k: np.sum(-by_Lam * Lam**2 * dV, axis=1) for k, dV in self.spread.slopes(noise).items()}
         return Evaluated(terms, None, by_shape, by_noise)
 
-    def residuals(self, seen: Observed, noise: FloatArray) -> Residuals:
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals, see `ErrorTerm`."""
         s, u = seen.shapes, self.unit
         root = 1.0 / np.sqrt(self.spread.variance(noise))
@@ -205,11 +205,11 @@ class MACTerm:
     needs_shapes: bool = True
     groups: Groups = ()
 
-    def looked_at(self, seen: Observed) -> Observed:
+    def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the modes, those of a group as what their span has of the measured ones."""
         return in_span(seen, self.unit, self.groups) if self.groups else seen
 
-    def evaluate(self, seen: Observed, noise: FloatArray, gradient: bool) -> Evaluated:
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
         error, slope = self._errors(seen.shapes)
         V = self.spread.variance(noise)
@@ -221,7 +221,7 @@ class MACTerm:
         by_noise = {k: by_V * dV for k, dV in self.spread.slopes(noise).items()}
         return Evaluated(terms, None, (-error / V)[:, None] * slope, by_noise)
 
-    def residuals(self, seen: Observed, noise: FloatArray) -> Residuals:
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals, see `ErrorTerm`."""
         error, slope = self._errors(seen.shapes)
         sd = np.sqrt(self.spread.variance(noise))

@@ -126,8 +126,8 @@ def ascend(
         damped[:, i, i] *= 1.0 + damping[going, None]
         s = _box_step(u[going], g[going], damped, lower, upper)
         new_V, new_g, new_H = quadratic(u[going] + s)
-        promised = np.maximum(_promised(s, g[going], H[going]), np.finfo(float).tiny)
-        ratio = (V[going] - new_V) / promised
+        predicted = np.maximum(_predicted_decrease(s, g[going], H[going]), np.finfo(float).tiny)
+        ratio = (V[going] - new_V) / predicted
         better = ratio > 1e-4
         change = np.where(better, np.where(ratio > 0.75, 0.2, np.where(ratio < 0.25, 3.0, 1.0)), 5.0)
         damping[going] = np.maximum(damping[going] * change, 1e-10)
@@ -169,7 +169,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
         held = held | outside
         s = _newton(g, A, held, np.where(outside, np.clip(u + s, lower, upper) - u, s))
     candidates.append(np.clip(u + s, lower, upper) - u)
-    best = np.argmax([_promised(c, g, A) for c in candidates], axis=0)
+    best = np.argmax([_predicted_decrease(c, g, A) for c in candidates], axis=0)
     return np.stack(candidates)[best, np.arange(len(u))]
 
 
@@ -183,7 +183,7 @@ def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> Flo
     return np.where(held, s, np.linalg.solve(B, right[..., None])[..., 0])
 
 
-def _promised(s: FloatArray, g: FloatArray, A: FloatArray) -> FloatArray:
+def _predicted_decrease(s: FloatArray, g: FloatArray, A: FloatArray) -> FloatArray:
     """Return by how much the model falls along `s`, shape (n,)."""
     return -np.sum(g * s, axis=1) - 0.5 * np.einsum("ni,nij,nj->n", s, A, s)
 

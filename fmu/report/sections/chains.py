@@ -9,20 +9,20 @@ import numpy as np
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT, parameter_draws
 from fmu.analysis.convergence.movement import energy_fraction
 from fmu.numbers import decimals, fixed, given, significant, span
-from fmu.report.document import Omitted, Part, Picture, Pictures, Section, Table, Text
+from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text
 from fmu.report.plots.corner import plot_corner
 from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
 from fmu.report.plots.paths import plot_traces
 from fmu.report.plots.running import plot_running_means, plot_running_rhat
 from fmu.report.plots.style import NARROW, new_figure
-from fmu.report.run import Run
+from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 
 _MOST_PAIRS, _FEWEST = 8, 50
 TOO_FEW = "the draws are too few"
 
 
-def reliability(run: Run) -> Section:
+def reliability(run: ReportedRun) -> PageSection:
     """Return R-hat, effective sample sizes and standard errors of each parameter."""
     rows = []
     for name in run.names:
@@ -38,10 +38,12 @@ def reliability(run: Run) -> Section:
         )  # fmt: skip
     header = ("parameter", "unit", "R-hat", "bulk ESS", "tail ESS", "MCSE of the mean", "MCSE/sd")
     caption = f"How well the draws determine the posterior: {run.chains_in_words}."
-    return Section("reliability", "Reliability of the draws", (Table(caption, header, tuple(rows), words=(1,)),))
+    return PageSection(
+        "reliability", "Reliability of the draws", (PageTable(caption, header, tuple(rows), words=(1,)),)
+    )
 
 
-def paths(run: Run) -> Section:
+def paths(run: ReportedRun) -> PageSection:
     """Return paths and ranks."""
     ranges = []
     for name in run.names:
@@ -62,14 +64,14 @@ def paths(run: Run) -> Section:
             "p-value of a multi-chain test."
         )
         drawings.append(picture(axes, "ranks", alt, caption))
-    return Section("paths", "Paths and ranks", (Pictures(tuple(drawings)),))
+    return PageSection("paths", "Paths and ranks", (Pictures(tuple(drawings)),))
 
 
-def _has_several_chains(run: Run) -> bool:
+def _has_several_chains(run: ReportedRun) -> bool:
     return bool(run.trace["posterior"].sizes["chain"] > 1)
 
 
-def _has_few_draws(run: Run) -> bool:
+def _has_few_draws(run: ReportedRun) -> bool:
     return bool(run.trace["posterior"].sizes["chain"] * run.trace["posterior"].sizes["draw"] < _FEWEST)
 
 
@@ -78,15 +80,17 @@ def _furthest(axis: Any) -> float:
     return max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines)
 
 
-def settling(run: Run) -> Section:
+def settling(run: ReportedRun) -> PageSection:
     """Return autocorrelation, and the estimates while the run grew."""
     drawings = [_autocorrelation(run), _running_means(run)]
     if _has_several_chains(run):
         drawings.append(_running_rhat(run))
-    return Section("settling", "Autocorrelation, and estimates while the run grew", (Pictures(tuple(drawings)),))
+    return PageSection(
+        "settling", "Autocorrelation, and estimates while the run grew", (Pictures(tuple(drawings)),)
+    )
 
 
-def _autocorrelation(run: Run) -> Picture:
+def _autocorrelation(run: ReportedRun) -> Picture:
     axes = plot_autocorrelation(run.trace)
     k = int(np.argmin(run.summary["ess_bulk"].to_numpy()))
     *chains, _ = axes[k].lines  # the last line is zero
@@ -96,7 +100,7 @@ def _autocorrelation(run: Run) -> Picture:
     return picture(axes, "acf", alt, "Autocorrelation of each chain.")
 
 
-def _running_means(run: Run) -> Picture:
+def _running_means(run: ReportedRun) -> Picture:
     draws = parameter_draws(run.trace)
     sd = draws.std(axis=(0, 1))
     apart = np.ptp(draws.mean(axis=1), axis=0) / np.where(sd > 0, sd, np.inf)
@@ -106,7 +110,7 @@ def _running_means(run: Run) -> Picture:
     return picture(plot_running_means(run.trace, run.summary), "means", alt, caption)
 
 
-def _running_rhat(run: Run) -> Picture:
+def _running_rhat(run: ReportedRun) -> Picture:
     axes = plot_running_rhat(run.trace)
     seen = []
     for name, line in zip(run.names, axes.lines, strict=False):  # a line more is the limit
@@ -119,7 +123,7 @@ def _running_rhat(run: Run) -> Picture:
     return picture(axes, "rhat", alt, "R-hat of each parameter while the run grew.")
 
 
-def pairs(run: Run) -> Section | Omitted:
+def pairs(run: ReportedRun) -> PageSection | Omitted:
     """Return the posterior in pairs of parameters."""
     title, names = "Pairs of parameters", run.names[:_MOST_PAIRS]
     if _has_few_draws(run):
@@ -135,10 +139,10 @@ def pairs(run: Run) -> Section | Omitted:
         f"Marginals and pairs of {', '.join(names)}. {words}",
         f"Regions with 50 % and 90 % of the draws. {words}".strip(),
     )
-    return Section("pairs", title, (*parts, drawing))
+    return PageSection("pairs", title, (*parts, drawing))
 
 
-def _strongest_correlation(run: Run) -> str:
+def _strongest_correlation(run: ReportedRun) -> str:
     draws = parameter_draws(run.trace).reshape(-1, len(run.names))
     moving = [k for k in range(len(run.names)) if np.ptp(draws[:, k]) > 0]
     if len(moving) < 2:
@@ -149,7 +153,7 @@ def _strongest_correlation(run: Run) -> str:
     return f"Strongest correlation: {fixed(float(correlation[i, j]), 2)}, of {one} and {other}."
 
 
-def energies(run: Run) -> Section | Omitted:
+def energies(run: ReportedRun) -> PageSection | Omitted:
     """Return the energies of Hamiltonian trajectories."""
     title, stats = "Energies of the trajectories", run.trace["sample_stats"]
     if "energy" not in stats:
@@ -165,4 +169,4 @@ def energies(run: Run) -> Section | Omitted:
     )
     drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",
                       "Energies of the trajectories, and their change from draw to draw.")  # fmt: skip
-    return Section("energies", title, (Text(said), Pictures((drawing,))))
+    return PageSection("energies", title, (Text(said), Pictures((drawing,))))

@@ -9,17 +9,17 @@ import numpy as np
 import pandas as pd
 
 from fmu.numbers import decimals, fixed, significant, span, whole
-from fmu.report.document import Items, Link, Pictures, Section, Table, Text
+from fmu.report.document import Items, Link, PageSection, PageTable, Pictures, Text
 from fmu.report.plots.parameters import plot_parameter_updates
 from fmu.report.plots.samplers import plot_efficiency
-from fmu.report.run import Run
+from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 
 CLOSE = 4.0
 """Differences of means of converged runs below so many standard errors are chance: 1 in 16 000 goes beyond."""
 
 
-def overview(runs: Mapping[str, Run], pages: Mapping[str, str]) -> Section:
+def overview(runs: Mapping[str, ReportedRun], pages: Mapping[str, str]) -> PageSection:
     """Return verdict, reliability and cost of each run, its name leading to its page."""
     rows = []
     for name, run in runs.items():
@@ -37,10 +37,10 @@ def overview(runs: Mapping[str, Run], pages: Mapping[str, str]) -> Section:
         "R-hat and ESS of the worst parameter; model solves and time with the warm-up. Of a run that has not "
         "converged no ESS is to be relied on."
     )
-    return Section("overview", "Samplers side by side", (Table(caption, header, tuple(rows), words=(1,)),))
+    return PageSection("overview", "Samplers side by side", (PageTable(caption, header, tuple(rows), words=(1,)),))
 
 
-def efficiency(runs: Mapping[str, Run]) -> Section:
+def efficiency(runs: Mapping[str, ReportedRun]) -> PageSection:
     """Return effective draws per solve."""
     seen = ", ".join(
         f"{run.title} {significant(1000 * float(run.costs['ess_per_solve']))}"
@@ -54,10 +54,10 @@ def efficiency(runs: Mapping[str, Run]) -> Section:
         "Effective draws of the worst parameter per 1000 model solves, warm-up counted. Outlined only: not "
         "converged."
     )
-    return Section("efficiency", "Efficiency", (Pictures((picture(axes, "efficiency", alt, caption),)),))
+    return PageSection("efficiency", "Efficiency", (Pictures((picture(axes, "efficiency", alt, caption),)),))
 
 
-def agreement(runs: Mapping[str, Run]) -> Section:
+def agreement(runs: Mapping[str, ReportedRun]) -> PageSection:
     """Return the posterior means side by side, and whether converged runs agree."""
     first = next(iter(runs.values()))
     rows = []
@@ -69,7 +69,9 @@ def agreement(runs: Mapping[str, Run]) -> Section:
             cells.append(f"{fixed(mean, n)} ({span(low, high, n)})")
         rows.append((name, first.unit(name).name, *cells))
     titled = {run.title: run for run in runs.values()}
-    table = Table("Posterior means and 90 % intervals", ("parameter", "unit", *titled), tuple(rows), words=(1,))
+    table = PageTable(
+        "Posterior means and 90 % intervals", ("parameter", "unit", *titled), tuple(rows), words=(1,)
+    )
     axes = plot_parameter_updates(
         {title: run.trace for title, run in titled.items()},
         summaries={title: run.summary for title, run in titled.items()},
@@ -77,10 +79,10 @@ def agreement(runs: Mapping[str, Run]) -> Section:
     seen = "; ".join(f"{name} {', '.join(cells)} {unit}".rstrip() for name, unit, *cells in rows)
     alt = f"Posterior means and intervals of {', '.join(titled)}: {seen}."
     drawing = picture(axes, "means", alt, "Posterior means and 90 % intervals between the bounds.")
-    return Section("agreement", "Do the samplers agree?", (_judgement(runs), table, Pictures((drawing,))))
+    return PageSection("agreement", "Do the samplers agree?", (_judgement(runs), table, Pictures((drawing,))))
 
 
-def _judgement(runs: Mapping[str, Run]) -> Text | Items:
+def _judgement(runs: Mapping[str, ReportedRun]) -> Text | Items:
     """Say by how many standard errors the means of the converged runs differ."""
     converged = [run for run in runs.values() if run.diagnosis.converged]
     if len(converged) < 2:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fmu.analysis.evidence.text import PSEUDO, WHAT, found_evidences, is_pseudo
-from fmu.report.document import Omitted, Section, Table, Text
-from fmu.report.run import Run
+from fmu.report.document import Omitted, PageSection, PageTable, Text
+from fmu.report.run import ReportedRun
 
 
-def evidences(runs: Mapping[str, Run]) -> Section | Omitted:
+def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
     """Return every log-evidence that there is, with its error, what it rests on and whether it is reliable."""
     title = "Evidence"
     first = next(iter(runs.values()))
@@ -24,7 +24,7 @@ def evidences(runs: Mapping[str, Run]) -> Section | Omitted:
         nothing = "no maxima are known, and no run is of parallel tempering"
         return Omitted(title, PSEUDO if is_pseudo(first.trace) else nothing)
     rows = tuple((f"{one.basis[0].upper()}{one.basis[1:]}", one.value, one.is_reliable) for one in found)
-    table = Table(
+    table = PageTable(
         "Natural logarithm, ± its standard error", ("from", "log-evidence", "reliable"), rows, words=(2,)
     )
-    return Section("evidence", title, (Text(WHAT), table))
+    return PageSection("evidence", title, (Text(WHAT), table))

@@ -7,13 +7,13 @@ from typing import Any
 
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.train_reduced import Tolerance
-from fmu.report.document import Code, Details, Omitted, Part, Section, Table, Text
-from fmu.report.run import Run
+from fmu.report.document import Code, Details, Omitted, PageSection, PageTable, Part, Text
+from fmu.report.run import ReportedRun
 
 _LONG = 60
 
 
-def cost(run: Run) -> Section:
+def cost(run: ReportedRun) -> PageSection:
     """Return what the run cost, and what it gave for that."""
     attrs, costs = run.trace.attrs, run.costs
     counts = []
@@ -22,7 +22,7 @@ def cost(run: Run) -> Section:
         counts.append((words, whole(before), whole(kept), whole(before + kept)))
     warmup_s, wall_s = float(attrs["warmup_wall_s"]), float(attrs["wall_s"])
     counts.append(("time, s", fixed(warmup_s, 1), fixed(wall_s - warmup_s, 1), fixed(wall_s, 1)))
-    spent = Table("What was spent", ("quantity", "warm-up", "draws kept", "both"), tuple(counts))
+    spent = PageTable("What was spent", ("quantity", "warm-up", "draws kept", "both"), tuple(counts))
     rows = (
         ("smallest bulk ESS", fixed(float(costs["ess_bulk_min"]), 0)),
         ("effective draws per 1000 solves", significant(1000 * float(costs["ess_per_solve"]))),
@@ -30,11 +30,11 @@ def cost(run: Run) -> Section:
         ("share of draws that moved", share(float(costs["accept_rate"]))),
         ("divergences", whole(costs["divergences"])),
     )
-    gained = Table("What it gave: ESS of the worst parameter, warm-up counted", ("quantity", "value"), rows)
-    return Section("cost", "Cost", (spent, gained))
+    gained = PageTable("What it gave: ESS of the worst parameter, warm-up counted", ("quantity", "value"), rows)
+    return PageSection("cost", "Cost", (spent, gained))
 
 
-def certificate(run: Run) -> Section | Omitted:
+def certificate(run: ReportedRun) -> PageSection | Omitted:
     """Return how far the reduced model is from the full one at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     if "certificate_draws" not in attrs:
@@ -61,8 +61,8 @@ def certificate(run: Run) -> Section | Omitted:
             MISSING,
         ),
     )
-    table = Table("Reduced against full model", ("quantity", "found", "allowed"), rows)
-    return Section("certificate", title, (Text(said), table))
+    table = PageTable("Reduced against full model", ("quantity", "found", "allowed"), rows)
+    return PageSection("certificate", title, (Text(said), table))
 
 
 def _beside(found: float, allowed: float) -> tuple[str, str]:
@@ -71,7 +71,7 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
     return apart(found, allowed, digits=2)[0] if text == significant(allowed, 2) else text, given(allowed)
 
 
-def settings(run: Run) -> Section:
+def settings(run: ReportedRun) -> PageSection:
     """Return settings, seed, versions and the hash of the configuration."""
     attrs = run.trace.attrs
     given, learnt = (json.loads(str(attrs[name])) for name in ("settings", "learnt"))
@@ -79,18 +79,18 @@ def settings(run: Run) -> Section:
     rows = tuple((name, _short(given.get(name)), _short(learnt.get(name))) for name in names)
     header = ("setting", "given", "after warm-up")
     parts: list[Part] = [
-        Table("Settings of the sampler; what was learnt in warm-up is frozen", header, rows, (1, 2))
+        PageTable("Settings of the sampler; what was learnt in warm-up is frozen", header, rows, (1, 2))
     ]
     about = [(name, str(attrs[name])) for name in ("seed", "chains", "walkers", "draws", "warmup", "init")]
     about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
     about.append(("configuration hash (SHA-256)", str(attrs["configuration_hash"])))
-    parts.append(Table("The run", ("quantity", "value"), tuple(about), (1,)))
+    parts.append(PageTable("The run", ("quantity", "value"), tuple(about), (1,)))
     long = {name: value for name, value in learnt.items() if len(_text(value)) > _LONG}
     if long:
         parts.append(Details("What was learnt, in full", (Code(_pretty(long)),)))
     configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
     parts.append(Details("Everything that determines the draws, as JSON", (configuration,)))
-    return Section("settings", "Settings, seed and versions", tuple(parts))
+    return PageSection("settings", "Settings, seed and versions", tuple(parts))
 
 
 def _short(value: Any) -> str:

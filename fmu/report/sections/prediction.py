@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from fmu.analysis.data.prediction import leave_one_out, measured_tests, measurement_in_words
 from fmu.analysis.data.repeatability import repeatability_warnings
 from fmu.numbers import decimals, fixed, given, span
-from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
+from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text
 from fmu.report.plots.frequencies import plot_predictive_check
-from fmu.report.run import Run
+from fmu.report.run import ReportedRun
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.report.svg import picture
 
@@ -21,7 +21,7 @@ _FEWEST = 100
 NO_NOISE = "the modal residual is a pseudo-likelihood, without measurement noise to predict with"
 
 
-def predictive(run: Run) -> Section | Omitted:
+def predictive(run: ReportedRun) -> PageSection | Omitted:
     """Return how the measured frequencies lie in their predictive distributions."""
     title, table = "Posterior predictive check", run.prediction
     if table is None:
@@ -51,13 +51,13 @@ def predictive(run: Run) -> Section | Omitted:
         f"{int(inside.sum())} of {len(table)} measured frequencies lie in the 90 % interval of their prediction. "
         "The same data were used for updating: a mode outside contradicts the model, one inside confirms little."
     )
-    parts: tuple[Part, ...] = (Text(said), Table(caption, header, rows, words=(4,)), Pictures((drawing,)))
+    parts: tuple[Part, ...] = (Text(said), PageTable(caption, header, rows, words=(4,)), Pictures((drawing,)))
     if tests is not None:
         parts = (*parts, *_single_tests(run, tests))
-    return Section("predictive", title, parts)
+    return PageSection("predictive", title, parts)
 
 
-def _single_tests(run: Run, tests: FloatArray) -> tuple[Part, ...]:
+def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
     """Return where one more test would lie, and how the tests that were made lie there."""
     table = run.prediction
     if table is None:
@@ -79,12 +79,12 @@ def _single_tests(run: Run, tests: FloatArray) -> tuple[Part, ...]:
         "The likelihood is of the mean of the tests, whose error is s/√n. One more test scatters by s about the "
         "structure's frequency (Student's t, as s is known from n tests only)."
     )
-    parts: tuple[Part, ...] = (Table(caption, header, tuple(rows)),)
+    parts: tuple[Part, ...] = (PageTable(caption, header, tuple(rows)),)
     doubts = repeatability_warnings(run.trace)
     return (*parts, Items(tuple(doubts))) if doubts else parts
 
 
-def left_out(run: Run) -> Section | Omitted:
+def left_out(run: ReportedRun) -> PageSection | Omitted:
     """Return how each mode is predicted by the others."""
     title = "Leaving one mode out"
     if "log_likelihood" not in run.trace.children:
@@ -99,7 +99,7 @@ def left_out(run: Run) -> Section | Omitted:
         for mode, row in table.iterrows()
     )  # fmt: skip
     caption = "Log-density of each measured mode under the posterior of the others (PSIS-LOO)."
-    parts: list[Part] = [Table(caption, ("mode", "elpd, nats", "Pareto k", "reliable"), rows, words=(3,))]
+    parts: list[Part] = [PageTable(caption, ("mode", "elpd, nats", "Pareto k", "reliable"), rows, words=(3,))]
     doubtful = [str(mode) for mode in table.index[~table["reliable"].astype(bool)]]
     if doubtful:
         few = f"modes {', '.join(doubtful)}" if len(doubtful) > 1 else f"mode {doubtful[0]}"
@@ -112,4 +112,4 @@ def left_out(run: Run) -> Section | Omitted:
                 "With as many parameters as modes that is the rule: the others do not determine the one left out."
             )
         parts.insert(0, Items(tuple(warnings)))
-    return Section("loo", title, tuple(parts))
+    return PageSection("loo", title, tuple(parts))

@@ -9,16 +9,16 @@ from fmu.analysis.data.model_fit import measured_mac
 from fmu.analysis.modes.pairing_changes import pairing_changes
 from fmu.analysis.trace.modal_states import GROUP, MEAN, START
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
-from fmu.report.document import Details, Items, Omitted, Part, Pictures, Section, Table, Text
+from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
-from fmu.report.run import Run
+from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 
 NO_SHAPES = "the trace keeps no mode shapes: the model gives none, or an older version sampled it"
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
 
 
-def identifiability(run: Run) -> Section | Omitted:
+def identifiability(run: ReportedRun) -> PageSection | Omitted:
     """Return which directions of the parameter space the data constrain."""
     title = "What the data can tell"
     parts: list[Part] = []
@@ -33,10 +33,10 @@ def identifiability(run: Run) -> Section | Omitted:
         parts.append(_contraction(run))
     if not parts:
         return Omitted(title, "the trace keeps neither a linearised model nor draws from the prior")
-    return Section("identifiability", title, tuple(parts))
+    return PageSection("identifiability", title, tuple(parts))
 
 
-def _directions(state: str, found: Identifiability) -> Table:
+def _directions(state: str, found: Identifiability) -> PageTable:
     rows = tuple(
         (
             str(k),
@@ -50,10 +50,10 @@ def _directions(state: str, found: Identifiability) -> Table:
         f"{_WHERE.get(state, state)}. Orthonormal directions in units of the prior's standard deviations; along "
         "each, the data leave the given part of the prior's standard deviation."
     )
-    return Table(caption, ("direction", "singular value", "sd left", *found.names), rows)
+    return PageTable(caption, ("direction", "singular value", "sd left", *found.names), rows)
 
 
-def _contraction(run: Run) -> Table:
+def _contraction(run: ReportedRun) -> PageTable:
     table, rows = contraction(run.trace), []
     for name in run.names:
         unit = run.unit(name)
@@ -67,10 +67,10 @@ def _contraction(run: Run) -> Table:
         "a parameter, near 0 where they say nothing about it."
     )
     header = ("parameter", "unit", "prior sd", "posterior sd", "contraction")
-    return Table(caption, header, tuple(rows), words=(1,))
+    return PageTable(caption, header, tuple(rows), words=(1,))
 
 
-def mac(run: Run) -> Section | Omitted:
+def mac(run: ReportedRun) -> PageSection | Omitted:
     """Return how alike the shapes are to those of the reference."""
     title = "Modal assurance criterion"
     if GROUP not in run.trace.children or "mac" not in run.trace[GROUP]:
@@ -83,10 +83,10 @@ def mac(run: Run) -> Section | Omitted:
     drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.",
                       f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
     said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
-    return Section("mac", title, (said, *_mac_before_and_after(run), Pictures((drawing,))))
+    return PageSection("mac", title, (said, *_mac_before_and_after(run), Pictures((drawing,))))
 
 
-def _mac_before_and_after(run: Run) -> tuple[Table, ...]:
+def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
     """Return the MAC of each mode with the shape that was measured of it, if shapes were measured."""
     alike = measured_mac(run.trace)
     if alike is None:
@@ -98,10 +98,10 @@ def _mac_before_and_after(run: Run) -> tuple[Table, ...]:
         nearest = fixed(float(others.max()), 2) if len(others) else MISSING
         rows.append((label, fixed(float(before[k, k]), 2), fixed(float(after[k, k]), 2), nearest))
     caption = "With the measured shape: at the start, at the posterior mean, and there of the mode next to it."
-    return (Table(caption, ("mode", "MAC before", "MAC after", "of another mode"), tuple(rows)),)
+    return (PageTable(caption, ("mode", "MAC before", "MAC after", "of another mode"), tuple(rows)),)
 
 
-def pairing(run: Run) -> Section | Omitted:
+def pairing(run: ReportedRun) -> PageSection | Omitted:
     """Return how often computed modes changed places over the draws."""
     title = "Pairing over the draws"
     if GROUP not in run.trace.children or "posterior_predictive" not in run.trace.children:
@@ -123,11 +123,11 @@ def pairing(run: Run) -> Section | Omitted:
             "at in which another computed mode answers than at the most probable draw."
         )
         header = ("mode", "order swapped", "with mode", "other computed mode")
-        parts.append(Details("The changes mode by mode", (Table(caption, header, rows, words=(2,)),)))
-    return Section("pairing", title, tuple(parts))
+        parts.append(Details("The changes mode by mode", (PageTable(caption, header, rows, words=(2,)),)))
+    return PageSection("pairing", title, tuple(parts))
 
 
-def shapes(run: Run) -> Section | Omitted:
+def shapes(run: ReportedRun) -> PageSection | Omitted:
     """Return the structure deformed in its modes."""
     title = "Mode shapes before and after"
     if GROUP not in run.trace.children or "displacement" not in run.trace[GROUP]:
@@ -147,4 +147,4 @@ def shapes(run: Run) -> Section | Omitted:
     drawing = picture(
         plot_mode_shapes(run.trace), "shapes", alt, "Dashed grey: before updating. Solid: at the posterior mean."
     )
-    return Section("shapes", title, (Table(caption, header, tuple(rows)), Pictures((drawing,))))
+    return PageSection("shapes", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))

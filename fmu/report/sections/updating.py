@@ -9,11 +9,11 @@ from fmu.analysis.data.prediction import measured_tests, measurement_in_words
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.text import MOST_SHOWN, share_of_mass
 from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, rounded, share, span
-from fmu.report.document import Items, Omitted, Part, Pictures, Section, Table, Text
+from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
 from fmu.report.plots.style import constant
-from fmu.report.run import Run
+from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 from fmu.report.units import shown
 
@@ -21,7 +21,7 @@ _RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, along a combination"}
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
-def parameters(run: Run) -> Section:
+def parameters(run: ReportedRun) -> PageSection:
     """Return the updated parameters beside start and bounds, and apart from them those that were not updated."""
     found = information(run.trace)
     basis = dict(zip(found.names, found.basis, strict=True)) if found else {}
@@ -47,22 +47,22 @@ def parameters(run: Run) -> Section:
     header: tuple[str, ...] = ("parameter", "unit", "start", "mean", "90 % interval", "sd", "change", "bounds")
     parts: list[Part] = []
     if rows[True]:
-        parts.append(Table("Posterior of the parameters", header, tuple(rows[True]), words=(1,)))
+        parts.append(PageTable("Posterior of the parameters", header, tuple(rows[True]), words=(1,)))
     if rows[False]:
         caption = (
             "Not updated by the data. The values are what the prior says, or follow from it where the data tell a "
             "combination of parameters only. Sd left: of the prior's standard deviation."
         )
         header = (*header[:6], "sd left", "bounds", "rests on")
-        parts.append(Table(caption, header, tuple(rows[False]), words=(1, 8)))
+        parts.append(PageTable(caption, header, tuple(rows[False]), words=(1, 8)))
     maximum = run.maxima[0].theta if run.maxima else None
     axes = plot_parameter_updates({run.name: run.trace}, maximum=maximum, summaries={run.name: run.summary})
     drawing = picture(axes, "updates", f"Posterior means with 90 % intervals. {'; '.join(seen)}.",
                       "Means and 90 % intervals between the bounds.")  # fmt: skip
-    return Section("parameters", "Updated parameters", (*parts, Pictures((drawing,))))
+    return PageSection("parameters", "Updated parameters", (*parts, Pictures((drawing,))))
 
 
-def frequencies(run: Run) -> Section | Omitted:
+def frequencies(run: ReportedRun) -> PageSection | Omitted:
     """Return the frequencies measured, before updating and after it."""
     title, table = "Frequencies", run.prediction
     if table is None:
@@ -104,10 +104,10 @@ def frequencies(run: Run) -> Section | Omitted:
     axes = plot_frequency_updates(run.trace)
     drawing = picture(axes, "frequencies", f"Errors of the frequencies: {'; '.join(seen)}.",
                       "Distance of the model's frequencies from the measured ones.")  # fmt: skip
-    return Section("frequencies", title, (Table(caption, header, tuple(rows)), Pictures((drawing,))))
+    return PageSection("frequencies", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))
 
 
-def maxima(run: Run) -> Section | Omitted:
+def maxima(run: ReportedRun) -> PageSection | Omitted:
     """Return the maxima of the posterior: deterministic updating."""
     title = "Maxima of the posterior: deterministic updating"
     if run.maxima is None:
@@ -121,10 +121,10 @@ def maxima(run: Run) -> Section | Omitted:
     parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found))
     if said:
         parts = (*parts, Items(tuple(said)))
-    return Section("maxima", title, parts)
+    return PageSection("maxima", title, parts)
 
 
-def _maxima_table(run: Run, found: Maxima) -> Table:
+def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     """Return a column a maximum, beside start, posterior mean and measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(f"maximum {k}" for k in range(1, len(best) + 1))
@@ -144,4 +144,4 @@ def _maxima_table(run: Run, found: Maxima) -> Table:
         values = [found.before[k], *(m.frequencies[k] for m in best), mean[k]]
         rows.append((f"mode {label}", "Hz", *hertz(*values), given(found.measured[k])))
     header = ("quantity", "unit", "start", *names, "posterior mean", "measured")
-    return Table("The model at the start, at the maxima and on average", header, tuple(rows), words=(1,))
+    return PageTable("The model at the start, at the maxima and on average", header, tuple(rows), words=(1,))

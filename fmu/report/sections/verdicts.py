@@ -10,18 +10,18 @@ from fmu.analysis.data.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.numbers import fixed, share
 from fmu.report.document import Verdict
-from fmu.report.run import Run
+from fmu.report.run import ReportedRun
 
 SOUND = "Nothing speaks against it: the chains agree, and there are enough effective draws of every parameter."
 COVERED = "No maximum that was found and holds 1 % of the probability was left out."
 
 
-def verdicts(run: Run) -> tuple[Verdict, Verdict, Verdict]:
+def verdicts(run: ReportedRun) -> tuple[Verdict, Verdict, Verdict]:
     """Return the verdicts on a run."""
     return convergence(run), model_fit(run), updated(run)
 
 
-def convergence(run: Run) -> Verdict:
+def convergence(run: ReportedRun) -> Verdict:
     """Return the verdict on the sampler."""
     question = "Has the sampler converged?"
     if run.diagnosis.converged:
@@ -30,7 +30,7 @@ def convergence(run: Run) -> Verdict:
     return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.remarks)
 
 
-def model_fit(run: Run) -> Verdict:
+def model_fit(run: ReportedRun) -> Verdict:
     """Return the verdict on the model, which no convergence of a sampler tells."""
     question = "Does the model fit the data?"
     untold = information_warnings(run.trace)  # which `updated` is about
@@ -56,7 +56,7 @@ def model_fit(run: Run) -> Verdict:
     )
 
 
-def updated(run: Run) -> Verdict:
+def updated(run: ReportedRun) -> Verdict:
     """Return the verdict on the data: whether they updated every parameter."""
     question = "Did the data update the parameters?"
     found = information(run.trace)
@@ -71,7 +71,7 @@ def updated(run: Run) -> Verdict:
     return Verdict(question, answer, False, "What the data did not update", tuple(found.warnings()))
 
 
-def _shapes(run: Run) -> tuple[str, ...]:
+def _shapes(run: ReportedRun) -> tuple[str, ...]:
     """Say that the shapes fit too, where they were measured and do."""
     alike = measured_mac(run.trace)
     if alike is None or shape_warnings(run.trace):

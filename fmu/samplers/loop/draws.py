@@ -49,7 +49,7 @@ class RunResult:
         Seconds spent sampling, warm-up included, and in warm-up alone.
     learnt : dict
         The settings that warm-up arrived at and the draws were made with, {} where nothing was learnt. Of several
-        groups of chains, a list of each setting.
+        groups of chains, a list of each context.
     """
 
     warmup: Draws

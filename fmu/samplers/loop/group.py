@@ -26,7 +26,7 @@ from fmu.samplers.loop.starts import check_finite
 WARMUP, DRAWS = "warmup", "draws"
 
 
-class Setting:
+class RunContext:
     """What all groups of a run share.
 
     Parameters
@@ -47,7 +47,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Part:
+class Chunk:
     """A part of a group's work.
 
     Attributes
@@ -72,7 +72,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Standing:
+class GroupState:
     """Where a group stands.
 
     Attributes
@@ -90,38 +90,40 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Done:
-    """What came of a part.
+class ChunkResult:
+    """What came of a chunk.
 
     Attributes
     ----------
     steps : Steps
-    standing : Standing
+    group_state : GroupState
     failures : list
         What `take_failures` of the density gave: points without a finite log-density, and why.
     """
 
     steps: Steps
-    standing: Standing
+    group_state: GroupState
     failures: list[Any]
 
 
-def first_snapshot(setting: Setting, rng: np.random.Generator, position: FloatArray, first_chain: int) -> Snapshot:
+def first_snapshot(
+    context: RunContext, rng: np.random.Generator, position: FloatArray, first_chain: int
+) -> Snapshot:
     """Return a group that has not begun.
 
     Parameters
     ----------
-    setting : Setting
+    context : RunContext
     rng : Generator
     position : ndarray, shape (chains, ndim) or (chains, walkers, ndim)
         Where its chains start, scaled.
     first_chain : int
         Number of its first chain in the run.
     """
-    return _Group(setting, rng, {"position": position, "first_chain": first_chain}).snapshot()
+    return _GroupRunner(context, rng, {"position": position, "first_chain": first_chain}).snapshot()
 
 
-def advance(setting: Setting, part: Part, report: Report | None = None) -> Done:
+def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> ChunkResult:
     """Do a part of a group's work.
 
     Raises
@@ -129,44 +131,44 @@ def advance(setting: Setting, part: Part, report: Report | None = None) -> Done:
     ValueError
         If a chain would start where the log-density is not finite.
     """
-    group = _Group.of_snapshot(part.group, setting)
+    group = _GroupRunner.of_snapshot(chunk.group, context)
     began = time.perf_counter()
-    record = Record(group.chains, setting.sampler.walkers, setting.scaled.ndim)
-    record.reserve(part.steps)
+    record = Record(group.chains, context.sampler.walkers, context.scaled.ndim)
+    record.reserve(chunk.steps)
     done, pace = 0, _Pace()
-    while done == 0 or (done < part.steps and time.perf_counter() - began < part.seconds and not is_asked()):
-        info = group.step(part.phase)
+    while done == 0 or (done < chunk.steps and time.perf_counter() - began < chunk.seconds and not is_asked()):
+        info = group.step(chunk.phase)
         record.write(done, 0, group.as_steps(info))
         done += 1
         if report is not None:
             words = pace.words(info) | {"solves": group.solves}
-            if part.label:
-                words["group"] = part.label
-            report(part.phase, group.done[part.phase], part.total, words)
-    take = getattr(setting.density, "take_failures", list)
-    return Done(record.steps(0, done), group.standing(), list(take()))
+            if chunk.label:
+                words["group"] = chunk.label
+            report(chunk.phase, group.done[chunk.phase], chunk.total, words)
+    take = getattr(context.density, "take_failures", list)
+    return ChunkResult(record.steps(0, done), group.group_state(), list(take()))
 
 
-def evaluated_again(setting: Setting, group: Snapshot) -> tuple[FloatArray, FloatArray]:
+def evaluated_again(context: RunContext, group: Snapshot) -> tuple[FloatArray, FloatArray]:
     """Return the log-density where the chains of a group are: as the group has it, and evaluated anew."""
-    held = _Group.of_snapshot(group, setting)
+    held = _GroupRunner.of_snapshot(group, context)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 
 
-class _Group:
+class _GroupRunner:
     """A group in the middle of its work.
 
     Parameters
     ----------
-    setting : Setting
+    context : RunContext
     rng : Generator
     held : dict
         What a snapshot holds beside the generator: ``position`` and ``first_chain`` of a group that has not begun;
         else ``done``, ``solves``, ``settings``, ``state`` and ``tuner``.
     """
 
-    def __init__(self, setting: Setting, rng: np.random.Generator, held: dict[str, Any]) -> None:
-        self.setting, self.rng = setting, rng
+    def __init__(self, context: RunContext, rng: np.random.Generator, held: dict[str, Any]) -> None:
+        self.context, self.rng = context, rng
         self.first_chain: int = held["first_chain"]
         self.position: FloatArray | None = held.get("position")
         self.done: dict[str, int] = held.get("done", {WARMUP: 0, DRAWS: 0})
@@ -175,7 +177,7 @@ class _Group:
         self._state: State | None = held.get("state")
         self.start: Info | None = None  # what it cost, until a step has booked it
         self.tuner: Tuner | None = held.get("tuner")
-        self.kernel: Kernel = (self.settings or setting.sampler).bind(setting.scaled)
+        self.kernel: Kernel = (self.settings or context.sampler).bind(context.scaled)
 
     @property
     def state(self) -> State:
@@ -203,7 +205,7 @@ class _Group:
         self.solves += int(info.n_solves.sum())
         if self.tuner is not None:
             self.tuner.update(self._state, info)
-            if self.done[WARMUP] == self.setting.warmup:
+            if self.done[WARMUP] == self.context.warmup:
                 self._freeze(self.tuner)
         return info
 
@@ -216,18 +218,18 @@ class _Group:
             "n_gradients": info.n_gradients,
             **info.extra,
         }
-        chains, walkers = self.chains, self.setting.sampler.walkers
-        theta = self.setting.scaled.to_theta(self.state.position)
+        chains, walkers = self.chains, self.context.sampler.walkers
+        theta = self.context.scaled.to_theta(self.state.position)
         lead = info.log_prob.ndim  # behind it, a statistic may be a vector
         return Steps(
             theta.reshape(chains, 1, walkers, -1),
             {name: value.reshape(chains, 1, walkers, *value.shape[lead:]) for name, value in named.items()},
         )
 
-    def standing(self) -> Standing:
+    def group_state(self) -> GroupState:
         """Return where the group stands."""
         learnt = {} if self.settings is None else describe(self.settings)
-        return Standing(self.snapshot(), dict(self.done), learnt)
+        return GroupState(self.snapshot(), dict(self.done), learnt)
 
     def snapshot(self) -> Snapshot:
         """Return the group as plain data."""
@@ -237,29 +239,29 @@ class _Group:
         else:
             held |= {"done": self.done, "solves": self.solves, "settings": self.settings}
             held |= {"state": self._state, "tuner": self.tuner}
-        return taken(held, self.setting.given())
+        return taken(held, self.context.given())
 
     @classmethod
-    def of_snapshot(cls, snapshot: Snapshot, setting: Setting) -> _Group:
+    def of_snapshot(cls, snapshot: Snapshot, context: RunContext) -> _GroupRunner:
         """Return the group that a snapshot was taken of."""
-        held = restored(snapshot, setting.given())
+        held = restored(snapshot, context.given())
         rng = np.random.default_rng(0)
         rng.bit_generator.state = held["generator"]
-        return cls(setting, rng, held)
+        return cls(context, rng, held)
 
     def _begin(self) -> None:
         """Evaluate the start."""
         assert self.position is not None
-        setting = self.setting
+        context = self.context
         self._state, self.start = self.kernel.init(self.position)
-        check_finite(setting.scaled, self.position, self.start.log_prob, self.first_chain)
-        if setting.warmup:
-            self.tuner = setting.sampler.tuner(setting.scaled, len(self.position), setting.warmup)
+        check_finite(context.scaled, self.position, self.start.log_prob, self.first_chain)
+        if context.warmup:
+            self.tuner = context.sampler.tuner(context.scaled, len(self.position), context.warmup)
 
     def _freeze(self, tuner: Tuner) -> None:
         """End the adaptation."""
         self.settings, self.tuner = tuner.finished(), None
-        self.kernel = self.settings.bind(self.setting.scaled)
+        self.kernel = self.settings.bind(self.context.scaled)
 
 
 def _settings(name: str, thing: Any) -> Iterator[tuple[str, Any]]:

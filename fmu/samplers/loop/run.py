@@ -19,10 +19,10 @@ from fmu.samplers.loop.draws import RunResult as RunResult
 from fmu.samplers.loop.group import (
     DRAWS,
     WARMUP,
-    Done,
-    Part,
-    Setting,
-    Standing,
+    Chunk,
+    ChunkResult,
+    GroupState,
+    RunContext,
     advance,
     evaluated_again,
     first_snapshot,
@@ -66,29 +66,29 @@ class TooManyFailuresError(RuntimeError):
         self.result = result
 
 
-class Kept(NamedTuple):
+class SavedGroup(NamedTuple):
     """A group of chains as it was kept last.
 
     Attributes
     ----------
-    standing : Standing
+    group_state : GroupState
     elapsed_s : mapping of str to float
         What the phases of the run had taken by then.
     steps : iterable of (str, int, Steps)
         All steps that the group has taken: their phase, the number of the first, and the steps.
     """
 
-    standing: Standing
+    group_state: GroupState
     elapsed_s: Mapping[str, float]
     steps: Iterable[tuple[str, int, Steps]]
 
 
-class Unkept(NamedTuple):
+class PendingGroup(NamedTuple):
     """What is to be kept of a group of chains.
 
     Attributes
     ----------
-    standing : Standing
+    group_state : GroupState
     elapsed_s : mapping of str to float
     phase : str
     first : int
@@ -100,7 +100,7 @@ class Unkept(NamedTuple):
         Steps of the phase, as far as it is known.
     """
 
-    standing: Standing
+    group_state: GroupState
     elapsed_s: Mapping[str, float]
     phase: str
     first: int
@@ -109,7 +109,7 @@ class Unkept(NamedTuple):
     total: int
 
 
-class Keeper(Protocol):
+class Checkpointer(Protocol):
     """Where draws and the state of the chains are kept, so that nothing is lost when a run dies.
 
     Attributes
@@ -123,7 +123,7 @@ class Keeper(Protocol):
     most_steps: int
     most_seconds: float
 
-    def kept(self, group: int) -> Kept | None:
+    def kept(self, group: int) -> SavedGroup | None:
         """Return a group as it was kept last, None if it has not been."""
         ...
 
@@ -131,18 +131,18 @@ class Keeper(Protocol):
         """Say whether a group that has since taken so many steps is to be kept again."""
         ...
 
-    def keep(self, group: int, unkept: Unkept) -> None:
+    def keep(self, group: int, pending: PendingGroup) -> None:
         """Keep what has happened to a group since it was kept last."""
         ...
 
 
-class _Group:
+class _RunningGroup:
     """A group of chains as the run follows it: where it stands, and from which step of a phase it is not kept."""
 
-    def __init__(self, index: int, first_chain: int, chains: int, standing: Standing) -> None:
+    def __init__(self, index: int, first_chain: int, chains: int, group_state: GroupState) -> None:
         self.index, self.chains = index, slice(first_chain, first_chain + chains)
-        self.standing = standing
-        self.unkept = dict(standing.done)
+        self.group_state = group_state
+        self.pending = dict(group_state.done)
         self.failures: list[Any] = []
 
 
@@ -176,7 +176,7 @@ class Run:
         are several. In this process after every step, from other workers some times a second.
     engine : Engine, optional
         Who does the work: this process, if not given.
-    keeper : Keeper, optional
+    checkpointer : Checkpointer, optional
         Where draws and states are kept. What it holds already is not drawn again.
     stop : callable, optional
         Asked between two parts of the work, at least once a second where a step is not longer: True to stop.
@@ -189,7 +189,7 @@ class Run:
     ------
     ValueError
         If a number is out of range, a setting does not fit the density, a start is outside the bounds or has a
-        log-density that is not finite, or the keeper holds a run on another density.
+        log-density that is not finite, or the checkpointer holds a run on another density.
     Interrupted
         If `stop` said so.
     TooManyFailuresError
@@ -208,7 +208,7 @@ class Run:
         groups: int | None = None,
         progress: Report | None = None,
         engine: Engine | None = None,
-        keeper: Keeper | None = None,
+        checkpointer: Checkpointer | None = None,
         stop: Callable[[], bool] | None = None,
         too_many_failed: Callable[[int, int, list[Any]], str | None] | None = None,
         live: Callable[[FloatArray], Mapping[str, float]] | None = None,
@@ -217,20 +217,20 @@ class Run:
         self.warmup, self.seed = whole_number("warmup", warmup, 0), whole_number("seed", seed, 0)
         self.init = init if isinstance(init, str) else "array"
         self.groups = n_groups(groups, self.chains, sampler)
-        self._setting = Setting(density, sampler, self.warmup)
-        self._engine, self._keeper, self._stop = engine or InProcess(), keeper, stop or (lambda: False)
+        self._context = RunContext(density, sampler, self.warmup)
+        self._engine, self._keeper, self._stop = engine or InProcess(), checkpointer, stop or (lambda: False)
         self._too_many_failed = too_many_failed or (lambda *_: None)
         self._n_failed = self._n_solves = 0
-        self._hurried = progress is not None or keeper is not None or stop is not None
+        self._hurried = progress is not None or checkpointer is not None or stop is not None
         self._watch = None if progress is None else _Watch(progress, live)
-        walkers, ndim = sampler.walkers, self._setting.scaled.ndim
+        walkers, ndim = sampler.walkers, self._context.scaled.ndim
         self._records = {phase: Record(self.chains, walkers, ndim) for phase in (WARMUP, DRAWS)}
         self._elapsed_s = {WARMUP: 0.0, DRAWS: 0.0}
         self._drawn = 0
         self._groups = self._begun(init)
-        if keeper is not None:
+        if checkpointer is not None:
             for group in self._groups:
-                self._restore(group, keeper)
+                self._restore(group, checkpointer)
         self._advance(WARMUP, self.warmup)
 
     def extend(self, draws: int) -> RunResult:
@@ -248,66 +248,66 @@ class Run:
         self._drawn = target
         return self._result(target)
 
-    def _begun(self, init: Any) -> list[_Group]:
+    def _begun(self, init: Any) -> list[_RunningGroup]:
         """Return the groups before their first step."""
-        setting, walkers = self._setting, self.sampler.walkers
+        context, walkers = self._context, self.sampler.walkers
         seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
         generators = [np.random.default_rng(child) for child in seeds]
-        positions = starting_points(setting.scaled, init, generators, self.chains, walkers)
+        positions = starting_points(context.scaled, init, generators, self.chains, walkers)
         each = self.chains // self.groups
         groups = []
         for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
-            group = first_snapshot(setting, rng, position, i * each)
-            groups.append(_Group(i, i * each, each, Standing(group, {WARMUP: 0, DRAWS: 0}, {})))
+            group = first_snapshot(context, rng, position, i * each)
+            groups.append(_RunningGroup(i, i * each, each, GroupState(group, {WARMUP: 0, DRAWS: 0}, {})))
         return groups
 
-    def _restore(self, group: _Group, keeper: Keeper) -> None:
+    def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
         """Put a group where it stood when it was kept."""
-        kept = keeper.kept(group.index)
+        kept = checkpointer.kept(group.index)
         if kept is None:
             return
-        _check_same(self._setting, kept.standing)
+        _check_same(self._context, kept.group_state)
         for phase, record in self._records.items():
-            record.reserve(kept.standing.done[phase])
+            record.reserve(kept.group_state.done[phase])
         for phase, first, steps in kept.steps:
             self._write(group, phase, first, steps)
-        group.standing, group.unkept = kept.standing, dict(kept.standing.done)
+        group.group_state, group.pending = kept.group_state, dict(kept.group_state.done)
         for phase, seconds in kept.elapsed_s.items():
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
 
     def _advance(self, phase: str, target: int) -> None:
         """Advance every group to step number `target` of a phase."""
-        behind = [group for group in self._groups if group.standing.done[phase] < target]
+        behind = [group for group in self._groups if group.group_state.done[phase] < target]
         if not behind:
             return
         self._records[phase].reserve(target)
         began, before = time.perf_counter(), self._elapsed_s[phase]
 
-        def follow(line: int, done: Done) -> Part | None:
+        def follow(line: int, done: ChunkResult) -> Chunk | None:
             with shielded():
                 return taken(line, done)
 
-        def taken(line: int, done: Done) -> Part | None:
+        def taken(line: int, done: ChunkResult) -> Chunk | None:
             self._elapsed_s[phase] = before + time.perf_counter() - began
             group = behind[line]
-            self._write(group, phase, group.standing.done[phase], done.steps)
-            group.standing = done.standing
+            self._write(group, phase, group.group_state.done[phase], done.steps)
+            group.group_state = done.group_state
             group.failures += done.failures
             why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
             stopped = self._stop()
-            ended = stopped or why is not None or group.standing.done[phase] >= target
+            ended = stopped or why is not None or group.group_state.done[phase] >= target
             self._keep(group, phase, target, at_once=ended)
             if why is not None:
                 raise TooManyFailuresError(why, self._so_far())
-            if stopped and self._engine.workers == 1 and any(g.standing.done[phase] < target for g in behind):
+            if stopped and self._engine.workers == 1 and any(g.group_state.done[phase] < target for g in behind):
                 raise Interrupted(None)  # no other is under way: they need not take another step each
             if self._watch is not None and phase == DRAWS:
                 self._watch.look(self._common(phase))
-            return None if ended else self._part(group, phase, target)
+            return None if ended else self._chunk(group, phase, target)
 
-        parts = [self._part(group, phase, target) for group in behind]
+        parts = [self._chunk(group, phase, target) for group in behind]
         try:
-            self._engine.lines(advance, self._setting, parts, follow, self._watch)
+            self._engine.run_tasks(advance, self._context, parts, follow, self._watch)
         except KeyboardInterrupt as stop:  # perhaps in the middle of a step, which is lost
             if self._keeper is None and not isinstance(stop, Interrupted):
                 raise
@@ -316,46 +316,48 @@ class Run:
                     self._keep(group, phase, target, at_once=True)
             raise Interrupted(self._so_far()) from None
         self._elapsed_s[phase] = before + time.perf_counter() - began
-        if any(group.standing.done[phase] < target for group in behind):
+        if any(group.group_state.done[phase] < target for group in behind):
             raise Interrupted(self._so_far())
 
-    def _part(self, group: _Group, phase: str, target: int) -> Part:
+    def _chunk(self, group: _RunningGroup, phase: str, target: int) -> Chunk:
         """Return the next part of a group's work."""
-        standing = group.standing
-        steps = min(MOST_STEPS, target - standing.done[phase])
+        group_state = group.group_state
+        steps = min(MOST_STEPS, target - group_state.done[phase])
         turns = math.ceil(self.groups / self._engine.workers)
         seconds = LIVE_S / turns if self._hurried else math.inf
         if self._keeper is not None:
-            steps = min(steps, self._keeper.most_steps - (standing.done[phase] - group.unkept[phase]))
+            steps = min(steps, self._keeper.most_steps - (group_state.done[phase] - group.pending[phase]))
             seconds = min(seconds, self._keeper.most_seconds)
         label = f"{group.index + 1}/{self.groups}" if self.groups > 1 else ""
-        return Part(standing.group, phase, steps, seconds, target, label)
+        return Chunk(group_state.group, phase, steps, seconds, target, label)
 
-    def _write(self, group: _Group, phase: str, first: int, steps: Steps) -> None:
+    def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
         """Take over steps of a group, and what they cost."""
         self._records[phase].write(first, group.chains.start, steps)
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
-    def _keep(self, group: _Group, phase: str, target: int, *, at_once: bool) -> None:
+    def _keep(self, group: _RunningGroup, phase: str, target: int, *, at_once: bool) -> None:
         """Have a group kept if it is time to."""
-        first, stop = group.unkept[phase], group.standing.done[phase]
+        first, stop = group.pending[phase], group.group_state.done[phase]
         if self._keeper is None or stop == first:
             return
         if not (at_once or self._keeper.is_due(group.index, stop - first)):
             return
         steps = self._records[phase].steps(first, stop, group.chains)
-        unkept = Unkept(group.standing, dict(self._elapsed_s), phase, first, steps, group.failures, target)
-        self._keeper.keep(group.index, unkept)
-        group.unkept[phase], group.failures = stop, []
+        pending = PendingGroup(
+            group.group_state, dict(self._elapsed_s), phase, first, steps, group.failures, target
+        )
+        self._keeper.keep(group.index, pending)
+        group.pending[phase], group.failures = stop, []
 
     def _common(self, phase: str) -> FloatArray:
         """Return the positions of the steps that all groups have taken, (chains, steps, walkers, ndim)."""
-        return self._records[phase].steps(0, min(group.standing.done[phase] for group in self._groups)).position
+        return self._records[phase].steps(0, min(group.group_state.done[phase] for group in self._groups)).position
 
     def _so_far(self) -> RunResult | None:
         """Return the draws that all groups have, None if there are none."""
-        drawn = min(group.standing.done[DRAWS] for group in self._groups)
+        drawn = min(group.group_state.done[DRAWS] for group in self._groups)
         return self._result(drawn) if drawn else None
 
     def _result(self, draws: int) -> RunResult:
@@ -369,7 +371,7 @@ class Run:
             posterior=kept,
             sampler=self.sampler.name,
             settings=describe(self.sampler),
-            learnt=_merged([group.standing.learnt for group in self._groups]),
+            learnt=_merged([group.group_state.learnt for group in self._groups]),
             seed=self.seed,
             walkers=self.sampler.walkers,
             draws=draws,
@@ -419,9 +421,9 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
     return groups
 
 
-def _check_same(setting: Setting, standing: Standing) -> None:
+def _check_same(context: RunContext, group_state: GroupState) -> None:
     """Raise ValueError unless the density is the one that the chains were on."""
-    then, now = evaluated_again(setting, standing.group)
+    then, now = evaluated_again(context, group_state.group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
         was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)

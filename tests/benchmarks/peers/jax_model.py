@@ -95,7 +95,7 @@ def _paired(target: Target, reduced: bool) -> Callable[[Any], Any]:
         return lambda x: block(x)[ranks]
     picked = np.array(structure.rule.numbers) - 1
     parts = [
-        JaxBlock(full, basis, width, min(block.trusted, int(picked.max()) + 1))
+        JaxBlock(full, basis, width, min(block.n_trained, int(picked.max()) + 1))
         for full, basis, block in zip(structure.full.blocks, bases, blocks, strict=True)
     ]
     return lambda x: jnp.sort(jnp.concatenate([part(x) for part in parts]))[picked]

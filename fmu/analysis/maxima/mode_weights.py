@@ -59,7 +59,7 @@ class LocalQuadratic:
 
 
 @dataclass(frozen=True)
-class Mass:
+class ModeWeight:
     """The share of a maximum in the posterior.
 
     Attributes
@@ -78,14 +78,14 @@ class Mass:
     effective: float
 
 
-def masses(
+def mode_weights(
     log_prob: Callable[[FloatArray], FloatArray],
     maxima: Sequence[LocalQuadratic],
     lower: FloatArray,
     upper: FloatArray,
     rng: np.random.Generator,
     draws: int = DRAWS,
-) -> tuple[Mass, ...]:
+) -> tuple[ModeWeight, ...]:
     """Estimate the mass of every maximum.
 
     First the Laplace approximation within the box, ∫ exp(m) du, which is the last word on maxima of less than e⁻⁴⁰
@@ -104,7 +104,7 @@ def masses(
 
     Returns
     -------
-    tuple of Mass
+    tuple of ModeWeight
     """
     found = [_laplace(m, lower, upper, rng, draws) for m in maxima]
     best = max(mass.log_mass for mass in found)
@@ -118,7 +118,7 @@ def masses(
 
 def _laplace(
     maximum: LocalQuadratic, lower: FloatArray, upper: FloatArray, rng: np.random.Generator, draws: int
-) -> Mass:
+) -> ModeWeight:
     """Return mass and moments of exp(m) in the box."""
     proposal = maximum.proposal(lower, upper, 1.0)
     u = proposal.draw(rng, draws)
@@ -132,7 +132,7 @@ def _importance(
     upper: FloatArray,
     rng: np.random.Generator,
     draws: int,
-) -> list[Mass | None]:
+) -> list[ModeWeight | None]:
     """Return mass and moments of P around each maximum; None where no draw has a probability."""
     proposals = [m.proposal(lower, upper, t) for m in maxima for t in _TEMPERATURES]
     u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])
@@ -143,13 +143,13 @@ def _importance(
     return [_weighted(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 
 
-def _weighted(u: FloatArray, log_w: FloatArray, effective: float | None) -> Mass:
+def _weighted(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
     """Return the mean of the weights and the weighted moments of the draws (n, ndim)."""
     log_sum = float(logsumexp(log_w))
     w = np.exp(log_w - log_sum)
     mean = w @ u
     d = u - mean
-    return Mass(
+    return ModeWeight(
         log_mass=log_sum - float(np.log(len(u))),
         mean=mean,
         covariance=(w * d.T) @ d,
