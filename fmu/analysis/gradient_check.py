@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.numbers import significant
 from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 AGREE = 1e-4
 """Largest relative difference at which the gradient counts as right."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, field_validator, model_validator
 
 from fmu.config.fields import FileName, Name, NumberOrNumbers, Positive, SensorTable, TomlTable
@@ -18,8 +18,7 @@ from fmu.formats.modes.measured_modes import MOST_MODES, ModesError
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 from fmu.posterior.errors.correlated import checked_covariance
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A frequency, or nan where a test missed the mode."""

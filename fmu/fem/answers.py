@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.formats.shown import shown
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 MOST_NUMBERS = 2**24
 """Of one kind, for all points that the function is called for at once."""

@@ -27,7 +27,6 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.engines.engine import MOST_DEATHS, Engine, LostTaskError
 from fmu.fem.answers import Answer as Answer
@@ -35,8 +34,7 @@ from fmu.fem.answers import AnswerError as AnswerError
 from fmu.fem.answers import checked
 from fmu.formats.shown import in_words, one_line
 from fmu.progress.phases import solved
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 MOST_REASONS = 20
 # reasons kept for who asks for that of a theta soon after it failed, and the most of a message that may be a log

@@ -12,15 +12,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.null_space import rank
 from fmu.fem.modes.separable import SeparableModel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

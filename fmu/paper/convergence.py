@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.paper.reference import Reference
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 POINTS_PER_DECADE = 15
 GROWTH = 1.25

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.analysis.maxima.results import Maxima
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.paper.experiment import PAIRED_BY, Result, directory_of
 from fmu.paper.pages.tables import posterior_mean
@@ -15,12 +14,12 @@ from fmu.paper.plan import Plan, long_settings
 from fmu.paper.published.tables import EXPERIMENTS
 from fmu.paper.runs import Runs
 from fmu.progress import Report
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 SAMPLER = "hmc"
 RELATIVE = 0.01

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.black_box import Failure as Failure
 from fmu.fem.modes.blocks import ModalModel
@@ -14,8 +13,7 @@ from fmu.posterior.errors.frequency import FrequencyLikelihood
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.mixture import SoftLikelihood
 from fmu.posterior.errors.residual import ModalResidual
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 MOST_KEPT = 10_000
 """How many failures are kept for people, and how many until somebody takes them."""

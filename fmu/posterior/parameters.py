@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.numbers import typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 DIMENSIONS = ("chain", "draw")
 """Of the draws in a trace."""

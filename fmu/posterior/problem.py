@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.engines.engine import Engine
 from fmu.fem.black_box import BlackBoxModel
@@ -24,8 +24,7 @@ from fmu.posterior.failures import Failure, FailureRecord, why_no_log_likelihood
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.rounding import require_digits
 from fmu.posterior.train_reduced import Tolerance, reduce_model
-
-FloatArray = NDArray[np.float64]
+from fmu.types import BoolArray, FloatArray
 
 _LEAST_NOISE = 1e-150
 
@@ -321,7 +320,7 @@ class UpdatingProblem:
             raise ValueError(f"theta: must have shape ({self.ndim},) or (n, {self.ndim}) (got {points.shape})")
         return (points[None], True) if points.ndim == 1 else (points, False)
 
-    def _within(self, points: FloatArray) -> NDArray[np.bool_]:
+    def _within(self, points: FloatArray) -> BoolArray:
         return (points >= self._lowest) & (points <= self._highest)
 
     def _posterior(self, points: FloatArray) -> FloatArray:

@@ -29,11 +29,11 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
 from fmu.posterior.errors.frequency import FrequencyLikelihood
 from fmu.posterior.errors.joint import JointLikelihood
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 UNIT = 2.0**-53
 WARN, REFUSE = 0.05, 1.0

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.engines.engine import Engine
 from fmu.fem.modes.modal import is_rigid
@@ -20,11 +19,11 @@ from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, typed
 from fmu.posterior.maxima.local_maxima import local_maxima
 from fmu.progress.phases import by_parts
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
@@ -183,7 +182,7 @@ def has_stalled(differences: Sequence[float]) -> bool:
     return len(differences) > PATIENCE and min(differences[-PATIENCE:]) > 0.5 * min(differences[:-PATIENCE])
 
 
-def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> NDArray[np.bool_]:
+def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> BoolArray:
     """Say, shape (n,), where the reduced model has the modes that the full one pairs, and yet pairs others.
 
     Parameters

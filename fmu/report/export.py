@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
 from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
@@ -20,6 +19,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant
 from fmu.report.exported import PROBLEM, VALUES, copy_companions, rename, updated_text, write_matrices
 from fmu.report.files import OutputDirectory
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 FOLDER = "export"
 _WORDS = {"mean": "posterior mean", "map": "highest maximum of the posterior"}

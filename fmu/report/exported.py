@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.fem.modes.separable import SeparableModel
 
-FloatArray = NDArray[np.float64]
 
 VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
 RESERVED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM)

@@ -12,8 +12,8 @@ import numpy as np
 from fmu.runs.content import SavedState, Segment, unpacked_steps
 from fmu.runs.files import DamagedError, digest
 from fmu.runs.store import numbered, read_state
-from fmu.samplers.kernel import FloatArray
 from fmu.samplers.loop.group import DRAWS, WARMUP
+from fmu.types import FloatArray
 
 _TRIES = 5
 """How often the files are listed anew: states go while others come."""

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import BoolArray, FloatArray, IntArray, LogDensity
+from fmu.samplers.kernel import LogDensity
+from fmu.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ import numpy as np
 
 from fmu.samplers.adaptation.tuners import START_SCALE, MetropolisTuner, SliceTuner
 from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import FloatArray, Info, LogDensity, State
+from fmu.samplers.kernel import Info, LogDensity, State
 from fmu.samplers.proposals import Proposal, RandomWalk
 from fmu.samplers.slice import Slice
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True)

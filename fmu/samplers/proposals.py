@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray
 from fmu.samplers.loop.settings import Scale, cholesky_factor, fits, positive_scale, vector
+from fmu.types import FloatArray
 
 
 class Proposal(Protocol):

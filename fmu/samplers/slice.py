@@ -9,8 +9,9 @@ import numpy as np
 
 from fmu.samplers.adaptation.tuners import START_WIDTH, SliceTuner
 from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import BoolArray, FloatArray, Info, IntArray, LogDensity, State
+from fmu.samplers.kernel import Info, LogDensity, State
 from fmu.samplers.loop.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
+from fmu.types import BoolArray, FloatArray, IntArray
 
 SCHEMES = ("hyperrectangle", "coordinate")
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from emcee.moves import RedBlueMove
 
-from fmu.samplers.kernel import FloatArray
+from fmu.types import FloatArray
 
 
 class SnookerMove(RedBlueMove):

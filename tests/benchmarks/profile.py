@@ -25,8 +25,7 @@ import fmu
 from fmu.paper.plan import Plan
 from fmu.paper.run import run_experiment
 from fmu.report.markdown import table
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 CASE, PAIRING = "cantilever-young", "shape"
 SHORTER = 4

@@ -25,6 +25,7 @@ from threadpoolctl import threadpool_limits
 
 from fmu.analysis.convergence.effective import ess_mean
 from fmu.samplers import HamiltonianMonteCarlo, Run
+from fmu.types import BoolArray
 from tests.validation import ten_storeys
 from tests.validation.bands import UniformRanks
 
@@ -65,7 +66,7 @@ class Replicate:
     """
 
     truth: NDArray[np.float64]
-    covered: NDArray[np.bool_]
+    covered: BoolArray
     ranks: NDArray[np.int64]
     sd: NDArray[np.float64]
     ess: float

@@ -16,16 +16,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import chi2, rankdata
 
 from fmu.analysis.convergence.effective import ess_bulk, ess_mean
 from fmu.samplers.loop import run
+from fmu.types import FloatArray
 from tests.samplers.targets import SkewedGumbel, Target, TruncatedGaussian
 from tests.validation.contenders import Contender
-
-FloatArray = NDArray[np.float64]
 
 TARGETS = (TruncatedGaussian, SkewedGumbel)
 """Bounded, correlated and skewed by it; unbounded, correlated and skewed. A density that vanishes at a wall, where

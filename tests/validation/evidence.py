@@ -21,9 +21,8 @@ from threadpoolctl import threadpool_limits
 import fmu
 from fmu.analysis.maxima.mode_weights import LocalQuadratic, masses
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
+from fmu.types import BoolArray, FloatArray
 from tests.two_storeys import quadrature
-
-FloatArray = NDArray[np.float64]
 
 CHAINS, WARMUP, DRAWS, SEED = 24, 200, 300, 1
 IMPORTANCE_DRAWS = 8192
@@ -117,7 +116,7 @@ class Region:
         """Return the problem's, −inf outside the region."""
         return np.where(self.holds(theta), self.problem.log_prob(theta), -np.inf)
 
-    def holds(self, theta: FloatArray) -> NDArray[np.bool_]:
+    def holds(self, theta: FloatArray) -> BoolArray:
         """Say which theta (n, ndim) are in the region."""
         return np.all(self._labels(theta) == self._modes, axis=1)
 

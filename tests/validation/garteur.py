@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
@@ -28,12 +27,12 @@ from fmu.report.markdown import table
 from fmu.report.plots.frequencies import plot_frequency_updates
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.plots.style import DPI
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 DRAWS = 1000
 LEAST_ESS = 400.0

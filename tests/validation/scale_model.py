@@ -6,15 +6,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 import fmu
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.posterior.priors.base import Normal
-
-FloatArray = NDArray[np.float64]
 
 N_MODES, NOISE = 10, 0.005
 """Frequencies measured, and the relative standard deviation of their errors."""

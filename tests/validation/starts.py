@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
@@ -27,9 +26,8 @@ from fmu.analysis.convergence.movement import longest_stands
 from fmu.analysis.maxima.missed import NEGLIGIBLE, draws_of_maxima
 from fmu.analysis.maxima.results import Maxima, percent
 from fmu.report.markdown import table
+from fmu.types import FloatArray
 from tests.four_storeys import SD, TRUTH, four_storeys
-
-FloatArray = NDArray[np.float64]
 
 WARMUP, DRAWS = 200, 100
 SEEDS = {"hmc": 20, "mh": 5, "slice": 3, "emcee": 2}

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 import fmu
 from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.terms import Term
 from fmu.posterior.priors.base import Normal
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 STIFFNESS, MASS = 4e7, 2e4  # N/m, kg
 DESIGN_HZ = np.array([3.17, 8.88])  # all factors 1

@@ -12,13 +12,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import fmu
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.formats.matrices.read import write_matrix
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 STOREYS, STIFFNESS, MASS = 10, 176.729e6, 100e3  # N/m, kg: the lowest frequency is 1 Hz
 SPREAD = 0.15

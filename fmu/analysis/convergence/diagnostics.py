@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.movement import energy_fraction, longest_stands
@@ -21,12 +20,12 @@ from fmu.analysis.convergence.needed import RHAT_LIMIT as RHAT_LIMIT
 from fmu.analysis.convergence.remedies import for_chains_apart, for_too_few_draws
 from fmu.analysis.trace.conversion import check_trace
 from fmu.numbers import apart, given
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 MIN_CHAINS = 2
 MIN_ENSEMBLES = 4

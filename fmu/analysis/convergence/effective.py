@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 TAIL = (0.05, 0.95)
 """The quantiles whose estimates the tail ESS is about (Vehtari et al. 2021, section 4.3)."""

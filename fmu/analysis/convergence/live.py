@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence import effective
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 MOST_RANKED = 2000
 """Draws a chain that R-hat is made of."""

@@ -6,16 +6,15 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.needed import RHAT_LIMIT, WALKER_RHAT_LIMIT, growth_needed
 from fmu.numbers import typed
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 APART = 1.2
 """With an R-hat above this the chains are in different places, and more draws may never bring them together."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 LENGTHS = 20
 _FEWEST = 20

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.numbers import fixed, share, significant
 from fmu.progress.phases import phase
 from fmu.text_table import distinct, text_table, wrapped
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from fmu.posterior.parameters import Parameter
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 GROUP = "identifiability"
 """Group of a trace that keeps it."""

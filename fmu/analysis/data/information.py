@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
 from fmu.analysis.data.identifiability import kept_identifiability
 from fmu.analysis.data.uninformed import Uninformed, eliminated, left_to_prior, listed, named
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.numbers import share
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 DATA, PRIOR, COMBINED = "data", "prior", "combination"
 """What the value of a parameter rests on: the data, the prior alone, or the data in a combination only."""

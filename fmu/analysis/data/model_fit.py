@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
 from fmu.analysis.data.prediction import measured_tests, measurement_in_words, predict_frequencies
@@ -16,7 +15,6 @@ from fmu.numbers import apart, fixed, given, share
 if TYPE_CHECKING:
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 NEAR_A_BOUND = 0.02
 """Part of the distance between the bounds."""

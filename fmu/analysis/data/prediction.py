@@ -7,17 +7,15 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.diagnostics import interval_columns, parameter_draws, walkers_of
 from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.analysis.trace.conversion import GIVEN_OTHERS, ONE_MORE_TEST, check_trace
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-
-FloatArray = NDArray[np.float64]
 
 
 class Expectation(NamedTuple):

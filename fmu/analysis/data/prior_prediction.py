@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.numbers import fixed, given, with_sd
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 FAR = 2.0
 """Standard deviations beyond which a measurement is far from what the prior predicts."""
@@ -72,7 +71,7 @@ class PriorPrediction:
         return np.asarray((self.measured - self.mean) / self.sd)
 
     @property
-    def is_far(self) -> NDArray[np.bool_]:
+    def is_far(self) -> BoolArray:
         """Which measured frequencies the prior hardly expects, shape (n_modes,)."""
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 

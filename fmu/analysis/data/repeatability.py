@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.analysis.data.prediction import measured_tests
 from fmu.numbers import fixed, share, significant, whole
 from fmu.posterior.data.repeated import RepeatedTests
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 FALSE_ALARMS = 0.005
 """Share of problems with independent tests in which any mode is told, over all modes together."""
@@ -52,8 +52,8 @@ class Repeatability:
     autocorrelation: FloatArray
     trend: FloatArray
     drift: FloatArray
-    resembles: NDArray[np.bool_]
-    drifts: NDArray[np.bool_]
+    resembles: BoolArray
+    drifts: BoolArray
     all_resemble: bool
 
     @property
@@ -169,7 +169,7 @@ def repeatability_warnings(trace: xr.DataTree) -> list[str]:
     return repeatability(tests, tuple(map(str, trace["observed_data"]["mode"].to_numpy()))).doubts()
 
 
-def _statistics(z: FloatArray, present: NDArray[np.bool_]) -> FloatArray:
+def _statistics(z: FloatArray, present: BoolArray) -> FloatArray:
     """Return r_1 of each mode, their mean, and the correlations with the order, shape (n_orders, 2 n_modes + 1).
 
     `z` (n_orders, n_tests, n_modes) is centred, and zero where a test missed a mode.

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.data.identifiability import Identifiability
 from fmu.numbers import fixed, share
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 LEFT = 0.95
 """Part of the prior's standard deviation: a direction that keeps as much in the linearised model is uninformed."""

@@ -8,12 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence import effective
 from fmu.numbers import apart, given, significant, with_sd
 from fmu.samplers.tempering.ladder import first_ladder, rejections
 from fmu.samplers.tempering.tempering import LOG_LIKELIHOOD
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from fmu.samplers.loop.draws import RunResult
 
-FloatArray = NDArray[np.float64]
 
 GROUP = "tempering"
 """Group of a trace that keeps what the rungs of a ladder saw."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 DIFFERENCES, GAUSS_NEWTON = "differences", "Gauss-Newton"
 _FIRST_STEP = 1e-4

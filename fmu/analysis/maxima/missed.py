@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
@@ -14,12 +13,11 @@ from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maxim
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.text import NEGLIGIBLE, mass_in_words
 from fmu.numbers import apart, rounded, share, whole
+from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
@@ -143,7 +141,7 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     return Comparison(wrong, outweighed)
 
 
-def _effective_visits(at_maximum: NDArray[np.bool_], walkers: int) -> float:
+def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
     """Return how many independent draws tell the share of a maximum, from which draws (chains, draws) are at it.
 
     At most one a chain where none ever changes maxima: then only the starts tell.

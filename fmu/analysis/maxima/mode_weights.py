@@ -6,13 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from fmu.analysis.maxima.truncated_normal import SequentialNormal
 from fmu.progress.phases import by_parts
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 DRAWS = 512
 _TEMPERATURES = (1.0, 4.0)

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names, walkers_of
@@ -17,11 +16,11 @@ from fmu.analysis.maxima.missed import nearest_maxima
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.text import NEGLIGIBLE, in_words, mass_in_words
 from fmu.numbers import apart
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-FloatArray = NDArray[np.float64]
 
 _MOST_DRAWS = 4000
 _FEWEST_DRAWS = 20

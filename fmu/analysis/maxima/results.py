@@ -8,19 +8,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.maxima.text import MOST_SHOWN, in_words, maxima_as_text
 from fmu.analysis.trace.provenance import configuration_hash
 from fmu.text_table import distinct, text_table, wrapped
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.maxima.curvature import hessian_at
 from fmu.analysis.maxima.mode_weights import LocalQuadratic, ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.progress.phases import phase
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.maxima.local_maxima import Maximum
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 STARTS = 256
 """A climb takes about a millisecond, and of a maximum that was not found nothing can warn."""

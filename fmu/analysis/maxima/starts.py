@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
@@ -13,13 +12,12 @@ from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.maxima.text import NEGLIGIBLE
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima
     from fmu.samplers.kernel import LogDensity
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 DISPERSION = 2.0
 """Standard deviation of the starts around a maximum, over that of the posterior there.

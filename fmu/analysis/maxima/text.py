@@ -6,16 +6,15 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.numbers import apart, given, hertz, rounded, share, written_digits
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 
-FloatArray = NDArray[np.float64]
 
 MOST_SHOWN = 6
 """Maxima that are shown side by side."""

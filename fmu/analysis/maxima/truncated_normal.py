@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtri_exp
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.modes.pairing_doubts import (
     COUNTERPARTS_GIVEN,
@@ -24,13 +24,13 @@ from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import IndexPairing, assign
 from fmu.numbers import share
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 _SEEN = 1e-3
 _BEYOND = 2
@@ -209,9 +209,7 @@ def _shapes(model: PairedStructure, point: FloatArray, spectrum: Any) -> FloatAr
     return shapes
 
 
-def _seen(
-    model: PairedStructure, shapes: FloatArray, observation: Any, eigenvalues: FloatArray
-) -> NDArray[np.bool_]:
+def _seen(model: PairedStructure, shapes: FloatArray, observation: Any, eigenvalues: FloatArray) -> BoolArray:
     """Say which modes move a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.diagnostics import parameter_draws
 from fmu.analysis.trace.conversion import check_trace
@@ -17,6 +16,7 @@ from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.pairing.rules import RankPairing
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 GROUP = "pairing"
 """Group of a trace that keeps which computed mode answered to each measured one."""

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.numbers import apart, fixed, share
-
-FloatArray = NDArray[np.float64]
+from fmu.types import BoolArray, FloatArray
 
 ALIKE = 0.8
 """MAC below which two shapes are hardly of one mode."""
@@ -70,7 +68,7 @@ def unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None)
 
 
 def close(
-    labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: NDArray[np.bool_], by_number: bool
+    labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
     """Name computed modes that are hardly apart: any two if pairing is by number, else those that sensors see."""
     doubts, told = [], set()

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.convergence.diagnostics import parameter_draws
 from fmu.analysis.maxima.results import Maxima
 from fmu.fem.modes.modal import mac
 from fmu.progress.phases import advanced, phase
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 GROUP = "modes"
 """Group of a trace that keeps them."""

@@ -9,12 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.progress.phases import by_parts
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 BATCH = 4096
 """Draws handed to the model at a time: bounds the memory that one batched eigenvalue call takes."""

@@ -13,9 +13,9 @@ The element matrices are ``K = EA·K_EA + EIy·K_EIy + EIz·K_EIz + GJ·K_GJ`` a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _AXIAL = (0, 6)
 _TORSION = (3, 9)

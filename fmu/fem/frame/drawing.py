@@ -7,12 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.separable import Geometry, SeparableModel
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from fmu.types import BoolArray, FloatArray
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """Okabe & Ito's colour-blind safe palette."""

@@ -22,8 +22,7 @@ from fmu.fem.frame.updates import Factor as Factor
 from fmu.fem.frame.updates import Ownership, Quantity, Target, ownership
 from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel
 from fmu.fem.modes.terms import Term, merge_terms
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 # What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
 _STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("E", "J")}

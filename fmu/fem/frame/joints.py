@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.frame.section import require_positive
 from fmu.fem.modes.separable import RigidArm
 from fmu.numbers import significant
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 

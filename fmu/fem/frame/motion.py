@@ -6,13 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.frame.joints import DIRECTIONS
 from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.numbers import listed
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 # Motions that agree to this are the same: those of zero energy are known no better where a structure is soft.
 _SAME = 1e-4

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fmu.fem.frame.joints import DIRECTIONS, JointSpring
+from fmu.types import IntArray
 
-IntArray = NDArray[np.int64]
 Dof = tuple[int, str]
 
 

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.fem.frame.motion import rigid_in_words, rigid_motions, what_moves
 from fmu.fem.modes.null_space import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
 from fmu.fem.modes.separable import SeparableModel
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

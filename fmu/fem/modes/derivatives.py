@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 REPEATED = 1e-9
 """Two eigenvalues are one if they differ by less than this share of the larger."""

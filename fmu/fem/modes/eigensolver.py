@@ -24,7 +24,6 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
-from numpy.typing import NDArray
 
 from fmu.fem.modes.null_space import (
     DENSE_LIMIT,
@@ -37,9 +36,7 @@ from fmu.fem.modes.null_space import (
     symmetric_factor,
     unit_diagonal,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray
 
 # Modes above this share of the lowest are taken from the Ritz problem of their own space: the inverse problem errs
 # by rounding of the lowest.

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 MOST_BYTES = 2**28
 _OVERHEAD = 300  # bytes of an entry beside its numbers

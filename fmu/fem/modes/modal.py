@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from fmu.fem.modes.derivatives import by_bordered_system
 from fmu.fem.modes.eigensolver import eigen
@@ -16,9 +15,7 @@ from fmu.fem.modes.null_space import DENSE_LIMIT, SingularMassError, rank
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.shape_maps import Mapped, Picked
 from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum, coefficient_gradients, weighted_sum
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import BoolArray, FloatArray, IntArray
 
 # An eigenvalue this small beside the highest of interest is that of a rigid-body mode. Where K is singular to the
 # last digit it is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits leave more.
@@ -30,7 +27,7 @@ NEGATIVE = 1e-6
 _DENSE_SLOPES = 128
 
 
-def is_rigid(eigenvalues: FloatArray) -> NDArray[np.bool_]:
+def is_rigid(eigenvalues: FloatArray) -> BoolArray:
     """Say which of the lowest modes of a structure, shape (..., m), move it as a rigid body."""
     return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 

@@ -12,9 +12,8 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
 DENSE_LIMIT = 400

@@ -13,14 +13,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 from fmu.fem.modes.terms import Term, coefficients, named_term, weighted_sum
 from fmu.numbers import typed
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

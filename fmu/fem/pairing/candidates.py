@@ -8,14 +8,12 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import Block, BlockModel
 from fmu.fem.modes.modal import BlockPrediction, frequency_gradient, frequency_hz
 from fmu.fem.pairing.rules import RankPairing, ShapePairing
 from fmu.fem.reduced.basis import ReducedBlock
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 SOFTNESS = 0.02
 """Temperature τ of the weights exp(MAC/τ): a shape that is nothing like the measured one costs 1/τ = 50 nats."""

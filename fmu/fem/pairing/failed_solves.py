@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.eigensolver import eigen
@@ -19,8 +18,7 @@ from fmu.fem.modes.threads import single_thread
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.numbers import significant, typed
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 NOT_FINITE = "frequencies are not finite"
 

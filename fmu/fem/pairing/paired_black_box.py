@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
 from fmu.fem.modes.memory import Memory
@@ -14,9 +13,7 @@ from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_model import PAIRINGS
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import assign
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 
 class PairedBlackBox:

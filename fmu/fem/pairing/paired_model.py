@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.engines.engine import Engine
 from fmu.fem.modes.blocks import BlockModel, ModalSolution
@@ -20,9 +19,7 @@ from fmu.fem.pairing.rules import SPARE, IndexPairing, Pairing, ShapePairing, co
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.training import Trained, Training
 from fmu.progress.phases import solved
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import BoolArray, FloatArray, IntArray
 
 PAIRINGS = ("shape", "index")
 SOFT = "soft"
@@ -192,7 +189,7 @@ class PairedStructure:
                 return modes
             return self._repaired(theta, modes, failed.any(axis=1) | ~within.all(axis=1))
 
-    def within(self, theta: FloatArray) -> NDArray[np.bool_]:
+    def within(self, theta: FloatArray) -> BoolArray:
         """Say, shape (n,), where the reduced model answers; nowhere if there is none."""
         if self.reduced is None:
             return np.zeros(len(theta), dtype=bool)
@@ -354,7 +351,7 @@ class PairedStructure:
     def _candidates_of(self, model: BlockModel, rule: ShapePairing) -> CandidateView:
         return CandidateView(model, rule, self._at_sensors)
 
-    def _repaired(self, theta: FloatArray, modes: ModalSolution, rows: NDArray[np.bool_]) -> ModalSolution:
+    def _repaired(self, theta: FloatArray, modes: ModalSolution, rows: BoolArray) -> ModalSolution:
         exact = self._solve_full(theta[rows], modes.gradient is not None)
         self.full_solves += int(np.sum(rows))
         lam, block, rank = modes.eigenvalues.copy(), modes.block.copy(), modes.rank.copy()

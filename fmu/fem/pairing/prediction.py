@@ -7,18 +7,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import BlockModel
 from fmu.fem.modes.modal import BlockPrediction, frequency_gradient, frequency_hz
 from fmu.fem.pairing.rules import IndexPairing, Observation, PairedSolve, Pairing, RankPairing, ShapePairing
+from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 Solved = dict[int, tuple[FloatArray, FloatArray]]
 """Eigenvalues and shapes by block."""

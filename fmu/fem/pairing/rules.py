@@ -14,13 +14,10 @@ from functools import partial
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import Block, BlockModel, ModalSolution
 from fmu.fem.modes.modal import is_rigid
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 SPARE = 3
 """How many modes beyond the highest reference of a block may be candidates."""

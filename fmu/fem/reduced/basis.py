@@ -18,14 +18,12 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
 from fmu.fem.modes.modal import BlockPrediction, FullBlock
 from fmu.fem.modes.shape_maps import Mapped
 from fmu.fem.modes.terms import CoefficientMap, Term
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 # A term that touches few of more degrees of freedom than this is projected by its own rows alone.
 _LARGE, _FEW = 2000, 0.125

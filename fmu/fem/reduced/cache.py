@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 import platformdirs
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 # Raised whenever what is stored, or how it is trained, changes.
 _VERSION = 3

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.modal import RIGID, FullBlock, frequency_hz, is_rigid
 from fmu.fem.modes.terms import coefficients, weighted_sum
 from fmu.fem.reduced.basis import ReducedBlock
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 # Directions of the snapshots weaker than this, relative to the strongest, are rounding: the Gram matrix squares.
 _SNAPSHOT_RANK = 1e-14

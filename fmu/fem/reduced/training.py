@@ -7,7 +7,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.engines.engine import Engine, InProcess
 from fmu.fem.modes.blocks import Block, BlockModel
@@ -24,8 +23,7 @@ from fmu.fem.reduced.snapshots import (
     smallest_basis,
 )
 from fmu.progress.phases import phase, solved
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
 EXACT_LIMIT = 20

@@ -32,12 +32,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesError, checked_file
 from fmu.formats.shown import shown
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
 """MeasuredModes, or sensors."""

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import told
 from fmu.numbers import apart, given
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 LARGEST_FILE = 2**26
 """Bytes of a file with modes; more is refused before it is read."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.paper.convergence import solves_at_this_pace
 from fmu.paper.plan import PAPER_SAMPLERS
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from fmu.paper.experiment import Result
 
-FloatArray = NDArray[np.float64]
 
 CI_PROB = 0.9
 

@@ -6,15 +6,14 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.types import FloatArray, StrArray
 
 if TYPE_CHECKING:
     from fmu.fem.modes.blocks import ModalSolution
     from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
-StrArray = NDArray[np.str_]
 
 PLANES = {"W": "bending in the weak plane", "S": "bending in the strong plane", "T": "torsion", "A": "axial"}
 _PLANE_OF = {"z": "W", "ry": "W", "y": "S", "rz": "S", "rx": "T", "x": "A"}

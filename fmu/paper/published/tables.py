@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 COLUMNS = ("initial", "mh", "slice", "hmc")
 N_SAMPLES = 1000

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.formats.modes.csv import read_frequencies, read_shapes
 from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
@@ -17,8 +17,7 @@ from fmu.formats.modes.pyoma import pyoma_modes
 from fmu.formats.modes.uff import read_uff, write_uff
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 from fmu.posterior.errors.correlated import checked_covariance
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

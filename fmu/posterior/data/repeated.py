@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.numbers import fixed
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 SCATTERS = ("each", "pooled", "joint")
 LEAST_MAC = 0.5

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.numbers import significant
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _SYMMETRIC = 1e-9
 

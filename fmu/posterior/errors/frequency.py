@@ -6,14 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.modal import frequency_hz
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.correlated import CorrelatedFrequencyError
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

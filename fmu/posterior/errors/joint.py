@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
@@ -15,8 +14,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.models import ErrorModel
 from fmu.posterior.errors.terms import Evaluated, FrequencyTerm
 from fmu.posterior.parameters import Parameter
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 
 class JointLikelihood:

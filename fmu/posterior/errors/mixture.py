@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.pairing.candidates import Candidates
 from fmu.fem.pairing.paired_model import PairedStructure
@@ -15,9 +14,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.models import ErrorModel
 from fmu.posterior.errors.terms import Evaluated
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from fmu.types import FloatArray, IntArray
 
 
 class _Pairs(NamedTuple):

@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.noise import NoiseIndex, spread
 from fmu.posterior.errors.subspace import groups_of
 from fmu.posterior.errors.terms import ErrorTerm, FrequencyTerm, MACTerm, ShapeTerm
 from fmu.posterior.parameters import Parameter
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 KINDS = ("absolute", "relative", "eigenvalue")
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 NoiseIndex = Callable[[Parameter], int]
 """Gives an inferred standard deviation its place among those of the problem."""

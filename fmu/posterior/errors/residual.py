@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import CoefficientMap, Term, weighted_sum
 from fmu.posterior.data.modal_data import ModalData
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 
 class SingularCondensationError(ValueError):

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.fem.pairing.prediction import ModalPrediction
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _RIDGE = 1e-14
 """Added to the Gram matrix of shapes, of its trace: two that are one at the sensors span a line."""

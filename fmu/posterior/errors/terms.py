@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.noise import Spread
 from fmu.posterior.errors.subspace import Groups, in_span
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.progress.phases import advanced
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.parameters import Parameter
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """Maps (n, ndim) to V = −log P, shape (n,), its gradient (n, ndim) and Gauss–Newton Hessian (n, ndim, ndim)."""

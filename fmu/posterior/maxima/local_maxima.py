@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.posterior.maxima.ascent import GaussNewton, ascend
 from fmu.progress.phases import advanced, phase
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-FloatArray = NDArray[np.float64]
 
 STARTS = 256
 _TOLERANCE = 1e-8

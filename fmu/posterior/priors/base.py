@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr, ndtri_exp
 
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 UNBOUNDED = (-np.inf, np.inf)
 _CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))

@@ -11,13 +11,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
 from fmu.numbers import significant, typed
 from fmu.posterior.priors.base import QuantilePrior, finite, positive
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _STEP, _EDGE = 1e-3, 1e-6
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.numbers import given
 from fmu.report.plots.style import (
@@ -22,6 +22,7 @@ from fmu.report.plots.style import (
     literal,
     new_figure,
 )
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 _LETTER = 0.1
 """Width in inches of a letter of a label, with its share of the gaps between labels."""

@@ -20,13 +20,13 @@ from fmu.report.plots.style import (
     new_figure,
     stacked,
 )
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 _FLAT = 1e-6
 _SWING = 0.12

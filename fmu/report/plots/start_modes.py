@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.report.plots.style import COLOURS, FONT, GREY, NARROW, finish, new_figure
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 _FLAT = 1e-6
 _SWING = 0.12

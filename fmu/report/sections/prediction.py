@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.data.prediction import leave_one_out, measured_tests, measurement_in_words
 from fmu.analysis.data.repeatability import repeatability_warnings
@@ -13,8 +12,7 @@ from fmu.report.plots.frequencies import plot_predictive_check
 from fmu.report.run import ReportedRun
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.report.svg import picture
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 _FEWEST = 100
 """Draws to estimate the tail of importance weights from."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmu.samplers.kernel import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray
 
 LAG = 10.0
 """A log-density that falls short of most chains' by this much, and one a coordinate, is not in their place."""

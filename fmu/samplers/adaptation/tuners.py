@@ -9,8 +9,9 @@ import numpy as np
 
 from fmu.samplers.adaptation.schedule import LAG, DualAveraging, PooledMoments, Schedule, keeping_up
 from fmu.samplers.hmc.metric import Metric
-from fmu.samplers.kernel import FloatArray, Info, Kernel, LogDensity, State
+from fmu.samplers.kernel import Info, Kernel, LogDensity, State
 from fmu.samplers.proposals import RandomWalk
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from fmu.samplers.hmc.hmc import HamiltonianKernel, HamiltonianMonteCarlo

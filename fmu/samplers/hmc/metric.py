@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray, IntArray
 from fmu.samplers.loop.settings import cholesky_factor, fits
+from fmu.types import FloatArray, IntArray
 
 
 class Metric:

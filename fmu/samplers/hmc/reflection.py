@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.samplers.hmc.metric import Metric
-from fmu.samplers.kernel import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 
 class Drift(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from fmu.samplers.kernel import FloatArray
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.samplers.kernel import FloatArray
 from fmu.samplers.loop.draws import Draws
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray, LogDensity
+from fmu.samplers.kernel import LogDensity
+from fmu.types import FloatArray
 
 
 class ScaledDensity:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray
+from fmu.types import FloatArray
 
 Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
 

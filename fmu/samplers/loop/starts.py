@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from fmu.numbers import typed
-from fmu.samplers.kernel import FloatArray
 from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.types import FloatArray
 
 BALL = 0.02
 """Standard deviation, in scaled units, of the walkers of an ensemble around a single start."""

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray, IntArray, LogDensity
+from fmu.samplers.kernel import LogDensity
 from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

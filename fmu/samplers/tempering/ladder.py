@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray
 from fmu.samplers.loop.settings import vector
+from fmu.types import FloatArray
 
 FEWEST, MOST = 8, 64
 """Rungs that a learnt ladder has: few of them would do to travel, but leave evidences coarse."""

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.samplers.kernel import FloatArray, Info, LogDensity, State
+from fmu.samplers.kernel import Info, LogDensity, State
 from fmu.samplers.tempering.ladder import adapted, rejections, stages
 from fmu.samplers.tempering.replicas import TemperedInfo, TemperedState
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     from fmu.samplers.tempering.tempering import Tempering, TemperingKernel

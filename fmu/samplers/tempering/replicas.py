@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fmu.samplers.kernel import FloatArray, Info, IntArray, State
+from fmu.samplers.kernel import Info, State
 from fmu.samplers.tempering.density import Points
+from fmu.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.samplers.hmc.hmc import HamiltonianMonteCarlo
-from fmu.samplers.kernel import FloatArray, Info, IntArray, Kernel, LogDensity, State
+from fmu.samplers.kernel import Info, Kernel, LogDensity, State
 from fmu.samplers.loop.settings import whole_number
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.slice import Slice
@@ -18,6 +18,7 @@ from fmu.samplers.tempering.ladder import first_ladder, ladder
 from fmu.samplers.tempering.ladder_tuner import LadderTuner
 from fmu.samplers.tempering.replicas import TemperedInfo, TemperedState
 from fmu.samplers.tempering.rungs import on_density, side_by_side
+from fmu.types import FloatArray, IntArray
 
 LOG_LIKELIHOOD = "rung_log_likelihood"
 """Statistic of a run: the log-likelihood at every rung, from the prior to the posterior."""

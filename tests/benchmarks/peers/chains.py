@@ -6,13 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pints
-from numpy.typing import NDArray
 
+from fmu.types import FloatArray
 from tests.benchmarks.peers.ensembles import InBox
 from tests.benchmarks.peers.outcome import Length, Outcome, Stopwatch
 from tests.benchmarks.peers.target import Target
-
-FloatArray = NDArray[np.float64]
 
 CHAINS = 4
 

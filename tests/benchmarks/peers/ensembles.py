@@ -7,12 +7,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fmu.types import FloatArray
 from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch, per_call
 from tests.benchmarks.peers.target import SciPyLogProb, Target
-
-FloatArray = NDArray[np.float64]
 
 WALKERS = 32
 

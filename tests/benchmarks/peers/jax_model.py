@@ -9,14 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import solve_triangular
-from numpy.typing import NDArray
 
 from fmu.fem.pairing.rules import RankPairing
+from fmu.types import FloatArray
 from tests.benchmarks.peers.target import Target
 
 jax.config.update("jax_enable_x64", True)
-
-FloatArray = NDArray[np.float64]
 
 
 class JaxBlock:

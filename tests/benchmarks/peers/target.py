@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import expit, log_expit
 
 import fmu
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import RankPairing
-
-FloatArray = NDArray[np.float64]
+from fmu.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
