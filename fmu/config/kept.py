@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fmu.runs.files import write_durably
+from fmu.durable_files import write_durably
 
 if TYPE_CHECKING:
     from fmu.engines.engine import Engine

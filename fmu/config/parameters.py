@@ -6,7 +6,7 @@ import numpy as np
 
 from fmu.config.fields import ParameterName
 from fmu.config.mistakes import Mistake, got
-from fmu.config.model.frame import Target
+from fmu.config.model.targets import Target
 from fmu.config.priors import PriorTable, UniformTable
 from fmu.posterior.parameters import Parameter
 

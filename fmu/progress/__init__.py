@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
+from fmu.progress.report import Info as Info
+from fmu.progress.report import Report as Report
+
 if TYPE_CHECKING:
     from fmu.progress.lines import JSONLines
-
-Info = Mapping[str, str | int | float]
-"""What else there is to say, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``; and of which ``group``."""
-
-Report = Callable[[str, int, int, Info], None]
-"""Called as ``report(phase, done, total, info)``: steps done of a phase, and a few numbers or words by name."""
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from fmu.progress.words import bar_name, duration, in_words
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fmu.progress import Info, Report
+    from fmu.progress.report import Info, Report
 
 _REDRAW_S = 0.05
 _BAR_WIDTH = 8

@@ -17,7 +17,7 @@ from fmu.progress.words import bar_name
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from fmu.progress import Info, Report
+    from fmu.progress.report import Info, Report
 
 _LINE_S = 1.0
 

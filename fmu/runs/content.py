@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmu.durable_files import DamagedError
 from fmu.posterior.failures import Failure
-from fmu.runs.files import DamagedError
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
 from fmu.samplers.loop.snapshot import Snapshot

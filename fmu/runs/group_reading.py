@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmu.durable_files import DamagedError, digest
 from fmu.runs.content import SavedState, Segment, unpacked_steps
-from fmu.runs.files import DamagedError, digest
 from fmu.runs.store import numbered, read_state
 from fmu.samplers.loop.group import DRAWS, WARMUP
 from fmu.types import FloatArray

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fmu.analysis.trace.provenance import canonical_json, configuration_hash, versions
-from fmu.runs.files import DamagedError, payload_of, signed, write_durably
+from fmu.durable_files import DamagedError, payload_of, signed, write_durably
 
 TITLE = "fmu run 1"
 FILE = "run"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from fmu.runs.files import write_durably
+from fmu.durable_files import write_durably
 
 FILE, LOCK, PHASE = "at-work.json", "lock", "phase.json"
 _NOTED_S = 0.5

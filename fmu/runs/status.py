@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fmu.config.kept import ORIGIN, kept
-from fmu.runs.files import DamagedError
+from fmu.durable_files import DamagedError
 from fmu.runs.group_reading import GroupReader, KeptGroup
 from fmu.runs.identity import FILE as IDENTITY
 from fmu.runs.identity import Identity

@@ -12,6 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from fmu.analysis.trace.failure_ledger import FailedSolves, failures_csv
+from fmu.durable_files import (
+    DamagedError,
+    append_durably,
+    digest,
+    make_directory,
+    payload_of,
+    signed,
+    write_durably,
+)
 from fmu.posterior.failures import Failure
 from fmu.runs.content import (
     SavedState,
@@ -22,15 +31,6 @@ from fmu.runs.content import (
     unpacked_state,
     unpacked_steps,
     writable,
-)
-from fmu.runs.files import (
-    DamagedError,
-    append_durably,
-    digest,
-    make_directory,
-    payload_of,
-    signed,
-    write_durably,
 )
 from fmu.runs.identity import Identity, arithmetic
 from fmu.runs.lock import DirectoryLock, announce

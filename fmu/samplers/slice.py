@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fmu.samplers.adaptation.tuners import START_WIDTH, SliceTuner
+from fmu.samplers.adaptation.learner import Learner
+from fmu.samplers.adaptation.schedule import Schedule
 from fmu.samplers.evaluation import evaluate
 from fmu.samplers.kernel import Info, LogDensity, State
 from fmu.samplers.loop.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
 from fmu.types import BoolArray, FloatArray, IntArray
+
+START_WIDTH = 0.5
+"""Interval of a slice before anything is learnt, in scaled units."""
 
 SCHEMES = ("hyperrectangle", "coordinate")
 
@@ -228,6 +232,33 @@ class SliceKernel:
         np.add.at(account.n_solves, chain, found.n_solves)
         np.add.at(account.n_nonfinite, chain, found.n_nonfinite)
         return found.log_prob
+
+
+class SliceTuner:
+    """Axes along the principal directions of the covariance, intervals of a few standard deviations there.
+
+    Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
+    """
+
+    def __init__(self, sampler: Slice, density: LogDensity, steps: int) -> None:
+        self.sampler, self.density = sampler, density
+        self.learner = Learner(Schedule.sliding(steps), density.ndim)
+        self.kernel: SliceKernel = sampler.bind(density)
+        self.settings = replace(sampler, width=START_WIDTH)
+        self.window_closed = False
+
+    def update(self, state: State, info: Info) -> None:
+        """Learn from one step."""
+        self.window_closed = self.learner.learn(state, info)
+        if self.window_closed:
+            variance, axes = np.linalg.eigh(np.asarray(self.learner.covariance))
+            width = self.sampler.spread * np.sqrt(variance)
+            self.settings = replace(self.sampler, width=width, axes=axes)
+            self.kernel = self.settings.bind(self.density)
+
+    def finished(self) -> Slice:
+        """Return the settings learnt."""
+        return self.settings
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:

@@ -3,7 +3,7 @@ import os
 
 import pytest
 
-from fmu.runs.files import DamagedError, digest, payload_of, signed, write_durably
+from fmu.durable_files import DamagedError, digest, payload_of, signed, write_durably
 
 TITLE = "fmu test 1"
 

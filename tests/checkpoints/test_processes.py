@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 import pytest
 
-from fmu.runs.files import digest
+from fmu.durable_files import digest
 from fmu.runs.store import numbered, read_state
 from tests.checkpoints.watched import DRAWS, STEPS, Watched, main, sampled
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from scipy.io import hb_write, mmwrite, savemat
 
-from fmu.formats.matrices import files as matrix_files
+from fmu.formats.matrices import limits
 from fmu.formats.matrices.read import read_labelled, read_matrix, write_matrix
 
 K = np.array([[4.0, -1.0, 0.0, 0.0], [-1.0, 3.0, 1 / 3, 0.0], [0.0, 1 / 3, 2.0, -0.1], [0.0, 0.0, -0.1, 1e12]])
@@ -261,7 +261,7 @@ def test_sizes_are_looked_at_before_reading(tmp_path, monkeypatch):
     with h5py.File(tmp_path / "k.h5", "w") as file:
         file.create_dataset("K", data=big, compression="gzip")
     write_matrix(tmp_path / "k.csv", big)
-    monkeypatch.setattr(matrix_files, "MOST_ENTRIES", 200_000)
+    monkeypatch.setattr(limits, "MOST_ENTRIES", 200_000)
     for suffix in (".mat", ".npz", ".mtx.gz", ".h5", ".csv"):
         with pytest.raises(ValueError, match=r"at most 200000 entries, both triangles counted \(got 250000\)"):
             read_matrix(tmp_path / f"k{suffix}")

@@ -15,9 +15,10 @@ from fmu.analysis.trace.conversion import to_trace
 from fmu.samplers.loop import run
 from fmu.samplers.loop.scaled import ScaledDensity
 from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedDensity
+from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.ladder import adapted, rejections, stages
 from fmu.samplers.tempering.rungs import side_by_side
-from fmu.samplers.tempering.tempering import LOG_LIKELIHOOD, Tempering
+from fmu.samplers.tempering.tempering import Tempering
 
 KERNELS = {
     "slice": "slice",

@@ -187,14 +187,14 @@ IN_THE_SAMPLERS = (
     ),
     Fault(
         "warm-up: mass instead of its inverse",
-        "fmu/samplers/adaptation/tuners.py",
+        "fmu/samplers/hmc/hmc.py",
         "inverse_mass = self.learner.covariance",
         "inverse_mass = np.linalg.inv(self.learner.covariance)",
         WARMUP,
     ),
     Fault(
         "warm-up: principal axes transposed",
-        "fmu/samplers/adaptation/tuners.py",
+        "fmu/samplers/slice.py",
         "width=width, axes=axes)",
         "width=width, axes=axes.T)",
         WARMUP,
@@ -357,21 +357,21 @@ DURABLE = ("tests/checkpoints/test_durable.py",)
 IN_THE_CHECKPOINTS = (
     Fault(
         "checkpoint: a file's content not forced to disk",
-        "fmu/runs/files.py",
+        "fmu/durable_files.py",
         "os.fsync(file.fileno())\n        os.replace",
         "pass\n        os.replace",
         DURABLE,
     ),
     Fault(
         "checkpoint: a directory's names not forced to disk",
-        "fmu/runs/files.py",
+        "fmu/durable_files.py",
         "os.fsync(handle)",
         "pass",
         DURABLE,
     ),
     Fault(
         "checkpoint: the directory left out where a file is replaced",
-        "fmu/runs/files.py",
+        "fmu/durable_files.py",
         "os.replace(unfinished, path)\n        sync_directory(path.parent)",
         "os.replace(unfinished, path)",
         DURABLE,

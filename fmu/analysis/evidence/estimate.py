@@ -11,8 +11,8 @@ import numpy as np
 
 from fmu.analysis.convergence import effective
 from fmu.numbers import apart, given, significant, with_sd
+from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.ladder import first_ladder, rejections
-from fmu.samplers.tempering.tempering import LOG_LIKELIHOOD
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:

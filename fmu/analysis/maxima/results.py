@@ -10,14 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
-from fmu.analysis.maxima.text import MOST_SHOWN, in_words, maxima_as_text
+from fmu.analysis.maxima.text import MOST_SHOWN, NEGLIGIBLE, in_words, share_of_mass
 from fmu.analysis.trace.provenance import configuration_hash
+from fmu.numbers import apart, given, hertz, rounded, written_digits
 from fmu.text_table import distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+
+_FEWEST_DIGITS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +178,25 @@ class Maxima:
         most : int
             The highest so many are shown.
         """
-        return maxima_as_text(self, most)
+        import pandas as pd
+
+        best = self.maxima[:most]
+        rows = [
+            ["", "", *(rounded(m.log_prob, 1.0) for m in best), ""],
+            ["", "", *(share_of_mass(m.share) for m in best), ""],
+            ["", "", *(str(m.starts) for m in best), ""],
+        ]
+        for k, unit in enumerate(self.units):
+            sd = min((float(m.sd[k]) for m in best if m.share > NEGLIGIBLE and m.sd[k] > 0), default=np.nan)
+            rows.append([unit, given(self.start[k]), *apart(*(float(m.theta[k]) for m in best), sd=sd), ""])
+        for k in range(len(self.labels)):
+            hz = (float(f[k]) for f in (self.before, *(m.frequencies for m in best), self.measured))
+            *texts, _ = hertz(*hz, digits=max(_FEWEST_DIGITS, written_digits(self.measured[k])))
+            rows.append(["Hz", *texts, given(self.measured[k])])
+        index = ["log-probability", "share of mass", "starts", *self.names]
+        index += [f"mode {label}" for label in self.labels]
+        header = ["unit", "before", *(f"maximum {k}" for k in range(1, len(best) + 1)), "measured"]
+        return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self, most: int = MOST_SHOWN) -> list[str]:
         """Say which of the highest maxima lie at bounds, a sentence each."""

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from fmu.analysis.evidence.estimate import tempering_group
 from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.replay import DistinctDraws
+from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.posterior.errors.correlated import CorrelatedFrequencyError
-from fmu.runs.files import write_durably
-from fmu.samplers.tempering.tempering import LOG_LIKELIHOOD
+from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -77,7 +77,7 @@ class FrameTable(TomlTable):
         return sorted({member.group for member in self.members})
 
     def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        found = target_mistakes(parameters, self.groups, self.masses, self.springs)
+        found = target_mistakes([p.name for p in parameters], parameters, self.groups, self.masses, self.springs)
         for i, table in enumerate(parameters):
             if not table.is_positive():
                 rule = got("must be positive, as the property is", table.lower)

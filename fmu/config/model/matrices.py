@@ -20,7 +20,7 @@ from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.terms import Term
 from fmu.formats.matrices.abaqus import HELD
-from fmu.formats.matrices.files import Labelled
+from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
 from fmu.formats.shown import names_shown
 from fmu.numbers import typed

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from fmu.config.fields import Name, TomlTable
 from fmu.config.mistakes import Mistake, got
 from fmu.config.model.joints import Direction, MassTable, SpringTable
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import names_shown
-
-if TYPE_CHECKING:
-    from fmu.config.parameters import ParameterTable
 
 KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
 """Which key names the things that have a property."""
@@ -41,12 +38,13 @@ class Target(TomlTable):
 
 
 def target_mistakes(
-    parameters: Sequence[ParameterTable],
+    names: Sequence[str],
+    targets: Sequence[Target],
     groups: Sequence[str],
     masses: Sequence[MassTable],
     springs: Mapping[str, SpringTable],
 ) -> list[Mistake]:
-    """Return what is wrong with what the parameters stand for: names, directions, what two of them have."""
+    """Return what is wrong with what these parameters stand for: things, directions, what two of them have."""
     known: dict[str, Collection[str]] = {
         "groups": groups,
         "masses": [mass.known_as for mass in masses],
@@ -54,7 +52,7 @@ def target_mistakes(
     }
     found: list[Mistake] = []
     owner: dict[tuple[str, str, str], str] = {}
-    for i, table in enumerate(parameters):
+    for i, table in enumerate(targets):
         if table.property is None:
             found.append(Mistake(f"parameters.{i}.property", f"is missing: one of {', '.join(KEYS)}"))
         key = KEYS.get(table.property or "E", "groups")
@@ -81,7 +79,7 @@ def target_mistakes(
                     along = f" along {direction}" if direction else ""
                     rule = f"{table.property} of {name}{along} is updated by {owner[quantity]} already"
                     found.append(Mistake(where, rule))
-                owner[quantity] = table.name
+                owner[quantity] = names[i]
     return found
 
 

@@ -1,4 +1,4 @@
 """Stiffness and mass matrices from files of other programs.
 
-Reading order: read, files; then one file a format.
+Reading order: read, readers, limits; then one file a format.
 """

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.files import entries_within, rows_within
+from fmu.formats.matrices.limits import entries_within, rows_within
 from fmu.formats.text import tables
 
 DIRECTIONS = {1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}

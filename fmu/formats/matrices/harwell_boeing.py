@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.files import checked, entries_within, rows_within
+from fmu.formats.matrices.limits import checked, entries_within, rows_within
 
 LONGEST_LINE = 4096
 """Bytes; the format has 80."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.files import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
+from fmu.formats.matrices.limits import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
 from fmu.formats.shown import shown
 
 DEEPEST = 20

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices import files as matrix_files
-from fmu.formats.matrices.files import MOST_NAMES, RefusedError, chosen, entries_within, fitting, rows_within
+from fmu.formats.matrices import limits
+from fmu.formats.matrices.limits import MOST_NAMES, RefusedError, chosen, entries_within, fitting, rows_within
 
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -120,7 +120,7 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
         raise ValueError("it is cut short")
     if not one.compressed:
         return memoryview(content)
-    content = zlib.decompressobj().decompress(content, matrix_files.LARGEST_CONTENT + 1)
+    content = zlib.decompressobj().decompress(content, limits.LARGEST_CONTENT + 1)
     fitting(len(content))
     return memoryview(content)[8:]
 

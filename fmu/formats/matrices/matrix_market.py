@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.files import RefusedError, entries_within, rows_within
+from fmu.formats.matrices.limits import RefusedError, entries_within, rows_within
 from fmu.formats.text import tables
 
 BANNER = b"%%matrixmarket"

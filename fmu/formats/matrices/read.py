@@ -33,7 +33,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.matrices.files import LARGEST_FILE, MOST_DOFS, READERS, SEVERAL, Labelled, RefusedError, checked
+from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, checked
+from fmu.formats.matrices.readers import READERS, SEVERAL
 from fmu.numbers import significant
 
 Triangle = bool | Literal["lower", "upper"]

@@ -125,7 +125,8 @@ def load_pyoma(path: Path) -> dict[str, Any]:
     ModesError
         If it is no such file.
     """
-    from fmu.formats.matrices.files import RefusedError, zipped
+    from fmu.formats.matrices.limits import RefusedError
+    from fmu.formats.matrices.readers import zipped
 
     checked_file(path)
     try:

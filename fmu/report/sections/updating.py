@@ -131,7 +131,7 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     nothing = (MISSING,) * 2
     rows = [
         ("log-probability", "nats", MISSING, *(rounded(m.log_prob, 1.0) for m in best), *nothing),
-        ("share", "", MISSING, *map(share_of_mass, best), *nothing),
+        ("share", "", MISSING, *(share_of_mass(m.share) for m in best), *nothing),
         ("starts", "", MISSING, *(str(m.starts) for m in best), *nothing),
     ]
     for k, (name, si) in enumerate(zip(found.names, found.units, strict=True)):

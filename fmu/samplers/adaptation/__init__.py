@@ -1,4 +1,4 @@
-"""What is tuned in warm-up, and when.
+"""When the warm-up adapts, and what it learns from; each sampler has its tuner beside it.
 
-Reading order: schedule, tuners.
+Reading order: schedule, learner.
 """

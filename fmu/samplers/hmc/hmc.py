@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from fmu.samplers.adaptation.tuners import HamiltonianTuner
+from fmu.samplers.adaptation.learner import Learner
+from fmu.samplers.adaptation.schedule import DualAveraging, Schedule
 from fmu.samplers.hmc.gradient import CentralDifference, ExactGradient, Gradient
 from fmu.samplers.hmc.metric import Metric
 from fmu.samplers.hmc.reflection import drift
@@ -17,6 +18,7 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 GRADIENTS = ("exact", "central-difference")
 DIVERGENCE = 1000.0
+_MOST_STEPS = 32  # of a trajectory: a metric that fits needs 2 to 8; one that does not must not cost without end
 """Energy error beyond which a trajectory is called diverging, as in Stan."""
 START_STEP_SIZE, START_STEPS = 0.001, 10
 """Where learning begins, in scaled units: short enough for posteriors 1000 times narrower than priors."""
@@ -246,3 +248,54 @@ class HamiltonianKernel:
         finished = np.zeros(chains, dtype=bool)
         finished[going] = True
         return Trajectory(q, p, log_prob, slope, finished, nonfinite, n_taken, n_solves, n_bounces)
+
+
+class HamiltonianTuner:
+    """Step size by dual averaging, inverse mass by the covariance of the windows, trajectory length from both.
+
+    In the first part every chain has a step size of its own: a chain that is far out needs a small one, and must
+    not impose it on the others. Then one step size serves all; chains that lag behind have no say in it.
+    """
+
+    def __init__(self, sampler: HamiltonianMonteCarlo, density: LogDensity, chains: int, steps: int) -> None:
+        self.sampler = sampler
+        self.learner = Learner(Schedule.doubling(steps), density.ndim)
+        self.kernel: HamiltonianKernel = sampler.bind(density)
+        self.kernel = replace(self.kernel, step_size=np.full(chains, float(self.kernel.step_size)))
+        self.averaging = DualAveraging(np.log(self.kernel.step_size), sampler.target_accept)
+
+    def update(self, state: State, info: Info) -> None:
+        """Learn from one step."""
+        window_closed = self.learner.learn(state, info)
+        acceptance = info.extra["acceptance_rate"]
+        pooling = self.averaging.log_value.ndim == 0
+        self.averaging.update(self.learner.pooled(acceptance) if pooling else acceptance)
+        if not pooling and not self.learner.searching:
+            # from here on one step size for all: the smallest that a chain in the bulk came to
+            self.averaging = self._restarted(self.learner.pooled(self.averaging.averaged))
+        if window_closed and self.sampler.inverse_mass is None:
+            self.kernel = replace(self.kernel, metric=Metric(self.learner.covariance, state.position.shape[1]))
+            self.averaging = self._restarted(np.log(0.5))
+        step_size = np.exp(self.averaging.log_value)
+        self.kernel = replace(self.kernel, step_size=step_size, n_steps=self._n_steps(step_size))
+
+    def finished(self) -> HamiltonianMonteCarlo:
+        """Return the settings learnt."""
+        step_size = float(np.exp(np.mean(self.averaging.averaged)))
+        inverse_mass = self.sampler.inverse_mass
+        if inverse_mass is None and self.learner.covariance is not None:
+            inverse_mass = self.learner.covariance
+        return replace(
+            self.sampler, step_size=step_size, n_steps=self._n_steps(step_size), inverse_mass=inverse_mass
+        )
+
+    def _restarted(self, log_step_size: Any) -> DualAveraging:
+        return DualAveraging(np.asarray(log_step_size, dtype=float), self.sampler.target_accept)
+
+    def _n_steps(self, step_size: Any) -> int:
+        """Return the steps that make a trajectory as long as wanted, once the metric tells what that is."""
+        if self.sampler.n_steps is not None or (
+            self.learner.covariance is None and self.sampler.inverse_mass is None
+        ):
+            return self.kernel.n_steps
+        return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

@@ -157,21 +157,22 @@ def _classes() -> dict[str, type]:
     """Return the classes whose objects a snapshot may hold, by name."""
     from fmu.samplers import kernel, metropolis, proposals
     from fmu.samplers import slice as slices
+    from fmu.samplers.adaptation import learner
     from fmu.samplers.adaptation import schedule as warmup
-    from fmu.samplers.adaptation import tuners as tuning
     from fmu.samplers.hmc import gradient, metric
     from fmu.samplers.hmc import hmc as hamiltonian
     from fmu.samplers.tempering import density as tempered
-    from fmu.samplers.tempering import ladder_tuner, replicas, rungs, tempering
+    from fmu.samplers.tempering import kernel as tempering_kernel
+    from fmu.samplers.tempering import replicas, rungs, tempering
 
     known = (
         kernel.State, kernel.Info, replicas.TemperedState, replicas.TemperedInfo, tempered.Points,
-        tempered.PriorAndLikelihood, warmup.Schedule, warmup.DualAveraging, warmup.PooledMoments, tuning._Learner,
-        tuning.HamiltonianTuner, tuning.SliceTuner, tuning.Search, tuning.MetropolisTuner,
-        ladder_tuner.LadderTuner, metric.Metric, metric.MetricOfChains, gradient.ExactGradient,
+        tempered.PriorAndLikelihood, warmup.Schedule, warmup.DualAveraging, warmup.PooledMoments, learner.Learner,
+        hamiltonian.HamiltonianTuner, slices.SliceTuner, metropolis.Search, metropolis.MetropolisTuner,
+        tempering.LadderTuner, metric.Metric, metric.MetricOfChains, gradient.ExactGradient,
         gradient.CentralDifference, proposals.RandomWalk, proposals.LogNormalWalk, proposals.Independence,
         rungs.RandomWalks, hamiltonian.HamiltonianMonteCarlo, hamiltonian.HamiltonianKernel, slices.Slice,
         slices.SliceKernel, metropolis.MetropolisHastings, metropolis.MetropolisKernel, tempering.Tempering,
-        tempering.TemperingKernel,
+        tempering_kernel.TemperingKernel,
     )  # fmt: skip
     return {kind.__name__: kind for kind in known}
