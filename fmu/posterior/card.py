@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,14 +13,12 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import IndexPairing
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import change, given, rounded, significant
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.protocol import Problem
 
 _MOST_DRAWN = 5000
 
 
-def problem_card(problem: UpdatingProblem) -> str:
+def problem_card(problem: Problem) -> str:
     """Return the HTML of a problem: its structure drawn, its parameters, and measured beside initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
@@ -37,7 +34,7 @@ def _is_drawable(structure: SeparableModel) -> bool:
     return structure.geometry is not None and len(structure.geometry.elements) <= _MOST_DRAWN
 
 
-def _in_words(problem: UpdatingProblem) -> str:
+def _in_words(problem: Problem) -> str:
     model = problem.model
     if not isinstance(model, PairedStructure):
         return f"Model: {type(model).__name__}, {model.n_modes} modes."
@@ -53,7 +50,7 @@ def _in_words(problem: UpdatingProblem) -> str:
     )
 
 
-def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
+def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
     rows = []
     for p, colour in zip(problem.parameters, colours, strict=True):
         mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
@@ -64,7 +61,7 @@ def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
     return _table(("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"), rows)
 
 
-def _modes(problem: UpdatingProblem) -> str:
+def _modes(problem: Problem) -> str:
     measured = np.asarray(problem.data.frequencies_hz)
     initial = problem.frequencies(problem.start)
     sd = getattr(getattr(problem.likelihood, "error", None), "sd", problem.data.sd_hz)

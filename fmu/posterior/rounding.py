@@ -15,7 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,11 +29,8 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
 from fmu.posterior.errors.frequency import FrequencyLikelihood
 from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.protocol import Problem
 from fmu.types import FloatArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
-
 
 UNIT = 2.0**-53
 WARN, REFUSE = 0.05, 1.0
@@ -87,7 +84,7 @@ class Rounding:
         )
 
 
-def rounding(problem: UpdatingProblem) -> Rounding | None:
+def rounding(problem: Problem) -> Rounding | None:
     """Return what rounding does to a problem's frequencies at the start; None where the model has no matrices.
 
     None too where its errors are not those of modes, or a solve fails at the start.
@@ -122,7 +119,7 @@ def rounding(problem: UpdatingProblem) -> Rounding | None:
     return Rounding(relative, of_sd, str(problem.data.labels[worst]), where, float(K.diagonal()[dof]))
 
 
-def require_digits(problem: UpdatingProblem) -> None:
+def require_digits(problem: Problem) -> None:
     """Raise ValueError where rounding is larger than the errors of the measurement, and warn where it counts.
 
     Warns
@@ -185,7 +182,7 @@ def _reduced(model: PairedStructure, owners: NDArray[np.int64], theta: FloatArra
     return np.array([highest.get(b, 0.0) for b in owners.tolist()])
 
 
-def _in_sd(problem: UpdatingProblem, frequencies: FloatArray, error: FloatArray) -> FloatArray:
+def _in_sd(problem: Problem, frequencies: FloatArray, error: FloatArray) -> FloatArray:
     """Return the errors of frequencies (n_modes,), Hz, in standard deviations of the measurement."""
     likelihood = problem.likelihood
     if isinstance(likelihood, FrequencyLikelihood):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +18,9 @@ from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, typed
 from fmu.posterior.maxima.local_maxima import local_maxima
+from fmu.posterior.protocol import Problem
 from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
-
 
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
@@ -83,7 +80,7 @@ class Tolerance:
 
 
 def reduce_model(
-    problem: UpdatingProblem, structure: PairedStructure, tolerance: Tolerance, engine: Engine | None = None
+    problem: Problem, structure: PairedStructure, tolerance: Tolerance, engine: Engine | None = None
 ) -> None:
     """Train the reduced model of `structure`, or fetch it from the cache.
 
@@ -209,7 +206,7 @@ def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -
     return np.asarray(others.any(axis=1) & same.all(axis=1))
 
 
-def plausible_points(problem: UpdatingProblem, n: int, rng: np.random.Generator) -> FloatArray:
+def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `PLAUSIBLE` of its maximum.
 
     From every local maximum that is itself plausible, along random directions of the Laplace approximation, to
@@ -246,13 +243,11 @@ def plausible_points(problem: UpdatingProblem, n: int, rng: np.random.Generator)
     return np.concatenate(points)
 
 
-def _along(problem: UpdatingProblem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
+def _along(problem: Problem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
     return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
 
 
-def _laplace_directions(
-    problem: UpdatingProblem, theta: FloatArray, n: int, rng: np.random.Generator
-) -> FloatArray:
+def _laplace_directions(problem: Problem, theta: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
     """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
     information = problem.likelihood.quadratic(theta[None])[2][0]  # type: ignore[union-attr]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.posterior.protocol import Problem
 from fmu.progress.phases import advanced
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fmu.posterior.parameters import Parameter
-    from fmu.posterior.problem import UpdatingProblem
 
 
 Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
@@ -40,7 +40,7 @@ class GaussNewton:
     ``quadratic``, see `fmu.posterior.errors.frequency.FrequencyLikelihood`.
     """
 
-    def __init__(self, problem: UpdatingProblem) -> None:
+    def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.scale, self.offset = problem.scale, problem.offset
 

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.posterior.maxima.ascent import GaussNewton, ascend
+from fmu.posterior.protocol import Problem
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
-
 
 STARTS = 256
 _TOLERANCE = 1e-8
@@ -33,7 +29,7 @@ class Maximum:
     starts: int
 
 
-def local_maxima(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) -> tuple[Maximum, ...]:
+def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
     The starts are the problem's own and points of a scrambled Sobol sequence in its box. Under a likelihood of
@@ -62,7 +58,7 @@ def local_maxima(problem: UpdatingProblem, starts: int = STARTS, seed: int = 1) 
         return _found(problem, points)
 
 
-def _found(problem: UpdatingProblem, points: FloatArray) -> tuple[Maximum, ...]:
+def _found(problem: Problem, points: FloatArray) -> tuple[Maximum, ...]:
     """Return where the climbs from scaled points (n, ndim) lead to."""
     if not hasattr(problem.likelihood, "quadratic"):
         return _merged(problem, [_climb(problem, u) for u in points])
@@ -77,7 +73,7 @@ def _found(problem: UpdatingProblem, points: FloatArray) -> tuple[Maximum, ...]:
     return _merged(problem, [*arrived, *near, *polished])
 
 
-def _starting_points(problem: UpdatingProblem, starts: int, seed: int) -> FloatArray:
+def _starting_points(problem: Problem, starts: int, seed: int) -> FloatArray:
     """Return scaled points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
@@ -88,33 +84,33 @@ def _starting_points(problem: UpdatingProblem, starts: int, seed: int) -> FloatA
     return np.clip(_scaled(problem, theta), *_box(problem))
 
 
-def _scaled(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+def _scaled(problem: Problem, theta: FloatArray) -> FloatArray:
     return (theta - problem.offset) / problem.scale
 
 
-def _box(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
+def _box(problem: Problem) -> tuple[FloatArray, FloatArray]:
     return _scaled(problem, problem.lower), _scaled(problem, problem.upper)
 
 
-def _theta(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
+def _theta(problem: Problem, u: FloatArray) -> FloatArray:
     return np.clip(problem.offset + problem.scale * u, problem.lower, problem.upper)
 
 
-def _ended(problem: UpdatingProblem, u: FloatArray) -> list[Maximum]:
+def _ended(problem: Problem, u: FloatArray) -> list[Maximum]:
     """Return one maximum for each of the scaled points that has a probability, shape (n, ndim)."""
     theta = _theta(problem, u)
     values = problem.log_prob(theta)
     return [Maximum(x, float(v), 1) for x, v in zip(theta, values, strict=True) if np.isfinite(v)]
 
 
-def _is_same(problem: UpdatingProblem, one: Maximum, other: Maximum) -> bool:
+def _is_same(problem: Problem, one: Maximum, other: Maximum) -> bool:
     if np.all(np.abs(one.theta - other.theta) < _SAME * problem.scale):
         return True
     between = problem.log_prob(one.theta + _ON_THE_WAY * (other.theta - one.theta))
     return bool(np.min(between) >= min(one.log_prob, other.log_prob) - _VALLEY)
 
 
-def _merged(problem: UpdatingProblem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
+def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
     """Return the distinct ones, the highest first, each with the starts of all that agree with it."""
     distinct: list[Maximum] = []
     for maximum in sorted(maxima, key=lambda m: -m.log_prob):
@@ -127,7 +123,7 @@ def _merged(problem: UpdatingProblem, maxima: Iterable[Maximum]) -> tuple[Maximu
     return tuple(distinct)
 
 
-def _climb(problem: UpdatingProblem, start: FloatArray, starts: int = 1) -> Maximum:
+def _climb(problem: Problem, start: FloatArray, starts: int = 1) -> Maximum:
     """Climb by L-BFGS-B from a scaled point."""
     from scipy.optimize import minimize
 

@@ -1,0 +1,49 @@
+"""What an updating problem offers to what works on one: maxima, reduced models, rounding, its card."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from numpy.typing import ArrayLike
+
+from fmu.fem.modes.blocks import ModalModel
+from fmu.posterior.build import Likelihood
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.parameters import Parameter
+from fmu.types import FloatArray
+
+
+class Problem(Protocol):
+    """`fmu.posterior.problem.UpdatingProblem`, which says what each of these is."""
+
+    name: str
+    data: ModalData
+    model: ModalModel
+    likelihood: Likelihood
+    parameters: tuple[Parameter, ...]
+    ndim: int
+    lower: FloatArray
+    upper: FloatArray
+    start: FloatArray
+    offset: FloatArray
+    scale: FloatArray
+
+    def log_prob(self, theta: ArrayLike) -> Any:
+        """Return the log-probability."""
+        ...
+
+    def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
+        """Return the log-probability and its gradient."""
+        ...
+
+    def log_prior(self, theta: ArrayLike) -> Any:
+        """Return the log-density of the prior."""
+        ...
+
+    def frequencies(self, theta: ArrayLike) -> FloatArray:
+        """Return the frequencies paired with the measured modes, Hz."""
+        ...
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what defines the posterior."""
+        ...
