@@ -136,30 +136,72 @@ def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tu
     return tuple(verdicts)
 
 
-_MOVES = "masters: the structure can still move when they are held (singular K_ss)"
 _PIVOT = 1e-13
 
 
-def _constraint_modes(K: Any, masters: IntArray) -> FloatArray:
-    K = sp.csc_array(K)
-    slaves = np.setdiff1d(np.arange(K.shape[0]), masters)
-    T = np.zeros((K.shape[0], len(masters)))
-    T[masters, np.arange(len(masters))] = 1.0
-    if len(slaves):
-        inner = K[slaves][:, slaves].tocsc()
+class SingularCondensationError(ValueError):
+    """The structure can still move while the masters are held."""
+
+
+class StaticCondensation:
+    """u = T x, the whole structure following its masters as in statics: T = [I; −K_ss⁻¹ K_sm].
+
+    Parameters
+    ----------
+    K : sparse, shape (n_dof, n_dof)
+    masters : ndarray of int
+
+    Raises
+    ------
+    SingularCondensationError
+        If K_ss is singular.
+    """
+
+    def __init__(self, K: Any, masters: IntArray) -> None:
+        K = sp.csc_array(K)
+        self.n_dof, self.masters = K.shape[0], masters
+        self.slaves = np.setdiff1d(np.arange(self.n_dof), masters)
+        self._coupling = K[self.slaves][:, masters]
+        inner = K[self.slaves][:, self.slaves].tocsc()
         # of unit diagonal, K_ss has a pivot of the order of rounding where the masters do not hold the structure:
         # 1e-15 whatever the mesh, against 1e-8 for a beam of 4000 elements that they hold
         size = np.sqrt(np.abs(inner.diagonal()))
-        unit = sp.diags_array(1.0 / np.where(size > 0, size, 1.0))
-        try:
-            factor = ssl.splu(sp.csc_array(unit @ inner @ unit))
-        except RuntimeError as error:
-            raise ValueError(_MOVES) from error
-        if not np.min(np.abs(factor.U.diagonal())) > _PIVOT:
-            raise ValueError(_MOVES)
-        follow = unit @ factor.solve(unit @ -K[slaves][:, masters].toarray())
-        T[slaves] = follow
-    return T
+        self._unit = (1.0 / np.where(size > 0, size, 1.0))[:, None]
+        if len(self.slaves):
+            unit = sp.diags_array(self._unit[:, 0])
+            try:
+                self._factor = ssl.splu(sp.csc_array(unit @ inner @ unit))
+            except RuntimeError as error:
+                raise SingularCondensationError(_MOVES) from error
+            if not np.min(np.abs(self._factor.U.diagonal())) > _PIVOT:
+                raise SingularCondensationError(_MOVES)
+
+    def extended(self, x: FloatArray) -> FloatArray:
+        """Return T x, shape (n_dof, m), for displacements x of the masters, shape (n_masters, m)."""
+        u = np.zeros((self.n_dof, x.shape[1]))
+        u[self.masters] = x
+        u[self.slaves] = self._inner(-(self._coupling @ x))
+        return u
+
+    def held(self, load: FloatArray) -> FloatArray:
+        """Return the displacement under a load, shape (n_dof, m), with the masters held."""
+        u = np.zeros_like(load)
+        u[self.slaves] = self._inner(load[self.slaves])
+        return u
+
+    def transferred(self, load: FloatArray) -> FloatArray:
+        """Return Tᵀ load, shape (n_masters, m): the equivalent load at the masters."""
+        return np.asarray(load[self.masters] - self._coupling.T @ self._inner(load[self.slaves]))
+
+    def _inner(self, load: FloatArray) -> FloatArray:
+        return self._unit * self._factor.solve(self._unit * load) if len(load) else load
+
+
+def _constraint_modes(K: Any, masters: IntArray) -> FloatArray:
+    return StaticCondensation(K, masters).extended(np.eye(len(masters)))
+
+
+_MOVES = "masters: the structure can still move when they are held (singular K_ss)"
 
 
 def _ritz(K: Any, M: Any, T: FloatArray, retained: IntArray) -> Reduction:

@@ -6,17 +6,13 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg as ssl
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import CoefficientMap, Term, weighted_sum
 from fmu.posterior.data.modal_data import ModalData
 from fmu.types import FloatArray
-
-
-class SingularCondensationError(ValueError):
-    """The unmeasured part of the structure can move while the sensors are held."""
 
 
 class ModalResidual:
@@ -71,8 +67,11 @@ class ModalResidual:
         self._eigenvalues = (2.0 * np.pi * np.asarray(data.frequencies_hz)) ** 2
         self._shapes = np.asarray(data.shapes)
         self._reference = reference
-        at_reference = self._at(reference[None])
-        elastic = at_reference.transferred(at_reference.K @ at_reference.extended(self._shapes))
+        try:
+            K, _, condensed = self._at(reference[None])
+        except SingularCondensationError as error:
+            raise ValueError("sensors: the structure can still move when they are held") from error
+        elastic = condensed.transferred(K @ condensed.extended(self._shapes))
         self._scale = np.linalg.norm(elastic, axis=0)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -96,15 +95,11 @@ class ModalResidual:
         """Return name and settings."""
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
 
-    def _at(self, theta: FloatArray) -> _Condensation:
+    def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
+        """Return K and M at one theta, sensors first, and the condensation onto the sensors."""
         K = sp.csc_array(weighted_sum(self._K_terms, self._K_map(theta)[0]))
         M = sp.csc_array(weighted_sum(self._M_terms, self._M_map(theta)[0]))
-        return _Condensation(K, M, self._n_sensors)
-
-    def _residual(self, condensed: _Condensation) -> FloatArray:
-        """Return (K_c − ω²M_c)φ, shape (n_sensors, n_modes)."""
-        u = condensed.extended(self._shapes)
-        return condensed.transferred(condensed.K @ u - self._eigenvalues * (condensed.M @ u))
+        return K, M, StaticCondensation(K, np.arange(self._n_sensors))
 
     def _terms(self, residual: FloatArray) -> FloatArray:
         size = np.sum((residual / self._scale) ** 2, axis=0)
@@ -119,15 +114,15 @@ class ModalResidual:
         """
         slope = np.full((len(self.beta), theta.shape[1]), np.nan)
         try:
-            condensed = self._at(theta)
+            K, M, condensed = self._at(theta)
         except SingularCondensationError:
             return np.full(len(self.beta), np.nan), slope
-        residual = self._residual(condensed)
+        lam, u = self._eigenvalues, condensed.extended(self._shapes)
+        residual = condensed.transferred(K @ u - lam * (M @ u))  # (K_c − ω²M_c)φ, shape (n_sensors, n_modes)
         if not gradient:
             return self._terms(residual), slope
-        u, w = condensed.extended(self._shapes), condensed.extended(residual)
-        a, b = condensed.held(condensed.M @ u), condensed.held(condensed.M @ w)
-        lam = self._eigenvalues
+        w = condensed.extended(residual)
+        a, b = condensed.held(M @ u), condensed.held(M @ w)
         K_forms = []
         for term in self._K_terms:
             Ku = term.matrix @ u
@@ -143,33 +138,3 @@ def _masters(rows: Any) -> NDArray[np.intp]:
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
         raise ValueError("sensors: to condense onto they must be degrees of freedom, without arms or signs")
     return np.asarray(rows.indices, dtype=np.intp)
-
-
-class _Condensation:
-    """Static condensation T = [I; −K_ss⁻¹ K_sm] of one K and M, whose first `m` coordinates are the sensors."""
-
-    def __init__(self, K: Any, M: Any, m: int) -> None:
-        self.K, self.M, self.m = K, M, m
-        self._coupling = K[m:, :m]
-        if K.shape[0] > m:
-            try:
-                self._solve = ssl.splu(K[m:, m:]).solve
-            except RuntimeError as error:
-                raise SingularCondensationError(
-                    "sensors: the structure can still move when they are held"
-                ) from error
-
-    def extended(self, x: FloatArray) -> FloatArray:
-        """Return T x, the whole structure following the sensors as in statics."""
-        return np.concatenate([x, self._inner(-(self._coupling @ x))])
-
-    def held(self, load: FloatArray) -> FloatArray:
-        """Return the displacement under a load with the sensors held."""
-        return np.concatenate([np.zeros((self.m, load.shape[1])), self._inner(load[self.m :])])
-
-    def transferred(self, load: FloatArray) -> FloatArray:
-        """Return Tᵀ load, shape (m, n_modes): what a load comes to at the sensors."""
-        return load[: self.m] - self._coupling.T @ self._inner(load[self.m :])
-
-    def _inner(self, load: FloatArray) -> FloatArray:
-        return self._solve(load) if len(load) else load
