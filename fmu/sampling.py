@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from fmu.progress import Report
     from fmu.runs import Checkpoint
     from fmu.runs.store import Store
-    from fmu.samplers.kernel import LogDensity, Sampler
+    from fmu.samplers.kernel import Sampler
     from fmu.samplers.loop.draws import RunResult
+    from fmu.types import LogDensity
 
 SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
 """The names of the samplers, without importing them."""

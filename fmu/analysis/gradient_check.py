@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.numbers import significant
-from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:

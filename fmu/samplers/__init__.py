@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from fmu.samplers.ensemble import Ensemble
 from fmu.samplers.hmc.hmc import HamiltonianMonteCarlo
-from fmu.samplers.kernel import Info, Kernel, LogDensity, Sampler, State
+from fmu.samplers.kernel import Info, Kernel, Sampler, State
 from fmu.samplers.loop.draws import Draws, RunResult
 from fmu.samplers.loop.run import Run, run
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.proposals import Independence, LogNormalWalk, RandomWalk
 from fmu.samplers.slice import Slice
 from fmu.samplers.tempering.tempering import Tempering
+from fmu.types import LogDensity
 
 __all__ = [
     "Draws",

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import Info, LogDensity, State
+from fmu.samplers.kernel import Info, State
 from fmu.samplers.loop.settings import one_of, positive_number, whole_number
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 MOVES = ("stretch", "de", "snooker")
 

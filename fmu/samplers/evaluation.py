@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import LogDensity
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 
 @dataclass(frozen=True)

@@ -9,37 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.types import BoolArray, FloatArray, IntArray
-
-
-@runtime_checkable
-class LogDensity(Protocol):
-    """An unnormalised log-density on a box, evaluated in batches.
-
-    Attributes
-    ----------
-    ndim : int
-        Number of coordinates.
-    lower, upper : ndarray, shape (ndim,)
-        The box; ``-inf`` and ``inf`` where a coordinate is unbounded.
-    """
-
-    ndim: int
-    lower: FloatArray
-    upper: FloatArray
-
-    def log_prob(self, theta: Any) -> Any:
-        """Map ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; ``-inf`` outside the box."""
-        ...
-
-    def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
-        """Return the log-density and its gradient, with the same leading shape as `theta`."""
-        ...
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 
 @dataclass(frozen=True)

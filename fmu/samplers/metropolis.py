@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import Info, Kernel, LogDensity, State
+from fmu.samplers.kernel import Info, Kernel, State
 from fmu.samplers.proposals import Proposal, RandomWalk
 from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 START_SCALE = 0.01
 """Standard deviation of a random walk before anything is learnt, in scaled units."""

@@ -10,9 +10,9 @@ import numpy as np
 from fmu.samplers.adaptation.learner import Learner
 from fmu.samplers.adaptation.schedule import Schedule
 from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import Info, LogDensity, State
+from fmu.samplers.kernel import Info, State
 from fmu.samplers.loop.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 START_WIDTH = 0.5
 """Interval of a slice before anything is learnt, in scaled units."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from targets import BoundedBeta, CorrelatedGaussian, Counting, SkewedGumbel, TruncatedGaussian
 
+from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import (
     Ensemble,
     HamiltonianMonteCarlo,
@@ -15,7 +16,6 @@ from fmu.samplers import (
     named,
 )
 from fmu.samplers.loop import run
-from fmu.samplers.loop.scaled import ScaledDensity
 
 WALK = MetropolisHastings(RandomWalk(0.3))
 SETTINGS = {"draws": 6, "warmup": 4, "chains": 3, "seed": 1, "init": "prior"}

@@ -12,8 +12,8 @@ from fmu.analysis.convergence import effective
 from fmu.analysis.evidence.estimate import evidence
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.trace.conversion import to_trace
+from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.loop import run
-from fmu.samplers.loop.scaled import ScaledDensity
 from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedDensity
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.ladder import adapted, rejections, stages

@@ -5,9 +5,9 @@ import pytest
 from moments import assert_right
 from targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
+from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named
 from fmu.samplers.loop import run
-from fmu.samplers.loop.scaled import ScaledDensity
 from fmu.samplers.loop.snapshot import restored
 
 ADAPTIVE = ("mh", "slice", "hmc")

@@ -173,7 +173,7 @@ IN_THE_SAMPLERS = (
     ),
     Fault(
         "scaled view: gradient left in the parameters' units",
-        "fmu/samplers/loop/scaled.py",
+        "fmu/posterior/scaled.py",
         "return log_prob, gradient * self.scale",
         "return log_prob, gradient",
         ("tests/samplers/test_sampling_loop.py",),

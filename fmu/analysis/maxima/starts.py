@@ -11,12 +11,12 @@ from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.maxima.text import NEGLIGIBLE
 from fmu.analysis.trace.conversion import START_STREAM, generator
-from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima
-    from fmu.samplers.kernel import LogDensity
+    from fmu.types import LogDensity
 
 
 DISPERSION = 2.0

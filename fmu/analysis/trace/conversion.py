@@ -25,8 +25,8 @@ from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 if TYPE_CHECKING:
     import xarray as xr
 
-    from fmu.samplers.kernel import LogDensity
     from fmu.samplers.loop.run import Draws, RunResult
+    from fmu.types import LogDensity
 
 GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"

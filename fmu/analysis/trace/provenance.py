@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from fmu.samplers.kernel import LogDensity
     from fmu.samplers.loop.run import RunResult
+    from fmu.types import LogDensity
 
 PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")
 

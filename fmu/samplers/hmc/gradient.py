@@ -8,8 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fmu.samplers.evaluation import evaluate, of_chains
-from fmu.samplers.kernel import LogDensity
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 
 class Slope(NamedTuple):

@@ -12,9 +12,9 @@ from fmu.samplers.adaptation.schedule import DualAveraging, Schedule
 from fmu.samplers.hmc.gradient import CentralDifference, ExactGradient, Gradient
 from fmu.samplers.hmc.metric import Metric
 from fmu.samplers.hmc.reflection import drift
-from fmu.samplers.kernel import Info, LogDensity, State
+from fmu.samplers.kernel import Info, State
 from fmu.samplers.loop.settings import fits, one_of, positive_number, positive_scale, whole_number
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 GRADIENTS = ("exact", "central-difference")
 DIVERGENCE = 1000.0

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from fmu.interruption import is_asked
+from fmu.posterior.scaled import ScaledDensity
 from fmu.progress import Report
-from fmu.samplers.kernel import Info, Kernel, LogDensity, Sampler, State, Tuner
+from fmu.samplers.kernel import Info, Kernel, Sampler, State, Tuner
 from fmu.samplers.loop.record import Record, Steps
-from fmu.samplers.loop.scaled import ScaledDensity
 from fmu.samplers.loop.settings import describe
 from fmu.samplers.loop.snapshot import Snapshot, restored, taken
 from fmu.samplers.loop.starts import check_finite
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 WARMUP, DRAWS = "warmup", "draws"
 

@@ -13,7 +13,7 @@ from fmu.engines.engine import Engine, InProcess
 from fmu.interruption import shielded
 from fmu.numbers import apart
 from fmu.progress import Report
-from fmu.samplers.kernel import LogDensity, Sampler
+from fmu.samplers.kernel import Sampler
 from fmu.samplers.loop.draws import Draws as Draws
 from fmu.samplers.loop.draws import RunResult as RunResult
 from fmu.samplers.loop.group import (
@@ -30,7 +30,7 @@ from fmu.samplers.loop.group import (
 from fmu.samplers.loop.record import Record, Steps
 from fmu.samplers.loop.settings import describe, whole_number
 from fmu.samplers.loop.starts import starting_points
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 MOST_STEPS = 1000
 """Steps of a part of the work at most: they come as a copy into the record of the run."""

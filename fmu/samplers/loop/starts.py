@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fmu.numbers import typed
-from fmu.samplers.loop.scaled import ScaledDensity
+from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray
 
 BALL = 0.02

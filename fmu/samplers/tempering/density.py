@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import LogDensity
-from fmu.samplers.loop.scaled import ScaledDensity
-from fmu.types import FloatArray, IntArray
+from fmu.posterior.scaled import ScaledDensity
+from fmu.types import FloatArray, IntArray, LogDensity
 
 
 @dataclass(frozen=True)

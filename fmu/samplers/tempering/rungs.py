@@ -11,11 +11,11 @@ import numpy as np
 from fmu.samplers.hmc.gradient import ExactGradient
 from fmu.samplers.hmc.hmc import HamiltonianKernel
 from fmu.samplers.hmc.metric import MetricOfChains
-from fmu.samplers.kernel import Kernel, LogDensity
+from fmu.samplers.kernel import Kernel
 from fmu.samplers.metropolis import MetropolisKernel, Search
 from fmu.samplers.proposals import RandomWalk
 from fmu.samplers.slice import SliceKernel
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 
 @dataclass(frozen=True)

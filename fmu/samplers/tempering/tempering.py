@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fmu.samplers.hmc.hmc import HamiltonianMonteCarlo
-from fmu.samplers.kernel import Info, LogDensity, State
+from fmu.samplers.kernel import Info, State
 from fmu.samplers.loop.settings import whole_number
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.slice import Slice
@@ -17,7 +17,7 @@ from fmu.samplers.tempering.density import PriorAndLikelihood
 from fmu.samplers.tempering.kernel import TemperingKernel
 from fmu.samplers.tempering.ladder import adapted, first_ladder, ladder, rejections, stages
 from fmu.samplers.tempering.replicas import TemperedInfo, TemperedState
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 _KERNELS = {kind.name: kind for kind in (Slice, MetropolisHastings, HamiltonianMonteCarlo)}
 

@@ -1,4 +1,4 @@
-"""The affinely scaled view of a density that samplers work on."""
+"""The affinely scaled view of a density that samplers and optimisers work on."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import LogDensity
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 
 class ScaledDensity:
