@@ -37,6 +37,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     source : {"differences", "Gauss-Newton"}
     """
     from fmu.posterior.maxima.ascent import GaussNewton
+    from fmu.posterior.scaled import ScaledDensity
 
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))
     step = np.clip(_OF_THE_WIDTH / np.sqrt(np.maximum(rough, 1.0)), 1e-6, 1e-2)
@@ -47,7 +48,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
         free = (theta > problem.lower) & (theta < problem.upper)
         is_smooth = np.all(np.abs(np.diag(hessian) - other) <= _SMOOTH * np.maximum(size, 1.0))
         if not is_smooth or np.any(np.linalg.eigvalsh(hessian[np.ix_(free, free)]) <= 0):
-            return GaussNewton(problem)(((theta - problem.offset) / problem.scale)[None])[2][0], GAUSS_NEWTON
+            return GaussNewton(problem)(ScaledDensity(problem).to_scaled(theta)[None])[2][0], GAUSS_NEWTON
     values, vectors = np.linalg.eigh(hessian)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T, DIFFERENCES
 

@@ -11,6 +11,7 @@ import numpy as np
 from fmu.analysis.maxima.curvature import hessian_at
 from fmu.analysis.maxima.mode_weights import LocalQuadratic, ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
+from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import phase
 from fmu.types import FloatArray
 
@@ -81,6 +82,7 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
 
     found = local_maxima(problem, starts, seed)
     theta = np.array([maximum.theta for maximum in found])
+    scaled = ScaledDensity(problem)
     gradient = np.asarray(problem.log_prob_and_grad(theta)[1]) * problem.scale
     with phase("curvature", len(theta)) as under_way:
         curved = []
@@ -88,13 +90,12 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
             curved.append(hessian_at(problem, x))
             under_way.advance()
     hessians, curvatures = zip(*curved, strict=True)
-    lower, upper = ((bound - problem.offset) / problem.scale for bound in (problem.lower, problem.upper))
     models = [
-        LocalQuadratic((m.theta - problem.offset) / problem.scale, m.log_prob, g, H)
+        LocalQuadratic(scaled.to_scaled(m.theta), m.log_prob, g, H)
         for m, g, H in zip(found, gradient, hessians, strict=True)
     ]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
-    weighed = mode_weights(lambda u: problem.log_prob(_theta(problem, u)), models, lower, upper, rng)
+    weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng)
     frequencies = problem.frequencies(theta)
     total = float(np.logaddexp.reduce([mass.log_mass for mass in weighed]))
     return Maxima(
@@ -111,10 +112,6 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
         measured=np.asarray(problem.data.frequencies_hz, dtype=float),
         before=problem.frequencies(problem.start),
     )
-
-
-def _theta(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
-    return np.clip(problem.offset + problem.scale * u, problem.lower, problem.upper)
 
 
 def _in_si(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.posterior.protocol import Problem
+from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import advanced
 from fmu.types import BoolArray, FloatArray
 
@@ -42,12 +43,13 @@ class GaussNewton:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.scale, self.offset = problem.scale, problem.offset
+        self.scale = problem.scale
+        self._scaled = ScaledDensity(problem)
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
         p = self.problem
-        theta = np.clip(self.offset + self.scale * u, p.lower, p.upper)
+        theta = self._scaled.to_theta(u)
         log_likelihood, slope, information = p.likelihood.quadratic(theta)  # type: ignore[union-attr]
         value = -log_likelihood - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = self._prior(theta)

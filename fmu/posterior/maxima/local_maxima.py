@@ -9,6 +9,7 @@ import numpy as np
 
 from fmu.posterior.maxima.ascent import GaussNewton, ascend
 from fmu.posterior.protocol import Problem
+from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray
 
@@ -62,14 +63,14 @@ def _found(problem: Problem, points: FloatArray) -> tuple[Maximum, ...]:
     """Return where the climbs from scaled points (n, ndim) lead to."""
     if not hasattr(problem.likelihood, "quadratic"):
         return _merged(problem, [_climb(problem, u) for u in points])
-    lower, upper = _box(problem)
-    ends = ascend(GaussNewton(problem), points, lower, upper, tolerance=_TOLERANCE)
+    scaled = ScaledDensity(problem)
+    ends = ascend(GaussNewton(problem), points, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
     arrived = _merged(problem, _ended(problem, ends.position[ends.stationary]))
     near: list[Maximum] = []
     lost: list[Maximum] = []
     for stalled in _merged(problem, _ended(problem, ends.position[~ends.stationary])):
         (near if any(_is_same(problem, stalled, m) for m in arrived) else lost).append(stalled)
-    polished = [_climb(problem, _scaled(problem, m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
+    polished = [_climb(problem, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
     return _merged(problem, [*arrived, *near, *polished])
 
 
@@ -81,24 +82,13 @@ def _starting_points(problem: Problem, starts: int, seed: int) -> FloatArray:
     sobol = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed))
     unit = sobol.random_base2(int(np.ceil(np.log2(starts))))[: starts - 1]
     theta = np.concatenate([problem.start[None], lower + (upper - lower) * unit])
-    return np.clip(_scaled(problem, theta), *_box(problem))
-
-
-def _scaled(problem: Problem, theta: FloatArray) -> FloatArray:
-    return (theta - problem.offset) / problem.scale
-
-
-def _box(problem: Problem) -> tuple[FloatArray, FloatArray]:
-    return _scaled(problem, problem.lower), _scaled(problem, problem.upper)
-
-
-def _theta(problem: Problem, u: FloatArray) -> FloatArray:
-    return np.clip(problem.offset + problem.scale * u, problem.lower, problem.upper)
+    scaled = ScaledDensity(problem)
+    return np.clip(scaled.to_scaled(theta), scaled.lower, scaled.upper)
 
 
 def _ended(problem: Problem, u: FloatArray) -> list[Maximum]:
     """Return one maximum for each of the scaled points that has a probability, shape (n, ndim)."""
-    theta = _theta(problem, u)
+    theta = ScaledDensity(problem).to_theta(u)
     values = problem.log_prob(theta)
     return [Maximum(x, float(v), 1) for x, v in zip(theta, values, strict=True) if np.isfinite(v)]
 
@@ -125,22 +115,23 @@ def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
 
 def _climb(problem: Problem, start: FloatArray, starts: int = 1) -> Maximum:
     """Climb by L-BFGS-B from a scaled point."""
+    scaled = ScaledDensity(problem)
     from scipy.optimize import minimize
 
     def negative(u: FloatArray) -> tuple[float, FloatArray]:
-        value, gradient = problem.log_prob_and_grad(_theta(problem, u))
+        value, gradient = scaled.log_prob_and_grad(u)
         if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
             return 1e300, np.zeros_like(u)
-        return -value, -gradient * problem.scale
+        return -value, -gradient
 
     result = minimize(
         negative,
         start,
         jac=True,
         method="L-BFGS-B",
-        bounds=list(zip(*_box(problem), strict=True)),
+        bounds=list(zip(scaled.lower, scaled.upper, strict=True)),
         options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 500, "maxcor": 20},
     )
-    theta = _theta(problem, result.x)
+    theta = scaled.to_theta(result.x)
     advanced(starts)
     return Maximum(theta, float(problem.log_prob(theta)), starts)
