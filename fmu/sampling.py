@@ -269,7 +269,7 @@ def _engine(workers: Any, stack: ExitStack) -> Engine:
     """Return who does the work; what is made here is closed with the stack."""
     from fmu.engines.engine import engine
 
-    if hasattr(workers, "lines"):
+    if hasattr(workers, "run_tasks"):
         given: Engine = workers
         return given
     made = engine(cluster=workers) if isinstance(workers, str) else engine(workers)
@@ -303,7 +303,7 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, ful
     if not hasattr(problem, "likelihood"):
         return trace
     trace = with_pairing(with_modes(trace, problem, maxima), problem)
-    if hasattr(problem.likelihood, "sensitivity"):
+    if problem.likelihood.of_modes:
         trace = with_identifiability(trace, problem, maxima)
     return trace
 

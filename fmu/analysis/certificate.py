@@ -72,8 +72,8 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
     frequency_error = float(np.max(np.abs(reduced_hz / exact_hz - 1.0)))
     log_prob_error = 0.0
     likelihood = problem.likelihood
-    if hasattr(likelihood, "full_terms"):
-        if hasattr(likelihood, "error"):  # no need to solve again
+    if likelihood.of_modes:
+        if likelihood.error is not None:  # no need to solve again
             of_exact, of_reduced = (likelihood.error.log_prob_terms(hz) for hz in (exact_hz, reduced_hz))
         else:
             of_exact = np.concatenate(by_parts("certificate", likelihood.full_terms, theta, _AT_ONCE))

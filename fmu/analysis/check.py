@@ -198,7 +198,7 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
     if not np.all(np.isfinite(problem.frequencies(problem.start))):
         raise ValueError(f"start: the model must have frequencies there (got {problem.start.tolist()})")
     gradient = check_gradient(problem, seed)
-    informed = hasattr(problem.likelihood, "sensitivity") and bool(np.all(np.isfinite(gradient.exact[0])))
+    informed = problem.likelihood.of_modes and bool(np.all(np.isfinite(gradient.exact[0])))
     drawing, colours = structure_drawing(problem)
     tests = problem.data.tests
     labels = tuple(map(str, problem.data.labels))

@@ -25,6 +25,9 @@ from fmu.posterior.parameters import Parameter
 ERRORS = ("frequency", "modal-residual")
 
 Likelihood = FrequencyLikelihood | JointLikelihood | ModalResidual
+"""What each can do is told by its flags: ``of_modes``, whether its errors are those of computed modes, with
+slopes for Gauss–Newton steps and a full model to compare with; ``needs_shapes``; ``simulates``, whether it is a
+distribution of frequencies; ``error``, that of the frequencies where it is known, else None; ``terms_name``."""
 
 
 def check_names(parameters: Sequence[Parameter]) -> None:

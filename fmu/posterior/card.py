@@ -64,7 +64,8 @@ def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
 def _modes(problem: Problem) -> str:
     measured = np.asarray(problem.data.frequencies_hz)
     initial = problem.frequencies(problem.start)
-    sd = getattr(getattr(problem.likelihood, "error", None), "sd", problem.data.sd_hz)
+    error = problem.likelihood.error
+    sd = problem.data.sd_hz if error is None else error.sd
     sd = np.full(len(measured), np.nan) if sd is None else np.asarray(sd)
     rows = [
         [

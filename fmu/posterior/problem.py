@@ -19,7 +19,6 @@ from fmu.posterior.build import Likelihood, check_names, likelihood_of, paired_m
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.models import ErrorModel
-from fmu.posterior.errors.residual import ModalResidual
 from fmu.posterior.failures import Failure, FailureRecord, why_no_log_likelihood
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.rounding import require_digits
@@ -238,10 +237,11 @@ class UpdatingProblem:
         ValueError
             If the error models give no distribution of the frequencies (shapes alone, the modal residual).
         """
-        if isinstance(self.likelihood, ModalResidual) or not self.likelihood.simulates:
+        if not self.likelihood.simulates:
             raise ValueError("error: must be a distribution of the frequencies to simulate them")
         if isinstance(self.likelihood, JointLikelihood):
             return self.likelihood.simulate(rng, frequencies, theta)
+        assert self.likelihood.error is not None  # narrowed for the type checker
         return self.likelihood.error.simulate(rng, frequencies)
 
     def simulate_test(
@@ -305,7 +305,7 @@ class UpdatingProblem:
     @property
     def solves_per_gradient(self) -> int:
         """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
-        differences = getattr(self.likelihood, "needs_shapes", False) and isinstance(self.model, PairedBlackBox)
+        differences = self.likelihood.needs_shapes and isinstance(self.model, PairedBlackBox)
         return 2 * self.n_structural + 1 if differences else int(getattr(self.model, "solves_per_gradient", 1))
 
     def _model_description(self) -> Any:

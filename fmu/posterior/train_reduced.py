@@ -122,7 +122,7 @@ def reduce_model(
 
     # without such terms the computed modes take no part in the log-probability
     state = structure.train(
-        lower, upper, tolerance.frequency, inaccurate_points if hasattr(likelihood, "full_terms") else None, engine
+        lower, upper, tolerance.frequency, inaccurate_points if likelihood.of_modes else None, engine
     )
     error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])

@@ -165,7 +165,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
         not those of modes (the modal residual).
     """
     likelihood: Any = getattr(problem, "likelihood", None)
-    if not hasattr(likelihood, "sensitivity"):
+    if likelihood is None or not likelihood.of_modes:
         raise ValueError("problem: must be an UpdatingProblem with errors in the modes")
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):

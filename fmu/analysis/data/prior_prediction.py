@@ -151,10 +151,9 @@ def _noise_sd(
     problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Return the standard deviation of the errors in frequency, over the prior where they are inferred too."""
-    sd = getattr(getattr(problem.likelihood, "error", None), "sd", None)
-    if sd is not None:
-        return np.asarray(sd)
-    if len(frequencies) and getattr(problem.likelihood, "simulates", False):
+    if problem.likelihood.error is not None:
+        return np.asarray(problem.likelihood.error.sd)
+    if len(frequencies) and problem.likelihood.simulates:
         noise = problem.simulate_data(rng, frequencies, theta) - frequencies
         return np.asarray(np.sqrt(np.mean(noise**2, axis=0)))
     return np.full(frequencies.shape[1], np.nan)

@@ -42,7 +42,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))
     step = np.clip(_OF_THE_WIDTH / np.sqrt(np.maximum(rough, 1.0)), 1e-6, 1e-2)
     hessian = _differences(problem, theta, step)
-    if hasattr(problem.likelihood, "quadratic"):
+    if problem.likelihood.of_modes:
         other = np.diag(_differences(problem, theta, 0.5 * step))
         size = np.maximum(np.abs(np.diag(hessian)), np.abs(other))
         free = (theta > problem.lower) & (theta < problem.upper)

@@ -208,7 +208,7 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
     if hasattr(getattr(density, "likelihood", None), "beta"):
         variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
-        error = getattr(density.likelihood, "error", None)
+        error = density.likelihood.error
         if isinstance(error, CorrelatedFrequencyError):
             variables["covariance_hz2"] = (("mode", "other_mode"), error.covariance_hz2)
             coordinates["other_mode"] = coordinates["mode"]
@@ -225,16 +225,15 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     dims = ("chain", "draw", "mode")
     hertz = {"units": "Hz"}
     predicted = {"model_frequency": (dims, frequency, hertz)}
-    if hasattr(problem.likelihood, "error"):
+    if problem.likelihood.error is not None:
         error = problem.likelihood.error
         terms = {"frequency": (dims, error.log_prob_terms(frequency))}
         if isinstance(error, CorrelatedFrequencyError):
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
     else:
-        name = "modes" if hasattr(problem.likelihood, "noise") else "residual"
-        terms = {name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
+        terms = {problem.likelihood.terms_name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
     # a pseudo-likelihood, and shapes alone, have no measurement noise of frequencies to predict with
-    if getattr(problem.likelihood, "simulates", False):
+    if problem.likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
         theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
         replicate = problem.simulate_data(noise, hz, theta)

@@ -123,7 +123,10 @@ class FrequencyLikelihood:
     model: ModalModel
     error: FrequencyError | CorrelatedFrequencyError
 
+    of_modes: ClassVar[bool] = True
+    needs_shapes: ClassVar[bool] = False
     simulates: ClassVar[bool] = True
+    terms_name: ClassVar[str] = "frequency"
 
     @property
     def beta(self) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -40,6 +40,10 @@ class JointLikelihood:
         If there is no error model, one does not fit the data, the model cannot say what sensors see, or different
         parameters share a name.
     """
+
+    of_modes: ClassVar[bool] = True
+    error: ClassVar[None] = None
+    terms_name: ClassVar[str] = "modes"
 
     def __init__(self, model: ModalModel, data: ModalData, errors: Sequence[ErrorModel]) -> None:
         if not errors:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -45,6 +45,12 @@ class ModalResidual:
     frequency comparable and β dimensionless; it does not heal that. No evidence may be computed from it. It needs
     no pairing of modes, and no eigenproblem either, but one factorisation of the unmeasured part at each theta.
     """
+
+    of_modes: ClassVar[bool] = False
+    error: ClassVar[None] = None
+    needs_shapes: ClassVar[bool] = False
+    simulates: ClassVar[bool] = False
+    terms_name: ClassVar[str] = "residual"
 
     def __init__(
         self, model: SeparableModel, data: ModalData, reference: FloatArray, beta: ArrayLike = 1.0

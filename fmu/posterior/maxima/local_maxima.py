@@ -61,7 +61,7 @@ def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple
 
 def _found(problem: Problem, points: FloatArray) -> tuple[Maximum, ...]:
     """Return where the climbs from scaled points (n, ndim) lead to."""
-    if not hasattr(problem.likelihood, "quadratic"):
+    if not problem.likelihood.of_modes:
         return _merged(problem, [_climb(problem, u) for u in points])
     scaled = ScaledDensity(problem)
     ends = ascend(GaussNewton(problem), points, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
