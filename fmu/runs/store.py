@@ -39,7 +39,7 @@ from fmu.samplers.loop.record import Steps
 from fmu.samplers.loop.run import LIVE_S, PendingGroup, SavedGroup
 
 LEDGER = "failures.csv"
-TITLE = "fmu state 1"
+TITLE = "fmu state 2"
 _STATES = 2  # kept at a time: should the last be damaged, the one before it is there
 
 
