@@ -24,7 +24,8 @@ from fmu.analysis.convergence.diagnostics import STANDING_LIMIT, parameter_draws
 from fmu.analysis.convergence.effective import by_walker
 from fmu.analysis.convergence.movement import longest_stands
 from fmu.analysis.maxima.missed import NEGLIGIBLE, draws_of_maxima
-from fmu.analysis.maxima.results import Maxima, percent
+from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.maxima.text import share_of_mass
 from fmu.report.markdown import table
 from fmu.types import FloatArray
 from tests.four_storeys import SD, TRUTH, four_storeys
@@ -123,7 +124,7 @@ def write(rows: list[Row], directory: Path, processor_s: float) -> None:
     shares = {row.name: row.shares for row in rows}
     maxima = table(
         ["", "maxima", "their shares of the probability"],
-        [[name, str(len(s)), ", ".join(percent(x) for x in s)] for name, s in shares.items()],
+        [[name, str(len(s)), ", ".join(share_of_mass(x) for x in s)] for name, s in shares.items()],
     )
     (directory / "starts.md").write_text(
         PAGE.format(
