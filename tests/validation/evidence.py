@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.maxima.mode_weights import LocalQuadratic, masses
+from fmu.analysis.maxima.mode_weights import LocalQuadratic, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.types import BoolArray, FloatArray
 from tests.two_storeys import quadrature
@@ -147,7 +147,7 @@ def weighed(problem: Any, maxima: list[PosteriorMaximum], draws: int = IMPORTANC
     def log_prob(u: FloatArray) -> FloatArray:
         return np.asarray(problem.log_prob(np.clip(offset + scale * u, problem.lower, problem.upper)))
 
-    found = masses(log_prob, models, lower, upper, np.random.default_rng(SEED), draws)
+    found = mode_weights(log_prob, models, lower, upper, np.random.default_rng(SEED), draws)
     log_mass = np.array([mass.log_mass for mass in found])
     total = float(np.logaddexp.reduce(log_mass))
     share = np.exp(log_mass - total)
