@@ -226,7 +226,7 @@ def test_a_ladder_is_cut_into_equal_parts_of_the_barrier():
 
 
 def test_round_trips_are_counted_at_both_ends():
-    from fmu.samplers.tempering.tempering import _turned
+    from fmu.samplers.tempering.kernel import _turned
 
     heading = np.array([[0, 1], [2, 0], [2, 1]])  # of two chains with three rungs
     turned, trips = _turned(heading)
