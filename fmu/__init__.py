@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fmu.analysis.trace.conversion import load_trace as load_trace
     from fmu.analysis.trace.conversion import save_trace as save_trace
     from fmu.config import load as load
-    from fmu.engines.engine import engine as engine
+    from fmu.engines import engine as engine
     from fmu.fem.black_box import BlackBoxModel as BlackBoxModel
     from fmu.fem.frame.frame import ElementGroup as ElementGroup
     from fmu.fem.frame.frame import Frame as Frame
@@ -102,7 +102,7 @@ _HOME = {
     "check": "fmu.analysis.check",
     "compare": "fmu.analysis.convergence.comparison",
     "diagnose": "fmu.analysis.convergence.diagnosis",
-    "engine": "fmu.engines.engine",
+    "engine": "fmu.engines",
     "evidence": "fmu.analysis.evidence.estimate",
     "expectation": "fmu.analysis.data.prediction",
     "export": "fmu.report.export",

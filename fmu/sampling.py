@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from fmu.analysis.maxima.results import Maxima
-    from fmu.engines.engine import Engine
+    from fmu.engines.base import Engine
     from fmu.progress import Report
     from fmu.runs import Checkpoint
     from fmu.runs.store import Store
@@ -106,8 +106,8 @@ def sample(
         A directory to keep draws and state in while the run goes on. The same call with the same directory goes on
         where the last one ended or was killed; a run that has ended is read, not repeated.
     workers : int, str or Engine
-        Processes of this machine that do the work of the groups; or a Dask cluster, ``"tcp://…"`` the address of
-        its scheduler, ``"local:4"`` one of four processes; or what `fmu.engine` returned.
+        Number of processes on this machine that advance the groups; or the address of the scheduler of a Dask
+        cluster, ``"tcp://host:port"``; or an engine from `fmu.engine`.
     max_failure_rate : float
         The run stops when a larger share of the solves has failed; 1 for never.
     progress : bool or callable, optional
@@ -265,15 +265,14 @@ def _store(checkpoint: Any, problem: LogDensity, settings: Any, arguments: dict[
     return Store(where, Identity.of(configuration), names, units)
 
 
-def _engine(workers: Any, stack: ExitStack) -> Engine:
-    """Return who does the work; what is made here is closed with the stack."""
-    from fmu.engines.engine import engine
+def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:
+    """Return the engine that does the work; one that is created here is closed with the stack."""
+    from fmu.engines import engine
+    from fmu.engines.base import Engine
 
-    if hasattr(workers, "run_tasks"):
-        given: Engine = workers
-        return given
-    made = engine(cluster=workers) if isinstance(workers, str) else engine(workers)
-    return stack.enter_context(made)
+    if isinstance(workers, Engine):
+        return workers
+    return stack.enter_context(engine(cluster=workers) if isinstance(workers, str) else engine(workers))
 
 
 def default_sampler(problem: LogDensity) -> str:

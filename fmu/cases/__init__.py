@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from fmu.engines.engine import Engine
+    from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 __all__ = ["describe", "load", "names", "path"]

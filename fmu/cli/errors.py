@@ -33,7 +33,7 @@ class Commands(click.Group):
         except MemoryError as error:
             _stop(f"the model needs more memory than there is ({error or 'no more is known'})")
         except RuntimeError as error:
-            from fmu.engines.engine import LostTaskError
+            from fmu.engines.base import LostTaskError
             from fmu.samplers.loop.run import TooManyFailuresError
 
             if not isinstance(error, LostTaskError | TooManyFailuresError):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fmu.analysis.convergence.diagnosis import Diagnosis
     from fmu.analysis.maxima.results import Maxima
     from fmu.config.kept import KeptProblem
-    from fmu.engines.engine import Engine
+    from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
     from fmu.runs.run_directory import RunDirectory
 
@@ -211,7 +211,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
     A Python function is expensive: its single evaluations are spread over the workers, unless groups of chains are
     asked for; and then the chains advance in this process.
     """
-    from fmu.engines.engine import InProcess
+    from fmu.engines.base import InProcess
     from fmu.fem.pairing.paired_black_box import PairedBlackBox
 
     if engine.workers > 1 and groups is None and isinstance(problem.model, PairedBlackBox):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import click
 
 if TYPE_CHECKING:
-    from fmu.engines.engine import Engine
+    from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 

@@ -17,7 +17,7 @@ from fmu.numbers import typed
 
 if TYPE_CHECKING:
     from fmu.config.problem import ProblemFile
-    from fmu.engines.engine import Engine
+    from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 LARGEST_FILE = 2**21

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.durable_files import write_durably
 
 if TYPE_CHECKING:
-    from fmu.engines.engine import Engine
+    from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
 
 FILE, ORIGIN = "problem.toml", "run.json"

@@ -18,7 +18,7 @@ from fmu.config.model.matrices import MatricesTable
 from fmu.config.model.python import PythonTable
 from fmu.config.model.table import Built
 from fmu.config.parameters import ParameterTable
-from fmu.engines.engine import Engine
+from fmu.engines.base import Engine
 from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem

@@ -1,1 +1,53 @@
-"""Where tasks run: in this process, in processes of this machine, on a Dask cluster; always with one outcome."""
+"""Where tasks run: in this process, in processes of this machine or on a Dask cluster, with the same results.
+
+Read `base` (the interface) first, then `remote` (what both engines with worker processes share).
+"""
+
+from __future__ import annotations
+
+import os
+
+from fmu.engines.base import Engine, InProcess
+
+
+def engine(workers: int = 1, cluster: str | None = None) -> Engine:
+    """Return an engine, which runs tasks side by side; it is a context manager.
+
+    Parameters
+    ----------
+    workers : int
+        Number of processes on this machine; 1 runs everything in this process.
+    cluster : str, optional
+        Address of the scheduler of a Dask cluster to use instead, ``"tcp://host:port"``.
+
+    Returns
+    -------
+    Engine
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range, the package ``distributed`` is missing, or no scheduler answers.
+
+    Examples
+    --------
+    ``with fmu.engine(workers=4) as engine, model.spread_over(engine): fmu.find_map(problem)``
+    """
+    if cluster is not None:
+        try:
+            from fmu.engines.dask_cluster import DaskCluster
+        except ImportError as error:
+            raise ValueError("--cluster: needs the package distributed: pip install 'fmu[distributed]'") from error
+        return DaskCluster(cluster)
+    if workers < 1:
+        raise ValueError(f"workers: must be at least 1 (got {workers})")
+    if workers == 1:
+        return InProcess()
+    from fmu.engines.process_pool import ProcessPool
+
+    return ProcessPool(workers)
+
+
+def default_workers() -> int:
+    """Return the number of CPUs that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu.engines.engine import MOST_DEATHS, Engine, LostTaskError
+from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
 from fmu.fem.answers import Answer as Answer
 from fmu.fem.answers import AnswerError as AnswerError
 from fmu.fem.answers import checked
@@ -221,13 +221,16 @@ def _spread(model: BlackBoxModel, theta: FloatArray, engine: Engine) -> list[tup
     while len(found) < len(theta):
         missing = [i for i in range(len(theta)) if i not in found]
 
-        def keep(line: int, result: tuple[Answer | None, str], missing: Sequence[int] = missing) -> None:
-            found[missing[line]] = result
+        def keep(i: int, result: tuple[Answer | None, str], missing: Sequence[int] = missing) -> None:
+            found[missing[i]] = result
 
         try:
             engine.run_tasks(_try_there, model, [theta[i] for i in missing], keep)
         except LostTaskError as lost:
-            found[missing[lost.line]] = None, f"the process that called it died {MOST_DEATHS} times ({lost.how})"
+            found[missing[lost.sequence]] = (
+                None,
+                f"the process that called it died {MAX_DEATHS} times ({lost.how})",
+            )
     return [found[i] for i in range(len(theta))]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fmu.engines.engine import default_workers, engine
+from fmu.engines import default_workers, engine
 from fmu.paper.experiment import Result, compute, directory_of
 from fmu.paper.findings import Findings
 from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan

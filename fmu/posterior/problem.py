@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.engines.engine import Engine
+from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.separable import SeparableModel

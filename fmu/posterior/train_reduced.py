@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.engines.engine import Engine
+from fmu.engines.base import Engine
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.pairing.candidates import SoftPairing
 from fmu.fem.pairing.paired_model import PairedStructure

@@ -59,6 +59,14 @@ def beat(folder, task, report):
         time.sleep(0.01)
 
 
+def wait_or_fail(folder, task, report):
+    """Fail, or wait for the file "go" and say so."""
+    if task == "fail":
+        raise ValueError("task: must be long")
+    wait_for(Path(folder, "go"))
+    Path(folder, f"ended-{task}").touch()
+
+
 def wait_for(path):
     until = time.monotonic() + 60.0
     while not path.exists():
@@ -80,6 +88,7 @@ def die_often(folder, task, report):
     with Path(folder, f"tries-{task}").open("a") as file:
         file.write("x")
     if task == "lethal":
+        time.sleep(0.5)  # Dask does not replace a process that dies while it starts
         os.kill(os.getpid(), signal.SIGKILL)
     return task
 
@@ -87,11 +96,12 @@ def die_often(folder, task, report):
 def threads(shared, task, report):
     from threadpoolctl import threadpool_info
 
-    return signal.getsignal(signal.SIGINT), [lib["num_threads"] for lib in threadpool_info()]
+    ignores_interrupts = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    return ignores_interrupts, [lib["num_threads"] for lib in threadpool_info()]
 
 
-def twice_as_much(shared, task, report):
-    return 2 * task
+def length(shared, task, report):
+    return len(task)
 
 
 def listens(shared, task, report):

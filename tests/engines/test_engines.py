@@ -4,13 +4,16 @@ import engine_tasks
 import numpy as np
 import pytest
 
-from fmu.engines.engine import InProcess, default_workers, engine
+from fmu.engines import default_workers, engine
+from fmu.engines.base import InProcess
 
 
 @pytest.fixture(scope="module", params=["in process", "processes", "cluster"])
 def any_engine(request):
-    arguments = {"in process": (1,), "processes": (2,), "cluster": (1, "local:2")}[request.param]
-    with engine(*arguments) as any_engine:
+    arguments = {"in process": {}, "processes": {"workers": 2}}.get(request.param)
+    if arguments is None:
+        arguments = {"cluster": request.getfixturevalue("dask_processes").scheduler_address}
+    with engine(**arguments) as any_engine:
         yield any_engine
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import engine_tasks
 import pytest
 
-from fmu.engines.engine import LostTaskError, engine
+from fmu.engines import engine
+from fmu.engines.base import LostTaskError
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +41,8 @@ def test_workers_stay_and_what_is_shared_is_sent_once(pool, tmp_path):
 
 
 def test_workers_ignore_interrupts_and_have_one_thread(pool):
-    for interrupt, threads in pool.run_tasks(engine_tasks.threads, None, [0, 0]):
-        assert interrupt == signal.SIG_IGN
+    for ignores_interrupts, threads in pool.run_tasks(engine_tasks.threads, None, [0, 0]):
+        assert ignores_interrupts
         assert set(threads) == {1}
 
 
@@ -86,21 +87,21 @@ def test_a_task_that_kills_three_workers_is_given_up(pool, tmp_path):
     results = {}
     with pytest.raises(LostTaskError, match=r"task 1: its worker died 3 times in a row \(SIGKILL\)") as error:
         pool.run_tasks(engine_tasks.die_often, str(tmp_path), ["a", "lethal", "b"], results.__setitem__)
-    assert error.value.line == 1
+    assert error.value.sequence == 1
     assert (tmp_path / "tries-lethal").read_text() == "xxx"
     assert pool.run_tasks(engine_tasks.square, None, [2, 3]) == [4, 9]
 
 
 SCRIPT = """
 import sys, time
-import fmu.engines.engine
+import fmu
 sys.path.insert(0, {tests!r})
 import engine_tasks
 
 def three_times(shared, task, report):
     return 3 * task
 
-engine = fmu.engines.engine.engine(workers=2)
+engine = fmu.engine(workers=2)
 print(engine.run_tasks(three_times, None, [1, 2]), flush=True)
 engine.run_tasks(engine_tasks.beat, {folder!r}, {tasks!r})
 """

@@ -7,7 +7,7 @@ import pytest
 from targets import CorrelatedGaussian, TruncatedGaussian
 from tempered_targets import LinearGaussian
 
-from fmu.engines.engine import InProcess
+from fmu.engines.base import InProcess
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, Tempering
 from fmu.samplers.loop.run import Interrupted, TooManyFailuresError, n_groups
 

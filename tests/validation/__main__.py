@@ -14,7 +14,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from fmu.engines.engine import engine
+from fmu.engines import engine
 from tests.validation.calibration import calibrate
 from tests.validation.contenders import CONTENDERS
 from tests.validation.effective_size import TARGETS, error_ratios

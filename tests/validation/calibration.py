@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.convergence.effective import ess_mean
-from fmu.engines.engine import Engine, InProcess
+from fmu.engines.base import Engine, InProcess
 from fmu.fem.modes.blocks import ModalModel
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress import Report

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from fmu.engines.engine import default_workers
+from fmu.engines import default_workers
 from fmu.report.markdown import table
 from tests.validation.hostile_beside import count
 from tests.validation.hostile_files import SEED

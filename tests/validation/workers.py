@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 import fmu
-from fmu.engines.engine import Engine, default_workers, engine
+from fmu.engines import default_workers, engine
+from fmu.engines.base import Engine
 from fmu.report.markdown import table
 from tests.validation.scale_model import Size, scale_problem
 

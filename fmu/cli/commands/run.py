@@ -67,10 +67,10 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
 @click.option("--keep-seconds", type=click.FloatRange(min=0), default=30.0, show_default=True,
               help="and every so many seconds: as much is lost if it is killed.")  # fmt: skip
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes that the groups of chains are shared out to; of a Python function, the single "
-              "evaluations.")  # fmt: skip
+              help="Number of processes that advance the groups of chains, or evaluate a Python function at "
+              "several points at once.")  # fmt: skip
 @click.option("--cluster", metavar="ADDRESS",
-              help="A Dask cluster instead: tcp://HOST:PORT of its scheduler, or local:N.")  # fmt: skip
+              help="Run on a Dask cluster instead: tcp://HOST:PORT of its scheduler.")  # fmt: skip
 @click.option("--progress", type=click.Choice(("bars", "json", "none")), default="bars", show_default=True,
               help="Bars on a terminal, or lines of JSON on standard error.")  # fmt: skip
 @click.option("--report/--no-report", "reports", default=True, help="Write HTML pages too, as fmu report does.")
@@ -112,7 +112,7 @@ def command(
             asked = _resumed(context, resume, orders)
             load, directory = asked.load, resume
             make_writable(resume)
-        from fmu.engines.engine import engine
+        from fmu.engines import engine
         from fmu.runs.run_directory import RunDirectory
 
         stack.enter_context(warnings_as_notes())

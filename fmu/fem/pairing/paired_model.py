@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.engines.engine import Engine
+from fmu.engines.base import Engine
 from fmu.fem.modes.blocks import BlockModel, ModalSolution
 from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.separable import SeparableModel, selection

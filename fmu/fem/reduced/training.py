@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.engines.engine import Engine, InProcess
+from fmu.engines.base import Engine, InProcess
 from fmu.fem.modes.blocks import Block, BlockModel
 from fmu.fem.modes.modal import FullBlock
 from fmu.fem.modes.null_space import DENSE_LIMIT

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from fmu.engines.engine import Engine, InProcess
+from fmu.engines.base import Engine, InProcess
 from fmu.interruption import shielded
 from fmu.numbers import apart
 from fmu.progress import Report

@@ -1,0 +1,178 @@
+"""What engines with worker processes share: tasks and their outcomes as bytes, and the loop over the tasks.
+
+`RemoteEngine` and `unpacked` run in the calling process, `carry_out` and `limit_blas_threads` in a worker.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import traceback
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import cloudpickle
+
+from fmu.engines.base import MAX_DEATHS, Engine, Follow, InProcess, LostTaskError, Work
+from fmu.progress import Report
+from fmu.progress.throttle import Throttle
+
+_REPORT_INTERVAL_S = 0.1
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+class Task(NamedTuple):
+    """A task of a sequence."""
+
+    sequence: int
+    work: Work
+    argument: Any
+    reports: bool
+    deaths: int = 0
+    """How many workers have died while they ran it."""
+
+    def packed(self) -> bytes:
+        """Return what a worker needs of it, pickled."""
+        return bytes(cloudpickle.dumps((self.work, self.argument, self.reports)))
+
+
+class WorkerDeath(NamedTuple):
+    """A worker, or several in a row, died while running a task."""
+
+    how: str
+    number: int = 1
+
+
+class RemoteError(Exception):
+    """Where in a worker an exception was raised: its cause, when it is raised in the calling process."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+class RemoteEngine(Engine):
+    """An engine with workers in other processes.
+
+    While it is busy, calls from `follow` and from other threads are run in the calling process.
+    """
+
+    def __init__(self) -> None:
+        self._busy = threading.Lock()
+        self._shared: tuple[Any, Any] | None = None  # the object that all tasks need, and the form it is sent in
+
+    def run_tasks(
+        self,
+        work: Work,
+        shared: Any,
+        tasks: Sequence[Any],
+        follow: Follow | None = None,
+        report: Report | None = None,
+    ) -> list[Any]:
+        """Run the tasks, see `fmu.engines.base.Engine.run_tasks`."""
+        if not self._busy.acquire(blocking=False):
+            return InProcess().run_tasks(work, shared, tasks, follow, report)
+        results: list[Any] = [None] * len(tasks)
+        waiting = deque(Task(i, work, task, report is not None) for i, task in enumerate(tasks))
+        try:
+            while self._start(waiting, shared):
+                for task, outcome in self._ended(report):
+                    if isinstance(outcome, WorkerDeath):
+                        waiting.appendleft(_again(task, outcome))
+                        continue
+                    results[task.sequence] = unpacked(outcome)
+                    self._start(waiting, shared)  # no worker is idle while `follow` runs
+                    following = None if follow is None else follow(task.sequence, results[task.sequence])
+                    if following is not None:
+                        waiting.append(Task(task.sequence, work, following, report is not None))
+        except BaseException:
+            self._abandon()
+            raise
+        finally:
+            self._busy.release()
+        return results
+
+    @abstractmethod
+    def _start(self, waiting: deque[Task], shared: Any) -> bool:
+        """Start as many of the waiting tasks as there are idle workers; return whether any task is running."""
+
+    @abstractmethod
+    def _ended(self, report: Report | None) -> Iterator[tuple[Task, bytes | WorkerDeath]]:
+        """Wait for the workers, pass their reports on, and give the tasks that have ended since the last call."""
+
+    @abstractmethod
+    def _abandon(self) -> None:
+        """Drop the tasks that are running."""
+
+
+class Shared:
+    """What all tasks need, unpickled when a task first asks for it, so that an error there is the task's error."""
+
+    def __init__(self, packed: bytes) -> None:
+        self._packed: bytes | None = packed
+        self._value: Any = None
+
+    def __call__(self) -> Any:
+        """Return it."""
+        if self._packed is not None:
+            self._value = cloudpickle.loads(self._packed)
+            self._packed = None
+        return self._value
+
+
+def carry_out(task: bytes, shared: Callable[[], Any], send: Callable[[tuple[Any, ...]], None]) -> bytes:
+    """Run a pickled task and return its pickled outcome: (result, exception or None, traceback).
+
+    Its reports go to `send`, at most ten a second.
+    """
+    try:
+        work, argument, reports = cloudpickle.loads(task)
+        result = work(shared(), argument, _throttled(send) if reports else None)
+        return bytes(cloudpickle.dumps((result, None, "")))
+    except BaseException as error:
+        where = traceback.format_exc()
+        try:
+            packed = bytes(cloudpickle.dumps((None, error, where)))
+            cloudpickle.loads(packed)
+        except Exception:  # the exception cannot be pickled: send its text
+            text = RuntimeError(f"{type(error).__name__}: {error}")
+            packed = bytes(cloudpickle.dumps((None, text, where)))
+        return packed
+
+
+def unpacked(outcome: bytes) -> Any:
+    """Return the result of a task, or raise its exception."""
+    result, error, where = cloudpickle.loads(outcome)
+    if error is not None:
+        raise error from RemoteError(where)
+    return result
+
+
+def limit_blas_threads() -> None:
+    """Limit BLAS to one thread in this process; libraries loaded later too, unless the user has set a number."""
+    import numpy.linalg  # noqa: F401
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_limits
+
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
+    threadpool_limits(1, "blas")
+
+
+def _again(task: Task, death: WorkerDeath) -> Task:
+    """Return a task to be run again; LostTaskError if too many workers have died of it."""
+    deaths = task.deaths + death.number
+    if deaths >= MAX_DEATHS:
+        raise LostTaskError(task.sequence, death.how)
+    return task._replace(deaths=deaths)
+
+
+def _throttled(send: Callable[[tuple[Any, ...]], None]) -> Report:
+    throttle = Throttle(_REPORT_INTERVAL_S)
+
+    def report(phase: str, done: int, total: int, info: Mapping[str, Any]) -> None:
+        if throttle.lets(None, ends=done >= total):
+            send((phase, done, total, dict(info)))
+
+    return report
