@@ -105,7 +105,7 @@ def test_run_prints_the_tables_and_nothing_else(invoke):
     result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
     assert result.stderr == ""
     lines = result.stdout.splitlines()
-    assert lines[0] == "Maxima of the posterior"
+    assert lines[0] == "Posterior maxima"
     assert lines[1].split() == ["maximum", "unit", "before", "1", "measured"]
     at = lines.index("mh")
     assert all(
@@ -114,7 +114,7 @@ def test_run_prints_the_tables_and_nothing_else(invoke):
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("n_solves") for line in lines)
     assert any(line.startswith("mh  not converged: R-hat ") for line in lines)
-    assert "The model, by the draws of mh, which has not converged" in lines
+    assert "Remarks on the model, from the draws of mh (not converged)" in lines
     assert lines[-1] == "Written to here"
     assert "\x1b" not in result.stdout
 
@@ -155,7 +155,7 @@ def test_a_function_that_fails_later_is_named_with_its_reason(invoke, tmp_path, 
     assert result.exit_code == code, result.output
     last = result.stderr.strip().splitlines()[-1]
     assert last.startswith(begins)
-    assert "; the function failed first at [" in last
+    assert "; the function first failed at [" in last
     assert last.endswith("RuntimeError: no licence")
 
 
@@ -187,8 +187,8 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp
     until = ("--until-ess", "5", "--max-draws", "40", "--out", "here", "--no-report")
     run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *until])
     assert run.exit_code == 1, run.output
-    assert "Stopped at the most draws, short of --until-ess 5: mh" in run.stdout
-    assert "The model, by the draws of mh, which has not converged" in run.stdout
+    assert "--max-draws reached before --until-ess 5: mh" in run.stdout
+    assert "Remarks on the model, from the draws of mh (not converged)" in run.stdout
     assert pd.read_csv("here/summary-mh.csv")[["ess_bulk", "ess_tail"]].min().min() >= 5
     lines = run.stdout.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))
@@ -222,7 +222,7 @@ def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
     assert result.exit_code == 1
     assert result.stderr == ""
     assert result.stdout.splitlines()[-3:] == [
-        "Stopped at the most draws, short of --until-ess 1e+06: mh",
+        "--max-draws reached before --until-ess 1e+06: mh",
         "",
         "Written to here",
     ]
@@ -370,7 +370,7 @@ def test_directory_without_permission(invoke, monkeypatch, tmp_path):
 
 def test_compare_without_traces(invoke, tmp_path):
     (tmp_path / "empty").mkdir()
-    assert_one_line(invoke("compare", "empty"), "empty holds no traces")
+    assert_one_line(invoke("compare", "empty"), "empty contains no traces")
 
 
 def test_compare_with_a_foreign_file(invoke, tmp_path):
@@ -385,7 +385,7 @@ def test_compare_of_different_problems(invoke, young, monkeypatch):
     monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": other)
     arguments = ("--draws", 6, "--warmup", 3, "--sampler", "slice", "--out", "here", "--overwrite", "--no-report")
     assert invoke("run", "cantilever-young", *arguments, "--starts", 1).exit_code == 0
-    assert_one_line(invoke("compare", "here"), "here mixes problems", "another")
+    assert_one_line(invoke("compare", "here"), "here contains runs of different problems", "another")
 
 
 def test_failed_points_are_reported(invoke, young, monkeypatch):
@@ -476,4 +476,4 @@ def test_too_little_memory_is_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr("fmu.config.read", read)
     result = CliRunner().invoke(cli.main, ["check", "bridge.toml"], prog_name="fmu")
     assert result.exit_code == 2
-    assert "Error: the model needs more memory than there is (Unable to allocate 7.28 TiB" in result.output
+    assert "Error: the model needs more memory than is available (Unable to allocate 7.28 TiB" in result.output

@@ -100,10 +100,11 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
 def _missed(certificate: dict[str, Any]) -> str:
     """Say by how much the reduced model is off."""
     off = []
-    for words, name in (("its frequencies", "frequency"), ("its log-probability", "log_prob")):
+    for words, name in (("frequency error", "frequency"), ("log-probability error", "log_prob")):
         found, tolerance = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))
-        off.append(f"{words} by up to {apart(found, tolerance, digits=2)[0]} (tolerance: {typed(tolerance)})")
+        off.append(f"{words} up to {apart(found, tolerance, digits=2)[0]} (tolerance: {typed(tolerance)})")
     return (
-        f"the reduced model missed its tolerance at {certificate['certificate_draws']} draws solved again: "
-        f"{', '.join(off)}, its pairing at {certificate['certificate_pairing_changes']} of them"
+        f"the reduced model is outside its tolerance; {certificate['certificate_draws']} draws were solved "
+        f"again with the full model: {', '.join(off)}, different pairing at "
+        f"{certificate['certificate_pairing_changes']} draws"
     )

@@ -45,7 +45,7 @@ class Check:
     identifiability : Identifiability or None
         None where errors are not those of modes, or the gradient is not finite.
     prior : PriorPrediction
-        What the prior predicts for the measurement.
+        Prior prediction for the measurement.
     rounding : str
         What is doubtful of the digits that the matrices have; empty if nothing is.
     drawing : str
@@ -103,7 +103,7 @@ class Check:
         """Return prior predictions beside the measurement as text, ready to print."""
         table = self.prior.table()
         shown = table[["measured"]].map(given)
-        shown["prior predicts"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]
+        shown["prior prediction"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]
         shown["distance, sd"] = [fixed(distance, 2) for distance in table["distance"]]
         return shown
 
@@ -121,17 +121,17 @@ class Check:
             f"Gradient\n{wrapped(self.gradient.sentence())}",
         ]
         if self.identifiability is not None:
-            parts.append(f"What the data can tell\n{_lines(self.identifiability.sentences())}")
+            parts.append(f"Identifiability\n{_lines(self.identifiability.sentences())}")
         predicted = _as_text(self.prior_table().reset_index(names=""))
-        parts.append(f"What the prior predicts for {self.measurement}, Hz\n{predicted}")
+        parts.append(f"Prior prediction for {self.measurement}, Hz\n{predicted}")
         parts.append(_lines(self.prior.sentences()))
         return "\n\n".join([*parts, self.verdict()])
 
     def verdict(self) -> str:
         """Return what is doubtful as a list, or that nothing is."""
         if not self.doubts:
-            return "Nothing doubtful was found."
-        return "Doubtful\n" + "\n".join(wrapped(doubt, "  - ", "    ") for doubt in self.doubts)
+            return "No warnings."
+        return "Warnings\n" + "\n".join(wrapped(doubt, "  - ", "    ") for doubt in self.doubts)
 
     def _repr_html_(self) -> str:
         def words(title: str, *sentences: str) -> str:
@@ -146,13 +146,13 @@ class Check:
             words("Gradient", self.gradient.sentence()),
         ]
         if self.identifiability is not None:
-            parts.append(words("What the data can tell", *self.identifiability.sentences()))
+            parts.append(words("Identifiability", *self.identifiability.sentences()))
         parts += [
-            words(f"What the prior predicts for {self.measurement}, Hz", *self.prior.sentences()),
+            words(f"Prior prediction for {self.measurement}, Hz", *self.prior.sentences()),
             self.prior_table().to_html(),
         ]
         doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
-        parts.append(words("Doubtful") + f"<ul>{doubts}</ul>" if doubts else words("Nothing doubtful was found."))
+        parts.append(words("Warnings") + f"<ul>{doubts}</ul>" if doubts else words("No warnings."))
         return f'<div class="fmu-check">{"".join(parts)}</div>'
 
 

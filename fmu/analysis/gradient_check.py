@@ -76,10 +76,13 @@ class GradientCheck:
         where = f"for {self.names[j]} at {self.points[i]}"
         if self.agrees:
             size = significant(self.largest, 2)
-            return f"The gradient agrees with central differences: to {size} of its size, least {where}."
+            return (
+                f"The gradient agrees with central differences: the largest relative difference is {size}, "
+                f"{where}."
+            )
         return (
-            f"The gradient differs from central differences by {significant(self.largest, 2)} of its size "
-            f"{where}: it is wrong, or the model is not smooth there."
+            f"The gradient disagrees with central differences: the relative difference is "
+            f"{significant(self.largest, 2)} {where}. Either it is wrong, or the model is not smooth there."
         )
 
     def table(self) -> pd.DataFrame:

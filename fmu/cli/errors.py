@@ -31,7 +31,7 @@ class Commands(click.Group):
                 str(error.args[0]) if hasattr(error, "mistakes") else str(error), *getattr(error, "mistakes", ())
             )
         except MemoryError as error:
-            _stop(f"the model needs more memory than there is ({error or 'no more is known'})")
+            _stop(f"the model needs more memory than is available ({error or 'no details'})")
         except RuntimeError as error:
             from fmu.engines.base import LostTaskError
             from fmu.samplers.loop.run import TooManyFailuresError

@@ -36,7 +36,7 @@ def make_writable(directory: Path) -> None:
     except OSError as error:
         why = error.strerror or str(error)
     if why:
-        raise ValueError(f"--out: must be a directory that can be written to (got {directory}: {why})")
+        raise ValueError(f"--out: must be a writable directory (got {directory}: {why})")
 
 
 def write_csv(table: pd.DataFrame, path: Path) -> None:

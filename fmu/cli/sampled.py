@@ -69,7 +69,7 @@ def sampled(
     def search() -> Maxima:
         may_take_long = sys.stderr.isatty() or starts != STARTS
         if may_take_long and not isinstance(report, JSONLines):  # whose stream is for programs
-            click.echo(f"Searching for the maxima of the posterior from {starts} starts …", err=True)
+            click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
         return find_map(problem, starts)
 
     with _explained(problem), _spread(problem, engine, orders["groups"]) as of_groups:
@@ -95,7 +95,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
     verdicts = diagnose_all(traces, summaries=summaries)
     comparison = side_by_side(traces, summaries, verdicts)
     write_csv(comparison, directory / "comparison.csv")
-    click.echo(f"Maxima of the posterior\n{outcome.maxima}\n")
+    click.echo(f"Posterior maxima\n{outcome.maxima}\n")
     for name, table in summaries.items():
         click.echo(f"{name}\n{summary_text(table, _updated(traces[name]))}\n")
         _echo_failed_points(name, traces[name], directory, outcome.problem)
@@ -104,7 +104,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
     until_ess = outcome.orders["until_ess"]
     short = _short_of(until_ess, summaries, verdicts)
     if short:
-        click.echo(f"\nStopped at the most draws, short of --until-ess {typed(until_ess)}: {', '.join(short)}")
+        click.echo(f"\n--max-draws reached before --until-ess {typed(until_ess)}: {', '.join(short)}")
     click.echo(f"\nWritten to {directory}")
     return 1 if short else 0
 
@@ -120,7 +120,7 @@ def _updated(trace: xr.DataTree) -> list[str] | None:
 
 def stopped(directory: Path, where: str = "") -> int:
     """Say where a run was stopped, in words, and how to go on with it; return the exit code."""
-    click.echo(f"Stopped{where and f': {where}'}. To go on: fmu run --resume {directory}", err=True)
+    click.echo(f"Stopped{where and f': {where}'}. To resume: fmu run --resume {directory}", err=True)
     return STOPPED
 
 
@@ -161,7 +161,7 @@ def _one(
         try:
             save_trace(trace, path)
         except OSError as error:
-            raise OSError(f"{error}. The draws are kept; to go on: fmu run --resume {running.path}") from error
+            raise OSError(f"{error}. The draws are saved. To resume: fmu run --resume {running.path}") from error
     if stopped:
         return stopped
     outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
@@ -192,12 +192,12 @@ def _drawn(
         return stop.trace, f"{name} {stop.where}"
     except TooManyFailuresError as error:
         raise TooManyFailuresError(
-            f"{name}: {error}. See {ledger}; to go on all the same: fmu run --resume {running.path} "
+            f"{name}: {error}. See {ledger}; to continue regardless: fmu run --resume {running.path} "
             "--max-failure-rate 1",
             error.result,
         ) from None
     except OSError as error:
-        raise OSError(f"{error}. To go on: fmu run --resume {running.path}") from error
+        raise OSError(f"{error}. To resume: fmu run --resume {running.path}") from error
     finally:
         with suppress(OSError):  # it is with what is kept, anyhow
             running.take_ledger(name, ledger)
@@ -239,7 +239,7 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
     if failed:
         where = f"see {directory / f'failures-{name}.csv'}"
         click.echo(
-            f"{name}: {failed} points inside the bounds had no finite log-probability, {where}{_why(problem)}\n",
+            f"{name}: {failed} points inside the bounds had no finite log-probability; {where}{_why(problem)}\n",
             err=True,
         )
 
@@ -259,4 +259,4 @@ def _explained(problem: UpdatingProblem) -> Iterator[None]:
 def _why(problem: UpdatingProblem) -> str:
     """Return the first reason why the function of a black-box model failed; empty if it never did."""
     reasons = getattr(problem.model, "reasons", ())
-    return f"; the function failed first at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""
+    return f"; the function first failed at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""

@@ -63,7 +63,9 @@ def source(case: str, pairing: str | None) -> Source:
 
     if case not in builtin.names():
         known = ", ".join(builtin.names())
-        raise click.BadParameter(f"{case!r} is neither one of {known} nor a .toml file.", param_hint="'CASE'")
+        raise click.BadParameter(
+            f"{case!r} is neither a built-in problem ({known}) nor a .toml file.", param_hint="'CASE'"
+        )
     from fmu import config
 
     path = builtin.path(case)

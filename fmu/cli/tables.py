@@ -57,8 +57,8 @@ def echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> N
             click.echo(wrapped(remark, f"{indent}- ", f"{indent}  "))
     told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
     if verdicts[told].warnings:
-        doubt = "" if verdicts[told].converged else ", which has not converged"
-        click.echo(f"\nThe model, by the draws of {told}{doubt}")
+        doubt = "" if verdicts[told].converged else " (not converged)"
+        click.echo(f"\nRemarks on the model, from the draws of {told}{doubt}")
         for warning in verdicts[told].warnings:
             click.echo(wrapped(warning, "  - ", "    "))
 

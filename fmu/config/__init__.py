@@ -96,9 +96,9 @@ def _parsed(path: Path) -> dict[str, Any]:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"is no TOML: it must be text in UTF-8 (byte {error.start + 1} is not)") from error
+        raise ValueError(f"is not valid TOML: it must be text in UTF-8 (byte {error.start + 1} is not)") from error
     if "\0" in text:
-        raise ValueError("is no TOML: it must be text in UTF-8 (it has NUL characters, as UTF-16 has)")
+        raise ValueError("is not valid TOML: it must be text in UTF-8 (it has NUL characters, as UTF-16 has)")
     deep = _LONG_KEY.search(text)
     if deep is not None:
         line = text.count("\n", 0, deep.start()) + 1
@@ -108,9 +108,9 @@ def _parsed(path: Path) -> dict[str, Any]:
     except RecursionError:
         raise ValueError(f"must not be nested more than {DEEPEST} tables and lists deep") from None
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"is no TOML: {error}") from error
+        raise ValueError(f"is not valid TOML: {error}") from error
     except ValueError as error:  # of a number with thousands of digits, or a date that is none
-        raise ValueError(f"is no TOML: it has a number or a date that cannot be read ({error})") from error
+        raise ValueError(f"is not valid TOML: it has a number or a date that cannot be read ({error})") from error
 
 
 def _out_of_size(content: Any) -> Iterator[Mistake]:

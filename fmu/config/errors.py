@@ -101,22 +101,26 @@ def built_noise(
     found, used = [], set()
     for i, table in enumerate(tables):
         if table.name in noise or table.name in parameters:
-            found.append(Mistake(f"noise.{i}.name", got("must not be that of another parameter", table.name)))
+            found.append(Mistake(f"noise.{i}.name", got("must not be the name of another parameter", table.name)))
         try:
             noise[table.name] = table.build()
         except ValueError as error:
             found.append(Mistake(f"noise.{i}", str(error).removeprefix(f"{table.name}.")))
-    known = names_shown([table.name for table in tables]) or "none that there is"
+    known = names_shown([table.name for table in tables]) or "there is none"
     for i, model in enumerate(errors):
         for key in ("sd", "discrepancy"):
             name = getattr(model, key, None)
             if isinstance(name, str):
                 used.add(name)
                 if name not in {table.name for table in tables}:
-                    found.append(Mistake(f"error.{i}.{key}", got(f"must name one of the noise: {known}", name)))
+                    found.append(
+                        Mistake(f"error.{i}.{key}", got(f"must be the name of a [[noise]] table: {known}", name))
+                    )
     for i, table in enumerate(tables):
         if table.name not in used:
-            found.append(Mistake(f"noise.{i}.name", got("must be the sd or discrepancy of an error", table.name)))
+            found.append(
+                Mistake(f"noise.{i}.name", got("must be used as sd or discrepancy of an [[error]]", table.name))
+            )
     return noise, found
 
 
@@ -130,8 +134,8 @@ def beside_tests(errors: Sequence[Any], data: ModalData) -> list[Mistake]:
     """
     told = {"frequencies": data.tests is not None, "shapes": data.tests is not None and data.shapes_sd is not None}
     rule = (
-        "must not be given beside tests, whose scatter tells the error of their mean; leave it out, and give "
-        "discrepancy for what the model leaves out, or give the means as frequencies with an sd instead of tests"
+        "must not be given together with tests, whose scatter gives the error of their mean. Leave it out and "
+        "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
     )
     return [
         Mistake(f"error.{i}.sd", got(rule, table.sd))
@@ -173,8 +177,8 @@ def vanishing(
         density = parameter.prior.log_pdf(nearly_none) - n * np.log(nearly_none)
         if name not in grounded and parameter.lower == 0.0 and n <= n_parameters and density[1] > density[0]:
             rule = (
-                f"must be positive, or the prior log-normal: {n_parameters} parameters can fit these {n} errors "
-                "exactly, and the probability density has no limit where the deviation vanishes"
+                f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
+                f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
             )
             found.append(Mistake(f"noise.{i}.lower", got(rule, parameter.lower)))
     return found

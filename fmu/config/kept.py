@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 FILE, ORIGIN = "problem.toml", "run.json"
 _ABOUT = (
-    "Written by fmu run: where problem.toml came from, and what was asked for. The folder is relative to this "
-    "file's."
+    "Written by fmu run: the origin of problem.toml and the options of the run. The folder is relative to "
+    "this file."
 )
 
 
@@ -95,14 +95,14 @@ def kept(directory: Path, model: Path | None = None) -> KeptProblem:
     """
     if not (directory / ORIGIN).is_file() or not (directory / FILE).is_file():
         if model is None:
-            raise ValueError(f"{directory} keeps no {FILE} with {ORIGIN}: give the problem's file (--model)")
+            raise ValueError(f"{directory} has no {FILE} with {ORIGIN}: give the problem file (--model)")
         return KeptProblem(model, model.parent, None)
     try:
         origin = json.loads((directory / ORIGIN).read_text(encoding="utf-8"))
         folder, pairing = str(origin["folder"]), str(origin["pairing"])
         orders, finished = dict(origin["orders"]), tuple(map(str, origin["finished"]))
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{directory / ORIGIN} is not as fmu run wrote it ({error})") from error
+        raise ValueError(f"{directory / ORIGIN} is not a file that fmu run wrote ({error})") from error
     if model is not None:
         return KeptProblem(model, model.parent, pairing, orders, finished)
     return KeptProblem(directory / FILE, directory / folder, pairing, orders, finished)

@@ -109,18 +109,20 @@ class MeasurementTable(TomlTable):
         if len(trust) > 1:
             raise ValueError(got(_ONE_TRUST, trust))
         if trust and given[0] in _TESTS:
-            raise ValueError(f"{trust[0]} must not be given beside {given[0]}, whose scatter tells the error")
+            raise ValueError(
+                f"{trust[0]} must not be given together with {given[0]}, whose scatter gives the error"
+            )
         shapes = [key for key in _SHAPES if getattr(self, key) is not None]
         if len(shapes) > 1:
             raise ValueError(f"must have either {' or '.join(shapes)}")
         if self.test_shapes is not None and given[0] not in _TESTS:
-            raise ValueError("test_shapes must be beside tests or tests_file, a list a test")
+            raise ValueError("test_shapes must be given with tests or tests_file, one list per test")
         if self.shapes_file is not None and self.sensors:
-            raise ValueError("sensors must not be given beside shapes_file, which has them")
+            raise ValueError("sensors must not be given together with shapes_file, which defines them")
         if given[0] in _WITH_SHAPES and shapes:
-            raise ValueError(f"shapes must not be given beside {given[0]}, which has them")
+            raise ValueError(f"shapes must not be given together with {given[0]}, which defines them")
         if self.oma is not None and not self.sensors:
-            raise ValueError("sensors must be given beside oma, one a channel")
+            raise ValueError("sensors must be given with oma, one per channel")
         self._check_lengths()
         return self
 
@@ -128,14 +130,14 @@ class MeasurementTable(TomlTable):
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
         if len({len(row) for row in rows}) > 1:
             raise ValueError(
-                got("tests must have rows of one length, one value a mode", [len(row) for row in rows])
+                got("tests must have rows of one length, one value per mode", [len(row) for row in rows])
             )
         if not rows:
             return
         for key in ("sd", "beta", "covariance", "numbers", "counterparts", "labels", "shapes"):
             value = getattr(self, key)
             if isinstance(value, list) and value and len(value) != len(rows[0]):
-                raise ValueError(f"{key} must be {len(rows[0])}, one a mode (got {len(value)})")
+                raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {len(value)})")
 
     def mistakes(self, needs_trust: bool) -> list[Mistake]:
         """Say so if nothing can tell the errors in frequency, and no error model does."""
@@ -159,7 +161,7 @@ class MeasurementTable(TomlTable):
         sensors = self._sensors(read.sensors, built)
         n, most = len(read.frequencies), getattr(built.model, "n_dof", np.inf)
         if n > most:
-            rule = f"must have at most {most} modes, one a degree of freedom of the model (got {n})"
+            rule = f"must have at most {most} modes, one per degree of freedom of the model (got {n})"
             raise BrokenError([Mistake("measurement", rule)])
         given = {"sd": "sd_hz", "covariance": "covariance_hz2"}
         trust = {argument: getattr(self, key) for key, argument in given.items() if getattr(self, key) is not None}
@@ -257,16 +259,16 @@ def _repeated_shapes(shapes: list[list[list[float]]], read: _Read) -> tuple[Floa
     where, n_modes = "measurement.test_shapes", len(read.frequencies)
     n_tests = len(np.asarray(read.tests.frequencies_hz)) if read.tests is not None else 0
     if len(shapes) != n_tests:
-        raise BrokenError([Mistake(where, f"must be {n_tests}, one a test (got {len(shapes)})")])
+        raise BrokenError([Mistake(where, f"must be {n_tests}, one per test (got {len(shapes)})")])
     wrong = [i for i, test in enumerate(shapes) if len(test) != n_modes]
     if wrong:
         raise BrokenError(
-            [Mistake(f"{where}.{i}", f"must be {n_modes}, one a mode (got {len(shapes[i])})") for i in wrong]
+            [Mistake(f"{where}.{i}", f"must be {n_modes}, one per mode (got {len(shapes[i])})") for i in wrong]
         )
     lengths = {len(row) for test in shapes for row in test}
     if len(lengths) > 1:
         raise BrokenError(
-            [Mistake(where, got("must have rows of one length, one value a sensor", sorted(lengths)))]
+            [Mistake(where, got("must have rows of one length, one value per sensor", sorted(lengths)))]
         )
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
@@ -279,7 +281,7 @@ def _repeated_shapes(shapes: list[list[list[float]]], read: _Read) -> tuple[Floa
 def _columns(shapes: list[list[float]]) -> FloatArray:
     """Return shapes given a row a mode, a column a mode."""
     if len({len(shape) for shape in shapes}) > 1:
-        rule = got("must have rows of one length, one value a sensor", [len(shape) for shape in shapes])
+        rule = got("must have rows of one length, one value per sensor", [len(shape) for shape in shapes])
         raise BrokenError([Mistake("measurement.shapes", rule)])
     return np.array(shapes, dtype=float).T
 

@@ -54,7 +54,7 @@ class ConfigurationError(ValueError):
     def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
         self.source, self.mistakes = source, tuple(mistakes)
         n = len(self.mistakes)
-        super().__init__(f"{source}: {n} mistake{'s' if n > 1 else ''}")
+        super().__init__(f"{source}: {n} error{'s' if n > 1 else ''}")
 
     def __str__(self) -> str:
         return "\n".join([f"{super().__str__()}:", *(f"  {line}" for line in told(self.mistakes))])
@@ -81,7 +81,7 @@ def _of_one(error: dict[str, Any]) -> Mistake:
     where = place(_in_the_file(error["loc"]))
     kind, value = error["type"], error["input"]
     if kind == "extra_forbidden":
-        return Mistake(where, "is no known key")
+        return Mistake(where, "is not a known key")
     if kind == "missing":
         return Mistake(where, "is missing")
     if kind in ("union_tag_invalid", "union_tag_not_found"):

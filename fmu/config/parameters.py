@@ -62,7 +62,9 @@ def built(tables: list[ParameterTable]) -> tuple[list[Parameter], list[Mistake]]
     names = [table.name for table in tables]
     for i, table in enumerate(tables):
         if table.name in names[:i]:
-            found.append(Mistake(f"parameters.{i}.name", got("must not be that of another parameter", table.name)))
+            found.append(
+                Mistake(f"parameters.{i}.name", got("must not be the name of another parameter", table.name))
+            )
         try:
             parameters.append(table.build())
         except ValueError as error:

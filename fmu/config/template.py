@@ -62,7 +62,7 @@ def write_template(kind: str, directory: str | os.PathLike[str]) -> Path:
     folder = Path(directory)
     taken = [name for name in files(kind) if os.path.lexists(folder / name)]
     if taken:
-        raise ValueError(f"directory: {folder} holds {', '.join(taken)} already; choose another one")
+        raise ValueError(f"directory: {folder} already contains {', '.join(taken)}; choose another one")
     folder.mkdir(parents=True, exist_ok=True)
     for name in files(kind):
         (folder / name).write_bytes((_FOLDER / kind / name).read_bytes())

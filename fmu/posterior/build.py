@@ -133,7 +133,7 @@ def likelihood_of(
     is_soft = isinstance(getattr(paired, "rule", None), SoftPairing)
     if not isinstance(error, str):
         if beta is not None:
-            raise ValueError(f"beta: must not be given beside error models, which have sd (got {beta})")
+            raise ValueError(f"beta: must not be given together with error models, which have sd (got {beta})")
         errors: Any = error if isinstance(error, Sequence) else [error]
         return (SoftLikelihood if is_soft else JointLikelihood)(paired, data, errors)  # type: ignore[arg-type]
     if error not in ERRORS:

@@ -70,33 +70,36 @@ def check_page(found: Check) -> Page:
     if found.identifiability is not None:
         sections.append(_informed(found))
     sections.append(_gradient(found))
-    lead = f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes; before any sampling."
-    footer = "Written by fmu check: the model at the start values, nothing is updated yet."
+    lead = f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes; before sampling."
+    footer = "Written by fmu check for the model at the start values, before updating."
     return Page(found.name, lead, _verdicts(found), tuple(sections), (), footer)
 
 
 def _verdicts(found: Check) -> tuple[Verdict, ...]:
     doubts = found.modes.doubts
-    answer = "Nothing doubtful" if not doubts else f"{len(doubts)} doubt{'s' if len(doubts) > 1 else ''}"
-    verdicts = [Verdict("Which mode is which?", answer, not doubts, "What is doubtful in the pairing", doubts)]
+    answer = "No warnings" if not doubts else f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''}"
+    verdicts = [Verdict("Are the modes paired correctly?", answer, not doubts, "Warnings on the pairing", doubts)]
     far = int(found.prior.is_far.sum())
     expected = not far and not found.prior.failed
-    answer = "Yes" if expected else f"Not {far} of {len(found.prior.labels)}" if far else "The model fails"
+    missed = f"{far} of {len(found.prior.labels)} modes not covered" if far else "The model fails"
+    answer = "Yes" if expected else missed
     reasons = () if expected else tuple(found.prior.sentences())
     verdicts.append(
-        Verdict("Does the prior expect the data?", answer, expected, "What the prior does not expect", reasons)
+        Verdict("Does the prior cover the data?", answer, expected, "What the prior does not cover", reasons)
     )
     if found.identifiability is not None:
         n, k = len(found.identifiability.names), found.identifiability.n_informed
         answer, unknown = f"{k} of {n} directions", tuple(doubts_of_information(found.identifiability))
         good = False if unknown else True if k == n else None
-        verdicts.append(Verdict("What can the data tell?", answer, good, "What they cannot tell", unknown))
+        verdicts.append(Verdict("What can the data identify?", answer, good, "What they cannot identify", unknown))
     if found.tests:
-        verdicts.append(Verdict("Are the tests independent?", "No", False, "How they depend", found.tests))
+        verdicts.append(Verdict("Are the tests independent?", "No", False, "How they are correlated", found.tests))
     agrees = found.gradient.agrees
     reasons = () if agrees else (found.gradient.sentence(),)
     answer = "Yes" if agrees else "No"
-    verdicts.append(Verdict("Is the gradient right?", answer, agrees, "What is wrong with the gradient", reasons))
+    verdicts.append(
+        Verdict("Is the gradient correct?", answer, agrees, "What is wrong with the gradient", reasons)
+    )
     return tuple(verdicts)
 
 
@@ -141,9 +144,9 @@ def _modes(found: Check) -> PageSection:
     table = found.mode_table()
     rows = tuple(tuple(map(str, row)) for row in table.itertuples(index=False))
     words = tuple(i for i, name in enumerate(table.columns) if name in ("measured mode", "moves"))
-    caption = "The lowest modes of the model at the start, and the measured ones that they answer to."
+    caption = "Lowest modes of the model at the start, and the measured modes that they are paired with."
     if "moves" in table.columns:
-        caption += " Moves: the directions that hold most of a mode's kinetic energy."
+        caption += " Moves: directions with most of the mode's kinetic energy."
     parts: list[Part] = [Text(_largest_error(found)), PageTable(caption, tuple(table.columns), rows, words)]
     if modes.notes:
         parts.append(Items(modes.notes))
@@ -175,7 +178,7 @@ def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
 def _largest_error(found: Check) -> str:
     errors = [found.modes.error_percent(k) for k in range(len(found.modes.labels))]
     k = max(range(len(errors)), key=lambda i: abs(errors[i]))
-    return f"Before updating, mode {found.modes.labels[k]} is farthest off: {change(errors[k] / 100)}."
+    return f"Largest frequency error before updating: {change(errors[k] / 100)} in mode {found.modes.labels[k]}."
 
 
 def _prior(found: Check) -> PageSection:
@@ -194,24 +197,29 @@ def _prior(found: Check) -> PageSection:
             prior.measured, series, [literal(label) for label in labels], new_figure(NARROW, 4.2)
         )
         said = "; ".join(
-            f"mode {label} measured {given(m)}, at the start {hertz(f)[0]}, expected {with_sd(mean, sd)} Hz"
+            f"mode {label} measured {given(m)}, at the start {hertz(f)[0]}, prior prediction "
+            f"{with_sd(mean, sd)} Hz"
             for label, m, f, mean, sd in zip(labels, prior.measured, start, prior.mean, prior.sd, strict=True)
         )
-        alt = f"Frequencies of the model beside the measured ones: {said}."
-        caption = "How far the model is from the measurement before updating, and how far the prior lets it go."
+        alt = f"Measured, computed and predicted frequencies: {said}."
+        caption = "Frequency error of the model before updating, and the range that the prior allows."
         parts.append(Pictures((picture(axes, "prior", alt, caption),)))
         table = found.prior_table()
         rows = tuple((label, *row) for label, row in zip(labels, table.to_numpy(), strict=True))
-        noise = f"Of {found.measurement}: its error is in the sd." if np.isfinite(prior.noise_sd).all() else ""
-        header = ("mode", "measured, Hz", "the prior predicts, Hz", "distance, sd")
+        noise = (
+            (f"The sd is that of {found.measurement}, with its error.")
+            if np.isfinite(prior.noise_sd).all()
+            else ""
+        )
+        header = ("mode", "measured, Hz", "prior prediction, Hz", "distance, sd")
         parts.append(PageTable(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
-    return PageSection("prior", "What the prior predicts", tuple(parts))
+    return PageSection("prior", "Prior prediction", tuple(parts))
 
 
 def _informed(found: Check) -> PageSection:
     informed = found.identifiability
     if informed is None:
-        raise ValueError("found: must know what the data tell (got nothing)")
+        raise ValueError("found: must have an identifiability (got none)")
     rows = tuple(
         (
             str(k),
@@ -222,12 +230,12 @@ def _informed(found: Check) -> PageSection:
         for k, (s, direction) in enumerate(zip(informed.singular_values, informed.directions, strict=True), 1)
     )
     caption = (
-        "Linearised at the start. Orthonormal directions in units of the prior's standard deviations; along each, "
-        "the data leave the given part of the prior's standard deviation."
+        "Linearised at the start. Orthonormal directions in units of the prior standard deviations. Sd left: "
+        "part of the prior standard deviation that remains along each direction."
     )
     header = ("direction", "singular value", "sd left", *informed.names)
-    table = Details("The directions and their singular values", (PageTable(caption, header, rows),))
-    return PageSection("informed", "What the data can tell", (Items(tuple(informed.sentences())), table))
+    table = Details("Directions and singular values", (PageTable(caption, header, rows),))
+    return PageSection("informed", "Identifiability", (Items(tuple(informed.sentences())), table))
 
 
 def _gradient(found: Check) -> PageSection:
@@ -237,8 +245,8 @@ def _gradient(found: Check) -> PageSection:
         for name, errors in zip(gradient.names, gradient.relative_error.T, strict=True)
     )
     caption = (
-        "Exact gradient of the log-probability against central differences: their difference over the size of "
-        "the gradient at the point, in coordinates in which the parameters are of order one."
+        "Exact gradient of the log-probability compared with central differences: their difference relative "
+        "to the size of the gradient at the point, with parameters scaled to order one."
     )
     table = Details("Parameter by parameter", (PageTable(caption, ("parameter", *gradient.points), rows),))
     return PageSection("gradient", "Gradient", (Text(gradient.sentence()), table))

@@ -91,7 +91,7 @@ def export(
     Raises
     ------
     ValueError
-        If the directory holds no traces, none of the sampler or no maxima, `at` is none of the two, the problem
+        If the directory contains no traces, none of the sampler or no maxima, `at` is none of the two, the problem
         is another one than was sampled, or files of other origin stand where these shall be.
     """
     directory = Path(run_directory)
@@ -125,7 +125,7 @@ def _chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Dia
     """Return the trace to take: of the sampler asked for, else of the first that converged, else the first."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
-        raise ValueError(f"run_directory: {directory} holds no traces (*.nc)")
+        raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")
     if sampler is not None and sampler not in traces:
         raise ValueError(f"sampler: must be one of {', '.join(traces)} (got {sampler!r})")
     verdicts = diagnose_all(traces)
@@ -138,7 +138,7 @@ def _theta(trace: xr.DataTree, at: str) -> FloatArray:
         return np.asarray(parameter_draws(trace).mean(axis=(0, 1)))
     maxima = maxima_of(trace)
     if maxima is None:
-        raise ValueError("at: the run keeps no maxima, so that there is no 'map' (got 'map')")
+        raise ValueError("at: the run has no maxima, so 'map' is not available (got 'map')")
     return maxima[0].theta
 
 
@@ -198,8 +198,8 @@ def _remarks(
         lp = trace["sample_stats"]["lp"].to_numpy()
         if float(problem.log_prob(theta)) < float(np.quantile(lp, _TAIL)):
             remarks.append(
-                "The posterior mean is less probable than 99 % of the draws: the posterior has several parts or "
-                "is bent, and the mean lies between. --at map takes its highest maximum."
+                "The posterior mean is less probable than 99 % of the draws: the posterior has several peaks "
+                "or is curved, and the mean lies outside it. Use --at map for the highest maximum."
             )
     return remarks
 
@@ -212,5 +212,5 @@ def _incomplete(file: Path) -> list[str]:
         _problem_again(file, file.parent, None)
     except ConfigurationError as error:
         missing = "; ".join(map(str, error.mistakes))
-        return [f"{file.name} does not stand by itself, but beside the file of the run ({missing})."]
+        return [f"{file.name} needs files that are in the directory of the original problem file ({missing})."]
     return []

@@ -34,7 +34,7 @@ def write_matrices(
         (MASS, model.M(theta), "Mass in kg; of rotations in kg m^2."),
     ):
         symmetric = 0.5 * (matrix + matrix.T)
-        comment = f" {words} {about} Rows are listed in {DOFS}; entries above the diagonal are left out."
+        comment = f" {words} {about} {DOFS} names the rows; entries above the diagonal are omitted."
         with (folder / name).open("wb") as file:  # a name would be taken for ASCII
             mmwrite(file, symmetric.tocoo(), comment=_ascii(comment), precision=17, symmetry="symmetric")
     dof_table(model, places).to_csv(folder / DOFS, index=False)

@@ -16,7 +16,8 @@ from pathlib import Path, PurePosixPath
 
 MANIFEST = "manifest.json"
 _ABOUT = (
-    "Written by fmu. The next run replaces these files, takes away those it no longer writes, and nothing else."
+    "Written by fmu. The next run replaces these files and removes those that it no longer writes; it leaves "
+    "all others alone."
 )
 
 
@@ -46,7 +47,7 @@ class OutputDirectory:
         if foreign:
             listed = ", ".join(foreign[:3]) + (", …" if len(foreign) > 3 else "")
             raise ValueError(
-                f"out: {self.root} holds {len(foreign)} files that this command did not write and will not "
+                f"out: {self.root} holds {len(foreign)} files that this command did not write and does not "
                 f"replace ({listed}); move them away or choose another directory"
             )
 
@@ -106,10 +107,10 @@ class OutputDirectory:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             if content["about"] != _ABOUT:
-                raise ValueError("it is not ours")
+                raise ValueError("it was not written by fmu")
             return frozenset(_relative(content["files"]))
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"out: {path} is no manifest written by fmu ({error}); move it away") from error
+            raise ValueError(f"out: {path} is not a manifest written by fmu ({error}); move it away") from error
 
 
 def _relative(names: Iterable[str]) -> list[str]:

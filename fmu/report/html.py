@@ -35,8 +35,8 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     Raises
     ------
     ValueError
-        If it is no directory, holds no traces, or traces of different problems; or if files of other origin stand
-        where the report shall be.
+        If it is no directory, contains no traces, or traces of different problems; or if files of other origin
+        stand where the report shall be.
     """
     from fmu.analysis.trace.conversion import load_trace
 
@@ -45,7 +45,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
         raise ValueError(f"run_directory: must be a directory (got {directory})")
     paths = sorted(directory.glob("*.nc"))
     if not paths:
-        raise ValueError(f"run_directory: {directory} holds no traces (*.nc)")
+        raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")
     return publish({path.stem: load_trace(path) for path in paths}, directory)
 
 

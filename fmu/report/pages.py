@@ -104,7 +104,7 @@ def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:
     reasons = tuple(f"{run.title}: {run.diagnosis.verdict}" for run in runs.values())
     told = _told(runs)
     others = verdicts(told)[1:]
-    by = f"By the draws of: {told.title}."
+    by = f"From the draws of {told.title}."
     return (
         Verdict("Have the samplers converged?", answer, not failed, "Verdict on each sampler", reasons),
         *(replace(verdict, reasons=(by, *verdict.reasons)) for verdict in others),
@@ -112,4 +112,4 @@ def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:
 
 
 def _footer(run: ReportedRun) -> str:
-    return f"Written by fmu from the traces alone. Configuration {run.trace.attrs['configuration_hash']}."
+    return f"Written by fmu from the traces. Configuration {run.trace.attrs['configuration_hash']}."

@@ -54,7 +54,7 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     import matplotlib as mpl
 
     if not alt.strip():
-        raise ValueError("alt: must say what the figure shows (got nothing)")
+        raise ValueError("alt: must describe the figure (got nothing)")
     file = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}), warnings.catch_warnings():
         # text stays text: a letter that Matplotlib's font has not, the reader's has

@@ -68,7 +68,7 @@ def test_divergences_are_missing_where_there_are_no_trajectories(make_trace, goo
 def test_nan_of_one_parameter_is_not_skipped(make_trace, good):
     good[..., 1] = 3.0
     row = compare({"stuck": make_trace(good)}).loc["stuck"]
-    assert row["verdict"] == "not converged: R-hat nan of x1 is not below 1.01"
+    assert row["verdict"] == "not converged: x1: R-hat is nan; it must be below 1.01"
     for column in ("rhat_max", "ess_bulk_min", "ess_tail_min", "mcse_over_sd_max", "ess_per_solve", "ess_per_s"):
         assert np.isnan(row[column])
 

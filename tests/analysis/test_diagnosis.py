@@ -51,14 +51,16 @@ def test_chains_that_agree_in_one_of_several_modes_are_found_out(section, in_b, 
     found = diagnose(in_b, section)
     assert not found.converged
     assert found.reasons[0].startswith(
-        "maximum 1 at Ix1 = 3.904e-9 m⁴, Ix2 = 7.500e-9 m⁴, Ax1 = 0.00090000 m², Ax2 = 0.0005145 m², with "
-        "log-probability -40.4 where the best draw has -10"
+        "maximum 1 at Ix1 = 3.904e-9 m⁴, Ix2 = 7.500e-9 m⁴, Ax1 = 0.00090000 m², Ax2 = 0.0005145 m² was "
+        "never visited: its log-probability is -40.4 (best draw: -10"
     )
     assert found.reasons[0].endswith(
-        "was never visited; it holds about 100 % of the probability; start the chains at the maxima of the "
-        'posterior: init="maxima" (--init maxima)'
+        "), and it holds about 100 % of the probability; start the chains at the posterior "
+        'maxima: init="maxima" (--init maxima)'
     )
-    assert found.reasons[1].startswith("instead 4 chains are around maximum 2 at Ix1 = 6.873e-9 m⁴")
+    assert found.reasons[1].startswith(
+        "the draws were elsewhere: 4 chains are around maximum 2 at Ix1 = 6.873e-9 m⁴"
+    )
     assert ", less than 0.01 % of the probability)" in found.reasons[1]
     assert len(found.reasons) == 2
 
@@ -78,7 +80,7 @@ def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, sectio
     assert convergence_failures(trace) == []
     first, second = judge(trace, [section_maxima]).reasons
     assert first.startswith("maximum 1 at Ix1 = 3.904e-9")
-    assert second.startswith("instead 4 chains are around maximum 3 at Ix1 = 5.53")
+    assert second.startswith("the draws were elsewhere: 4 chains are around maximum 3 at Ix1 = 5.53")
 
 
 # far from all maxima the reduced model's log-probability misses its tolerance
@@ -110,7 +112,7 @@ def test_whoever_stays_in_a_local_mode_is_told_where(section, section_maxima, ar
     trace = fmu.sample(section, settings, draws=40, warmup=0, init=around(maximum, *shape), seed=1)
     first, second = judge(trace, [section_maxima]).reasons[:2]
     assert first.startswith("maximum 1 at Ix1 = 3.904e-9")
-    assert second.startswith("instead ")
+    assert second.startswith("the draws were elsewhere: ")
     kind = "chains" if sampler == "slice" else "walkers"
     assert f"{kind} are around maximum {maximum + 1} at" in second
 
@@ -126,7 +128,7 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
     assert found.reasons[2].startswith("1 chain is around maximum 1 at Ix1 = 3.904e-9")
     assert "1 chain is around maximum 2 at" in found.reasons[2]
     assert "2 chains are around maximum 3 at" in found.reasons[2]
-    assert any(reason.startswith("R-hat") for reason in found.reasons)
+    assert any(": R-hat is " in reason for reason in found.reasons)
 
 
 @pytest.mark.parametrize("modes", [(1, 2), (0, 1)], ids=["B and C", "A and B"])
@@ -136,8 +138,8 @@ def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, sec
     trace = fmu.sample(section, fmu.Ensemble(walkers=16), draws=250, warmup=0, init=init, seed=1)
     assert summary(trace)["rhat"].max() < 1.02
     failures = convergence_failures(trace)
-    assert any(f.startswith("R-hat over walkers") for f in failures)
-    assert any(f.startswith("number of autocorrelation times 1") for f in failures)
+    assert any(": R-hat over walkers is " in f for f in failures)
+    assert any(": the run is 1" in f and "autocorrelation times long; 50 are needed" in f for f in failures)
     found = judge(trace, [section_maxima])
     assert not found.converged
     if 0 in modes:
@@ -176,11 +178,11 @@ def test_what_another_run_found_counts_without_a_problem(in_b, section, around):
     in_a = fmu.sample(section, "mh", draws=300, warmup=200, init=around(0, 4), seed=1)
     found = diagnose(in_b, others={"mh": in_a})
     assert not found.converged
-    assert found.reasons[0].startswith("the run mh was at Ix1 = 3.")
-    assert "with log-probability -4" in found.reasons[0]
-    assert "about 100 % of the probability is there" in found.reasons[0]
+    assert found.reasons[0].startswith("run mh visited Ix1 = 3.")
+    assert "the log-probability there is -4" in found.reasons[0]
+    assert "it holds about 100 % of the probability" in found.reasons[0]
     # the other way round nothing of weight was missed
-    assert not any("the run" in reason for reason in diagnose(in_a, others=[in_b]).reasons)
+    assert not any("visited" in reason for reason in diagnose(in_a, others=[in_b]).reasons)
 
 
 def test_maxima_that_a_trace_keeps_count_for_it_and_for_others(in_b, section_maxima, tmp_path):
@@ -218,8 +220,8 @@ def test_a_verdict_without_maxima_says_so(good, problem):
     found = diagnose(good)
     assert found.converged
     assert not found.searched
-    assert "as far as its own draws tell: no maxima are known" in str(found)
-    assert "as far as its own draws tell" in found._repr_html_()
+    assert "judged by its own draws only, as no maxima are known" in str(found)
+    assert "judged by its own draws only" in found._repr_html_()
     assert "no maxima" not in str(diagnose(good, problem))
     assert "no maxima" not in str(diagnose(good.isel(chain=[0])))  # there the reasons stand
 
@@ -228,7 +230,7 @@ def test_one_chain_is_never_called_converged(good, problem):
     one = good.isel(chain=[0])
     found = diagnose(one, problem)
     assert not found.converged
-    assert found.reasons[0] == "1 chain, at least 2 are needed: --chains 4"
+    assert found.reasons[0] == "1 chain; at least 2 are needed: --chains 4"
 
 
 def test_summary_that_is_nan_is_a_failure(good):
@@ -276,5 +278,5 @@ def test_a_run_that_was_stopped_says_so_whatever_the_verdict(good, converged):
     trace.attrs = good.attrs | {"complete": 0, "draws": 500}
     found = judge(trace)
     assert found.converged == converged
-    assert found.remarks[-1] == "the run was stopped after 500 draws, and can go on"
+    assert found.remarks[-1] == "the run was stopped after 500 draws and can be resumed"
     assert judge(good).stopped == ""

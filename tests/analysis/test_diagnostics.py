@@ -97,27 +97,28 @@ def test_good_chains_have_converged(make_trace, good):
 def test_one_chain_cannot_show_convergence(make_trace):
     position = np.random.default_rng(24).standard_normal((1, 4000, 2))
     failures = convergence_failures(make_trace(position))
-    assert failures[0] == "1 chain, at least 2 are needed: --chains 4"
-    assert failures[1] == "R-hat nan of x0 is not below 1.01"
+    assert failures[0] == "1 chain; at least 2 are needed: --chains 4"
+    assert failures[1] == "x0: R-hat is nan; it must be below 1.01"
 
 
 def test_shifted_chain_is_found(make_trace, good):
     good[3, :, 1] += 1.0
     failures = convergence_failures(make_trace(good))
-    assert failures[0].startswith("R-hat 1.")
-    assert "of x1 is not below 1.01" in failures[0]
+    assert ": R-hat is 1." in failures[0]
+    assert "x1: R-hat is " in failures[0]
+    assert "it must be below 1.01" in failures[0]
 
 
 def test_correlated_chains_have_too_few_effective_draws(make_trace, ar1):
     position = ar1(np.random.default_rng(25), (2, 100_000, 2), 0.998)
     failures = convergence_failures(make_trace(position))
-    assert any(f.startswith("bulk ESS") and "is below 400" in f for f in failures)
+    assert any(": bulk ESS is " in f and "; at least 400 are needed" in f for f in failures)
 
 
 def test_every_chain_owes_a_hundred_effective_draws(make_trace):
     position = np.random.default_rng(26).standard_normal((8, 90, 2))  # 720 in all
     failures = convergence_failures(make_trace(position))
-    assert any(f.startswith("bulk ESS") and "is below 800" in f for f in failures)
+    assert any(": bulk ESS is " in f and "; at least 800 are needed" in f for f in failures)
 
 
 def test_tail_counts_by_itself(make_trace):
@@ -126,7 +127,7 @@ def test_tail_counts_by_itself(make_trace):
     table = summary(make_trace(position))
     table.loc["x1", "ess_tail"] = 399.0
     assert convergence_failures(make_trace(position), table) == [
-        "tail ESS 399 of x1 is below 400; about 510 draws are needed: --draws 510, or --until-ess 400"
+        "x1: tail ESS is 399; at least 400 are needed; about 510 draws are needed: --draws 510, or --until-ess 400"
     ]
 
 
@@ -136,15 +137,19 @@ def test_nan_is_a_failure(make_trace, good, column):
     table = summary(trace)
     table.loc["x1", column] = np.nan
     (failure,) = convergence_failures(trace, table)
-    assert "nan of x1" in failure
+    assert failure.startswith("x1: ")
+    assert " is nan; " in failure
 
 
 def test_chains_that_stand_still_have_not_converged(make_trace):
     failures = convergence_failures(make_trace(np.zeros((4, 500, 2))))
-    assert failures[0] == (
-        "chain 0 stands still for 500 of its 500 draws; give the chains more steps to settle: --warmup 1000"
-    )
-    assert [f.split(" nan")[0] for f in failures[1:]] == ["R-hat", "bulk ESS", "tail ESS", "MCSE over sd"]
+    assert failures[0] == ("chain 0 does not move for 500 of its 500 draws; lengthen the warm-up: --warmup 1000")
+    assert [f.split(" is nan")[0] for f in failures[1:]] == [
+        "x0: R-hat",
+        "x0: bulk ESS",
+        "x0: tail ESS",
+        "x0: MCSE over sd",
+    ]
 
 
 def test_good_ensembles_have_converged(make_trace, good_ensembles):
@@ -153,14 +158,14 @@ def test_good_ensembles_have_converged(make_trace, good_ensembles):
 
 def test_three_ensembles_are_too_few(make_trace, good_ensembles):
     failures = convergence_failures(make_trace(flat(good_ensembles[:3]), walkers=10))
-    assert failures == ["3 ensembles, at least 4 are needed: --chains 4"]
+    assert failures == ["3 ensembles; at least 4 are needed: --chains 4"]
 
 
 def test_short_ensembles_have_not_converged(make_trace, good_ensembles):
     # 300 steps are about 33 autocorrelation times: R-hat and ESS alone would let this pass.
     failures = convergence_failures(make_trace(flat(good_ensembles[:, :300]), walkers=10))
     assert len(failures) == 1
-    assert failures[0].startswith("number of autocorrelation times 25")
+    assert failures[0].startswith("x0: the run is 25")
 
 
 def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_trace, good_ensembles):
@@ -168,28 +173,28 @@ def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_t
     trace = make_trace(flat(good_ensembles), walkers=10)
     assert summary(trace)["rhat"].max() < 1.01  # the false calm of R-hat over ensembles
     failures = convergence_failures(trace)
-    assert any(f.startswith("R-hat over walkers") for f in failures)
-    assert any(f.startswith("number of autocorrelation times") for f in failures)
+    assert any(": R-hat over walkers is " in f for f in failures)
+    assert any(": the run is " in f and "autocorrelation times long" in f for f in failures)
 
 
 def test_chain_that_stands_still_for_long_is_named(make_trace, good):
     good[2, 100:199] = good[2, 100]
-    assert not any("stands still" in f for f in convergence_failures(make_trace(good)))
+    assert not any("does not move" in f for f in convergence_failures(make_trace(good)))
     good[2, 100:200] = good[2, 100]
     failures = convergence_failures(make_trace(good))
-    assert failures[0].startswith("chain 2 stands still for 100 of its 500 draws; ")
+    assert failures[0].startswith("chain 2 does not move for 100 of its 500 draws; ")
 
 
 def test_walker_that_stands_still_is_named(make_trace, good_ensembles):
     good_ensembles[1, 300:500, 7] = good_ensembles[1, 300, 7]
     failures = convergence_failures(make_trace(flat(good_ensembles), walkers=10))
-    assert failures[0].startswith("walker 7 of ensemble 1 stands still for 200 of its 900 draws; ")
+    assert failures[0].startswith("walker 7 of ensemble 1 does not move for 200 of its 900 draws; ")
 
 
 def test_short_runs_are_not_called_standing(make_trace):
     position = np.random.default_rng(28).standard_normal((4, 30, 2))
     position[0, :19] = position[0, 0]
-    assert not any("stands still" in f for f in convergence_failures(make_trace(position)))
+    assert not any("does not move" in f for f in convergence_failures(make_trace(position)))
 
 
 def test_standard_error_is_held_against_the_sd(make_trace, good):
@@ -197,17 +202,18 @@ def test_standard_error_is_held_against_the_sd(make_trace, good):
     table = summary(trace)
     table.loc["x1", "mcse_mean"] = 0.11 * table.loc["x1", "sd"]
     assert convergence_failures(trace, table) == [
-        "MCSE over sd 0.110 of x1 is not below 0.1; about 610 draws are needed: --draws 610, or --until-ess 400"
+        "x1: MCSE over sd is 0.110; it must be below 0.1; about 610 draws are needed: --draws 610, or "
+        "--until-ess 400"
     ]
     table.loc["x1", "mcse_mean"] = np.nan
-    assert convergence_failures(trace, table) == ["MCSE over sd nan of x1 is not below 0.1"]
+    assert convergence_failures(trace, table) == ["x1: MCSE over sd is nan; it must be below 0.1"]
 
 
 def test_divergences(make_trace, good):
     two, three = (np.arange(500) < n for n in (0, 3))
     assert convergence_failures(make_trace(good, diverging=two)) == []
     assert convergence_failures(make_trace(good, diverging=three)) == [
-        "12 of 2000 trajectories diverged; a shorter step helps: fmu.HamiltonianMonteCarlo(target_accept=0.95)"
+        "12 of 2000 trajectories diverged; use a shorter step: fmu.HamiltonianMonteCarlo(target_accept=0.95)"
     ]
     one = np.zeros((4, 500), dtype=bool)
     one[0, :2] = True
@@ -220,8 +226,8 @@ def test_energies_that_are_not_explored(make_trace, good, ar1):
     assert convergence_failures(make_trace(good, energy=fresh)) == []
     fresh[2] = ar1(rng, (1, 500), 0.95)[0]
     (failure,) = convergence_failures(make_trace(good, energy=fresh))
-    assert failure.startswith("E-BFMI 0.")
-    assert failure.endswith("of chain 2 is below 0.3")
+    assert failure.startswith("chain 2: E-BFMI is 0.")
+    assert failure.endswith("; at least 0.3 is needed")
     fresh[2] = 1.0
     (failure,) = convergence_failures(make_trace(good, energy=fresh))
-    assert failure == "E-BFMI nan of chain 2 is below 0.3"
+    assert failure == "chain 2: E-BFMI is nan; at least 0.3 is needed"

@@ -63,7 +63,7 @@ def test_one_chain_has_no_error_between_chains():
     found = evidence(ladder_of_draws(np.random.default_rng(3), chains=1))
     assert np.isnan(found.between)
     assert found.error == found.within
-    assert "not known" in found.warnings[0]
+    assert "unknown" in found.warnings[0]
 
 
 def test_the_table_has_a_row_a_rung():

@@ -58,7 +58,7 @@ def test_few_weights_or_none_are_no_evidence(building):
         return str(found)
 
     assert told(20.0).endswith("reliable")
-    assert "not reliable: around one of them it is worth 19 draws, of 20 needed" in told(19.0)
+    assert "not reliable: around one of them it is worth 19 draws; 20 are needed" in told(19.0)
     assert "± –, from the Laplace approximation at 2 maxima: not reliable" in told(0.0)
 
 
@@ -66,9 +66,7 @@ def test_a_draw_above_the_maxima_and_another_evidence_cast_doubt(building):
     traces, maxima = building
     verdicts = {name: replace(found, converged=True) for name, found in diagnose_all(traces).items()}
     lower = replace(maxima, maxima=tuple(replace(m, log_prob=m.log_prob - 30.0) for m in maxima))
-    assert (
-        "a draw is above all maxima, so that one was missed" in found_evidences(traces, verdicts, lower)[1].doubts
-    )
+    assert "a draw lies above all maxima, so one was missed" in found_evidences(traces, verdicts, lower)[1].doubts
     lighter = replace(maxima, maxima=tuple(replace(m, log_mass=m.log_mass - 3.0) for m in maxima))
     tempered = found_evidences(traces, verdicts, lighter)[0]
     assert tempered.doubts[-1].startswith("it disagrees with -5.7")

@@ -53,16 +53,16 @@ def test_more_parameters_than_modes(problem):
         "The data constrain 1 of 3 directions of the parameter space more than the prior does."
     )
     assert len(one.sentences()) == 3
-    assert "100 % of the prior's standard deviation" in one.sentences()[1]
+    assert "100 % of the prior standard deviation" in one.sentences()[1]
     assert one.in_words(one.directions[0]) == "0.80 c − 0.60 b"
 
 
 def test_in_words_when_all_directions_are_constrained(found):
     first, least = found.sentences()
     assert first == "The data constrain 2 of 2 directions of the parameter space more than the prior does."
-    assert least.startswith("The least of them is ")
+    assert least.startswith("The least constrained direction is ")
     left = 1 / np.sqrt(1 + found.singular_values[-1] ** 2)
-    assert f"{100 * left:.2g} % of the prior's standard deviation" in least
+    assert f"{100 * left:.2g} % of the prior standard deviation" in least
     assert str(found).startswith(first)
     assert "<table" in found._repr_html_()
 
@@ -136,7 +136,7 @@ def test_contraction_needs_the_prior(make_trace):
 def test_many_directions_are_counted(found):
     n = 9
     wide = type(found)(tuple("abcdefghi"), ("",) * n, ("1",), np.zeros(n), np.ones(n), np.eye(1, n) * 5)
-    assert wide.sentences()[-1] == "So are 5 more."
+    assert wide.sentences()[-1] == "The same holds for 5 more."
     assert len(wide.sentences()) == 5
 
 

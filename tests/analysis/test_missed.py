@@ -86,12 +86,12 @@ def test_at_a_wall_the_density_falls_off_exponentially():
 def test_a_maximum_never_visited(two, trace_of):
     first, second = missed_maxima(trace_of((0, 0), (0, 0), best=-2.5), two)
     assert first == (
-        "maximum 2 at x0 = 20.0 m, x1 = 0.0, with log-probability -4.0 where the best draw has -2.5, was never "
-        "visited; it holds about 80 % of the probability; parallel tempering moves between maxima: "
+        "maximum 2 at x0 = 20.0 m, x1 = 0.0 was never visited: its log-probability is -4.0 (best draw: -2.5), "
+        "and it holds about 80 % of the probability; use parallel tempering, which moves between maxima: "
         "--sampler tempering"
     )
     assert second == (
-        "instead 2 chains are around maximum 1 at x0 = 0.00 m, x1 = 0.00 "
+        "the draws were elsewhere: 2 chains are around maximum 1 at x0 = 0.00 m, x1 = 0.00 "
         "(log-probability -1.0, about 20 % of the probability)"
     )
 
@@ -104,8 +104,8 @@ def test_a_mode_that_was_not_found_is_no_visit_to_one_that_was(trace_of):
     """As high as maximum 1, which no draw was near to: whoever goes by height alone is fooled."""
     alone = known(maximum((0, 0), -1.0, 1.0))
     first, second = missed_maxima(trace_of((9, 0), (9, 0), best=-1.0), alone)
-    assert "with log-probability -1.0 where the best draw has -1.0, was never visited" in first
-    assert second == "instead 2 chains are near none of the maxima"
+    assert "was never visited: its log-probability is -1.0 (best draw: -1.0)" in first
+    assert second == "the draws were elsewhere: 2 chains are near no maximum"
 
 
 def test_draws_along_a_bent_valley_are_in_proportion(make_trace):
@@ -139,7 +139,7 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     wrong, where = missed_maxima(trace_of((0, 0), (20, 0), (20, 1), (0, 1)), maxima)
     assert wrong == (
         "maximum 2 at x0 = 20.0 m, x1 = 0.0 has 50 % of the draws (effective size 4), but about 3 % of the "
-        "probability by importance sampling (effective size 300); give the chains more steps to settle: "
+        "probability by importance sampling (effective size 300); lengthen the warm-up: "
         "--warmup 1000"
     )
     assert where == (
@@ -156,7 +156,7 @@ def test_draws_out_of_proportion_to_mass(trace_of):
     places = [(20, 0)] * 39 + [(0, 0)]
     reasons = missed_maxima(trace_of(*places), rare)
     assert reasons[0].startswith("maximum 1 at x0 = 0.0 m, x1 = 0.0 has 2.5 % of the draws (effective size 40), ")
-    assert reasons[0].endswith("; parallel tempering moves between maxima: --sampler tempering")
+    assert reasons[0].endswith("; use parallel tempering, which moves between maxima: --sampler tempering")
 
 
 def test_the_larger_effective_size_decides(make_trace):
@@ -208,6 +208,7 @@ def test_walkers_are_told_apart(two, make_trace):
     position[:, :, 0, 0] -= 300.0
     trace = make_trace(position.reshape(2, 400, 2), walkers=4)
     assert missed_maxima(trace, two)[1] == (
-        "instead 2 walkers are near none of the maxima; 6 walkers are around maximum 1 at x0 = 0.00 m, x1 = 0.00 "
+        "the draws were elsewhere: 2 walkers are near no maximum; 6 walkers are around maximum 1 at x0 = 0.00 "
+        "m, x1 = 0.00 "
         "(log-probability -1.0, about 20 % of the probability)"
     )

@@ -30,13 +30,14 @@ def rng():
 
 def test_draws_at_the_upper_bound(trace_of, rng):
     (found,) = bound_warnings(trace_of(4.0 - np.abs(0.3 * rng.standard_normal((4, 500)))))
-    assert found.startswith("E1 is piled up against its upper bound, 4 Pa: 4")
-    assert found.endswith("% of the draws are within 2 % of the bounds' distance of it, 0 % of the prior")
+    assert found.startswith("E1: 4")
+    assert found.endswith("% of the draws (prior: 0 %) lie within 2 % of the range from the upper bound, 4 Pa")
 
 
 def test_draws_at_the_lower_bound(trace_of, rng):
     (found,) = bound_warnings(trace_of(-4.0 + rng.exponential(0.2, (4, 500))))
-    assert found.startswith("E1 is piled up against its lower bound, -4 Pa")
+    assert found.startswith("E1: ")
+    assert found.endswith(" lie within 2 % of the range from the lower bound, -4 Pa")
 
 
 @pytest.mark.parametrize(
@@ -67,15 +68,17 @@ def test_a_mode_outside_its_prediction_is_named(make_result, problem, rng):
     trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2)) + [0.5, 0.0]), problem)
     assert trace["observed_data"]["frequency"].to_numpy().tolist() == [101.0, 99.5, 102.0]
     (found,) = fit_warnings(trace)
-    assert found.startswith("mode T1 was measured at 102 Hz, outside the 99 % interval of its prediction, 99.")
+    assert found.startswith(
+        "mode T1: the measured frequency, 102 Hz, is outside the 99 % prediction interval, 99."
+    )
     assert found.endswith("Hz (mean 100.50 Hz)")
 
 
 @pytest.mark.parametrize(
     ("measured", "scale", "said"),
     [
-        (0.912, 1e-2, "mode T1 was measured at 0.912 Hz, outside the 99 % interval of its prediction, 0.93"),
-        (0.9, 1e-3, "mode T1 was measured at 0.9 Hz, outside the 99 % interval of its prediction, 0.99"),
+        (0.912, 1e-2, "mode T1: the measured frequency, 0.912 Hz, is outside the 99 % prediction interval, 0.93"),
+        (0.9, 1e-3, "mode T1: the measured frequency, 0.9 Hz, is outside the 99 % prediction interval, 0.99"),
     ],
 )
 def test_a_measurement_is_seen_to_be_outside(make_result, problem, rng, measured, scale, said):
@@ -124,7 +127,7 @@ def with_mac(trace, reference):
 
 def test_a_shape_that_is_not_the_measured_one_is_named(make_trace, rng):
     trace = with_mac(make_trace(rng.standard_normal((4, 50, 2))), MEASURED)
-    expected = "mode b has not the shape that was measured: MAC 0.50 before and 0.79 after updating, below 0.8"
+    expected = "mode b does not match the measured shape: MAC 0.50 before and 0.79 after updating, below 0.8"
     assert shape_warnings(trace) == [expected]
     assert expected in judge(trace).warnings
 

@@ -98,7 +98,7 @@ class TestRemedy:
     @pytest.mark.parametrize("rhat", [2.5, np.inf])
     def test_chains_that_are_apart_need_something_else(self, trace, rhat):
         said = for_too_few_draws(trace, table(7, rhat=rhat), 400)
-        assert said == "; parallel tempering moves between maxima: --sampler tempering"
+        assert said == "; use parallel tempering, which moves between maxima: --sampler tempering"
         trace["observed_data"] = trace["constant_data"]  # as a problem with a measurement has
         said = for_too_few_draws(trace, table(7, rhat=rhat), 400)
-        assert said == '; start the chains at the maxima of the posterior: init="maxima" (--init maxima)'
+        assert said == '; start the chains at the posterior maxima: init="maxima" (--init maxima)'

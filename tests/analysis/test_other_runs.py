@@ -46,7 +46,7 @@ def test_lengths_may_differ(run, draws):
 
 def test_a_place_of_the_same_weight(run):
     (found,) = missed_places(run(1, *HERE), {"mh": run(2, *THERE)})
-    assert found.startswith("the run mh was at x0 = 1")
+    assert found.startswith("run mh visited x0 = 1")
     share = float(found.split("about ")[1].split(" %")[0])
     assert 40 < share < 60
 

@@ -64,12 +64,12 @@ def test_in_words_and_in_the_verdict_on_the_model(veering):
     found = fmu.pairing_changes(veering[1])
     share = f"{100 * found.changed[0]:.2g} %"
     assert found.sentences()[0] == (
-        f"Mode 1 is answered by another computed mode than at the most probable draw in {share} of 600 draws "
-        "looked at: the log-probability jumps there if the two modes veer, not if they cross unmixed."
+        f"Mode 1 is not paired with the same computed mode as at the most probable draw in {share} of 600 draws "
+        "examined: the log-probability jumps there if the two modes veer, but not if they cross without mixing."
     )
-    assert any(sentence.startswith("Modes 1 and 2 swapped in ") for sentence in found.sentences())
+    assert any(sentence.startswith("Modes 1 and 2 are in reversed order in ") for sentence in found.sentences())
     assert list(found.table()["swapped_with"]) == ["2", "1"]
-    assert "<li>Mode 1 is answered" in found._repr_html_()
+    assert "<li>Mode 1 is not paired with the same computed mode" in found._repr_html_()
     warnings = fmu.diagnose(veering[1]).warnings
     assert any(warning.startswith("the pairing by MAC changes in ") for warning in warnings)
 
@@ -100,7 +100,7 @@ def test_by_number_the_order_stays_and_the_mode_changes():
     found = fmu.pairing_changes(sampled(crossing_problem("index")))
     assert found.swapped[0, 1] == 0
     assert found.jumps > 0
-    assert "there the log-probability has a kink" in found.sentences()[0]
+    assert "the log-probability has a kink there" in found.sentences()[0]
 
 
 def test_at_most_so_many_draws_are_looked_at(monkeypatch):

@@ -46,7 +46,7 @@ def test_what_it_means_is_said(ar1):
     assert found.autocorrelation[0] == pytest.approx(0.75, abs=0.1)
     assert found.effective[0] == pytest.approx(400 * 0.25 / 1.75, rel=0.4)
     first, advice = found.doubts()
-    assert first.startswith("Mode a: consecutive tests resemble each other (lag-1 autocorrelation 0.7")
+    assert first.startswith("Mode a: consecutive tests are correlated (lag-1 autocorrelation 0.7")
     assert "The 400 tests are worth about" in first
     assert "s/√n, is too small by a factor of about 2." in first
     assert "Average" not in first
@@ -97,6 +97,6 @@ def test_check_and_verdict_say_so(drifting, problem, make_result):
         repeated = problem_of(tests, problem)
         found = check(repeated, draws=20)
         assert any("Mode T1" in doubt and "the frequency rises" in doubt for doubt in found.doubts) == is_told
-        assert "What the prior predicts for the mean of 20 tests, Hz" in str(found)
+        assert "Prior prediction for the mean of 20 tests, Hz" in str(found)
         trace = to_trace(make_result(rng.standard_normal((4, 100, 2))), repeated)
         assert any("the frequency rises" in warning for warning in judge(trace).warnings) == is_told

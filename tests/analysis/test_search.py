@@ -197,7 +197,7 @@ def test_words(section, section_maxima):
     words = section_maxima.side_by_side(most=2)
     assert list(words.columns) == ["unit", "before", "maximum 1", "maximum 2", "measured"]
     assert words.loc["log-probability", "maximum 2"] == "-107.9"
-    assert words.loc["share of mass", "maximum 1"] == "100 %"
+    assert words.loc["share of probability", "maximum 1"] == "100 %"
     assert section_maxima.at_bounds()[0] == "Maximum 1 lies at bounds: Ix2 upper, Ax1 upper."
     assert list(words.loc["Ix1"]) == ["m⁴", "7e-9", "3.904e-9", "6.873e-9", ""]
     assert list(words.loc["mode 1"]) == ["Hz", "32.00", "28.77", "30.15", "31.9"]

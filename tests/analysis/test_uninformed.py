@@ -73,19 +73,19 @@ def posterior(make_result):
 def test_stiffness_and_mass_that_only_their_ratio_is_told_of(prior, posterior):
     problem = chain(prior)
     (found,) = check(problem, draws=20).doubts
-    assert found.startswith("The measured modes cannot tell k and m apart: only k/m is updated.")
-    assert "100 % of the prior's standard deviation" in found
+    assert found.startswith("The measured modes cannot separate k and m: they determine only k/m.")
+    assert "100 % of the prior standard deviation" in found
     trace = posterior(problem)
     told = information(trace)
     assert told.basis == (COMBINED, COMBINED)
-    assert any(w.startswith("k and m were not updated by themselves: the data tell only what k/m is") for w in
+    assert any(w.startswith("k and m were not updated individually: the data determine only k/m") for w in
                judge(trace).warnings)  # fmt: skip
 
 
 @pytest.mark.parametrize("prior", PRIORS)
 def test_a_known_mass_silences_it(prior, posterior):
     problem = chain(prior, known_mass=4.0)
-    assert check(problem, draws=20).verdict() == "Nothing doubtful was found."
+    assert check(problem, draws=20).verdict() == "No warnings."
     told = information(posterior(problem))
     assert told.basis == (DATA, DATA)
     assert told.uninformed == ()
@@ -140,10 +140,8 @@ def test_parameters_that_no_mode_depends_on_come_first_and_combinations_are_few(
     found = Identifiability(tuple("abcde"), ("",) * 5, ("1", "2", "3"), np.ones(5), np.full(5, 0.5), S)
     left = left_to_prior(found)
     assert [one.words for one in left] == ["e", "0.89 d - 0.45 c", "0.71 a + 0.71 b"]
-    assert [one.told for one in left] == ["", "", "a/b is"]
-    assert doubts(found)[0].startswith(
-        "The measured modes add nothing to what the prior says of e: the data leave 100"
-    )
+    assert [one.told for one in left] == ["", "", "a/b"]
+    assert doubts(found)[0].startswith("The measured modes carry no information on e: 100")
     for one in left:
         assert np.linalg.norm(S @ one.direction) < 1e-12
     told = Identifiability(*(getattr(found, k) for k in ("names", "units", "labels", "theta", "prior_sd")),
@@ -154,7 +152,7 @@ def test_parameters_that_no_mode_depends_on_come_first_and_combinations_are_few(
 def test_a_common_factor_leaves_the_ratios():
     S = np.array([[2.0, 3.0, -5.0], [1.0, -2.0, 1.0]])
     found = Identifiability(tuple("abc"), ("",) * 3, ("1", "2"), np.ones(3), np.ones(3), S)
-    assert [one.told for one in left_to_prior(found)] == ["the ratios of a, b and c are"]
+    assert [one.told for one in left_to_prior(found)] == ["the ratios of a, b and c"]
 
 
 @pytest.mark.parametrize("case", ["cantilever-section", "shear-2dof"])

@@ -41,14 +41,14 @@ def test_the_updated_file_can_be_checked(invoke):
     invoke("export", "out", "--at", "map", "--out", "there")
     result = invoke("check", "there/updated.toml", "--draws", 10)
     assert result.exit_code == 0, result.output
-    assert "Nothing doubtful was found." in result.stdout
+    assert "No warnings." in result.stdout
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("export", "absent"), "does not exist"),
-        (("export", "model"), "holds no traces"),
+        (("export", "model"), "contains no traces"),
         (("export", "out", "--sampler", "mh"), "must be one of hmc (got 'mh')"),
         (("export", "out", "--at", "median"), "'median'"),
     ],

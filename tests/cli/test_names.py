@@ -87,7 +87,7 @@ def test_names_that_no_trace_can_keep(name, tmp_path):
 
 
 def test_all_of_them_are_told_at_once(tmp_path):
-    with pytest.raises(ValueError, match="2 mistakes") as refused:
+    with pytest.raises(ValueError, match="2 errors") as refused:
         fmu.load(write(tmp_path, "chain", "draw"))
     assert "parameters.0.name: must not be 'chain', 'draw'" in str(refused.value)
     assert "parameters.1.name: must not be 'chain', 'draw'" in str(refused.value)

@@ -13,15 +13,15 @@ def test_what_must_not_be_said_anew(folder, at_keep):
     with pytest.raises(Cut):
         run(*of("mh"))
     for said in (("--draws", 15), ("--seed", 1), ("--sampler", "mh"), ("--keep-draws", 5), ("--overwrite",)):
-        assert_refused(resume(*said), "--resume", f"{said[0]} is that of the run", "leave it out")
-    assert_refused(invoke("run", "two.toml", "--resume", "out"), "CASE is that of the run")
+        assert_refused(resume(*said), "--resume", f"{said[0]} cannot be changed when the run", "leave it out")
+    assert_refused(invoke("run", "two.toml", "--resume", "out"), "CASE cannot be changed when the run")
     assert resume("--max-failure-rate", 0.4).exit_code == 0
 
 
 def test_no_run(folder):
     assert_refused(invoke("run", "--resume", "none"), "'none' does not exist")
     (folder / "empty").mkdir()
-    assert_refused(invoke("run", "--resume", "empty"), "empty is not of a run that can be resumed")
+    assert_refused(invoke("run", "--resume", "empty"), "empty contains no run that can be resumed")
     assert list((folder / "empty").iterdir()) == []
 
 
@@ -56,7 +56,7 @@ def test_too_many_failures(folder):
     *_, line = stopped.stderr.splitlines()
     assert line.startswith("Error: mh: ")
     assert "more than the limit of 5 %; most often: RuntimeError: no licence. See out/failures-mh.csv" in line
-    assert line.endswith("to go on all the same: fmu run --resume out --max-failure-rate 1")
+    assert line.endswith("to continue regardless: fmu run --resume out --max-failure-rate 1")
     short = (folder / "out" / "failures-mh.csv").read_text()
     assert "no licence" in short
     result = resume("--max-failure-rate", 1)

@@ -20,7 +20,7 @@ def test_a_signal_stops_with_what_was_drawn(folder, whole, at_keep, number):
     assert stopped.exit_code == 130, stopped.output
     assert stopped.stdout == ""
     *_, last = stopped.stderr.splitlines()
-    assert last == "Stopped: slice after 6 of 15 draws. To go on: fmu run --resume out"
+    assert last == "Stopped: slice after 6 of 15 draws. To resume: fmu run --resume out"
     assert_usable(folder / "out", 6)  # a step after it was kept
     result = resume()
     assert result.exit_code == 0, result.output
@@ -41,7 +41,7 @@ def test_a_signal_in_warm_up(folder, whole, at_keep):
     at_keep(1, lambda: signal.raise_signal(signal.SIGTERM))
     stopped = run(*of("hmc"), "--keep-draws", 3)
     assert stopped.exit_code == 130
-    assert stopped.stderr.splitlines()[-1] == "Stopped: hmc in warm-up. To go on: fmu run --resume out"
+    assert stopped.stderr.splitlines()[-1] == "Stopped: hmc in warm-up. To resume: fmu run --resume out"
     assert not (folder / "out" / "hmc.nc").exists()
     assert resume().exit_code == 0
     assert_same("hmc", folder / "out", whole)
@@ -51,7 +51,7 @@ def test_the_second_signal_stops_at_once(folder, whole, at_keep):
     at_keep(3, lambda: [signal.raise_signal(signal.SIGINT) for _ in range(2)])
     stopped = run(*of("mh"))
     assert stopped.exit_code == 130
-    assert stopped.stderr.splitlines()[-1] == "Stopped: mh after 5 of 15 draws. To go on: fmu run --resume out"
+    assert stopped.stderr.splitlines()[-1] == "Stopped: mh after 5 of 15 draws. To resume: fmu run --resume out"
     assert resume().exit_code == 0
     assert_same("mh", folder / "out", whole)
 
@@ -64,7 +64,7 @@ def test_a_stop_in_the_search_for_maxima(folder, whole, monkeypatch):
         patch.setattr("fmu.analysis.maxima.search.find_map", interrupted)
         stopped = run(*of("mh"))
     assert stopped.exit_code == 130
-    assert stopped.stderr.splitlines()[-1] == "Stopped. To go on: fmu run --resume out"
+    assert stopped.stderr.splitlines()[-1] == "Stopped. To resume: fmu run --resume out"
     assert resume().exit_code == 0
     assert_same("mh", folder / "out", whole)
 
@@ -78,7 +78,7 @@ def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monk
         patch.setattr(RunDirectory, "finished", ended)
         stopped = invoke("run", "two.toml", *of("mh", "slice"), "--out", "out", *QUIET)
     assert stopped.exit_code == 130
-    assert "Stopped. To go on: fmu run --resume out" in stopped.stderr
+    assert "Stopped. To resume: fmu run --resume out" in stopped.stderr
     assert resume().exit_code == 0
     for name in ("mh", "slice"):
         assert_same(name, folder / "out", whole)

@@ -45,7 +45,7 @@ def test_the_path_of_a_user_with_a_structure(invoke, tmp_path):
     assert "moves no sensor" in result.stdout
     assert "The gradient agrees with central differences" in result.stdout
     assert result.stdout.splitlines()[-3:] == [
-        "Nothing doubtful was found.",
+        "No warnings.",
         "",
         "Written to check/beam/index.html",
     ]
@@ -58,7 +58,7 @@ def test_the_path_of_a_user_with_a_structure(invoke, tmp_path):
     broken = invoke("check", "beam.toml")
     assert broken.exit_code == 2
     assert broken.stdout == ""
-    assert "beam.toml: 2 mistakes" in broken.stderr
+    assert "beam.toml: 2 errors" in broken.stderr
     assert "parameters.0.property" in broken.stderr
     assert "parameters.1.property" in broken.stderr
 
@@ -81,7 +81,7 @@ def test_check_leaves_other_files_alone(invoke, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("check", "bridge"), "neither one of"),
+        (("check", "bridge"), "neither a built-in problem"),
         (("check", "bridge.toml"), "no such file: bridge.toml"),
         (("check", "cantilever-young", "--draws", 1), "1 is not in the range"),
         (("init", "shell"), "'frame'"),

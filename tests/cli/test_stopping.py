@@ -83,7 +83,7 @@ def assert_obeys(runs, pid, number, folder):
     assert ended == ["ended", "130"], last
     assert took < OBEYED_S
     assert last.startswith("Stopped")
-    assert last.endswith("To go on: fmu run --resume out")
+    assert last.endswith("To resume: fmu run --resume out")
     assert [line for line in rest if "Traceback" in line or "ignored" in line] == []
 
 
@@ -106,7 +106,7 @@ def test_a_stop_is_obeyed_in_every_phase(runs, whole, tmp_path, monkeypatch):
         assert (f", {phase} 0/" in watched) == (phase not in ("warmup", "draws")), (phase, watched)
         assert_obeys(runs, pid, (signal.SIGINT, signal.SIGTERM)[k % 2], folder)
         assert not list(folder.rglob("*.part")), phase
-    assert (folder / "said").read_text().count("To go on: fmu run --resume out\n") == len(PHASES)
+    assert (folder / "said").read_text().count("To resume: fmu run --resume out\n") == len(PHASES)
     monkeypatch.chdir(folder)
     assert invoke("run", "--resume", "out", "--no-report").exit_code == 0
     assert_same("mh", folder / "out", whole / "out")

@@ -68,7 +68,7 @@ def test_a_stopped_run(out):
     behind = min(int(rows[group][2].removesuffix("/25")) for group in ("1/2", "2/2"))
     assert rows["emcee"][3:5] == ["draws", f"{behind}/25"]
     assert rows["slice"] == ["slice", "waiting"]
-    assert lines[-1] == "To go on: fmu run --resume out"
+    assert lines[-1] == "To resume: fmu run --resume out"
     assert (watch("out/checkpoints")[0], watch("out/checkpoints")[-1]) == (lines[0], lines[-1])
 
 
@@ -100,7 +100,7 @@ def test_a_running_one_is_followed_to_its_end(out, monkeypatch):
     assert len(heads) == 3
     assert heads[0].startswith("out: running for 0:0")
     assert heads[-1] == "out: stopped"
-    assert lines[-1] == "To go on: fmu run --resume out"
+    assert lines[-1] == "To resume: fmu run --resume out"
 
 
 def test_a_finished_run_has_verdicts(tmp_path, monkeypatch):
@@ -128,7 +128,7 @@ def test_the_checkpoint_of_a_call(tmp_path, monkeypatch):
         "sampler  state",
         "sampler  stopped",
         "",
-        "To go on: the same call of fmu.sample, with checkpoint='kept'",
+        "To resume: repeat the same call of fmu.sample, with checkpoint='kept'",
     ]
 
 

@@ -69,10 +69,14 @@ def test_error_models(text, folder):
 
 
 BROKEN = [
-    ('sd = "sigma"', 'sd = "tau"', "error.0.sd: must name one of the noise: sigma, delta (got 'tau')"),
-    ('discrepancy = "delta"', 'discrepancy = "eps"', "error.1.discrepancy: must name one of the noise"),
-    ('discrepancy = "delta"\n', "", "noise.1.name: must be the sd or discrepancy of an error (got 'delta')"),
-    ('name = "delta"', 'name = "k1"', "noise.1.name: must not be that of another parameter (got 'k1')"),
+    ('sd = "sigma"', 'sd = "tau"', "error.0.sd: must be the name of a [[noise]] table: sigma, delta (got 'tau')"),
+    ('discrepancy = "delta"', 'discrepancy = "eps"', "error.1.discrepancy: must be the name of a [[noise]] table"),
+    (
+        'discrepancy = "delta"\n',
+        "",
+        "noise.1.name: must be used as sd or discrepancy of an [[error]] (got 'delta')",
+    ),
+    ('name = "delta"', 'name = "k1"', "noise.1.name: must not be the name of another parameter (got 'k1')"),
     ("lower = 0.01", "lower = 0.2", "noise.1: start: must be finite and within [0.2, 0.5] (got 0.1)"),
     ("lower = 0.01", "lower = -0.2", "noise.1.lower: must be greater than or equal to 0 (got -0.2)"),
     ("upper = 0.5\n", "", "noise.1: prior: a uniform prior needs finite bounds"),
@@ -80,7 +84,7 @@ BROKEN = [
     ('of = "mac"', 'of = "ear"', "error.2.of: must be"),
     ("sd = 0.05\n", "sd = -0.05\n", "error.2.sd: must be greater than 0 (got -0.05)"),
     ("sd = 0.05\n", "", "error.2.sd: is missing"),
-    ("weights = [1.0, 0.5]", "weights = [1.0]", "weights: must be 2 positive numbers, one a mode (got [1.0])"),
+    ("weights = [1.0, 0.5]", "weights = [1.0]", "weights: must be 2 positive numbers, one per mode (got [1.0])"),
     (
         "sd = [[0.05, 0.1], [0.1, 0.2]]",
         "sd = [[0.05], [0.1], [0.2]]",
@@ -105,7 +109,7 @@ def test_an_unknown_name(matrices_text, folder):
         load(folder / "two.toml")
 
 
-FITTED = "noise.0.lower: must be positive, or the prior log-normal: 2 parameters can fit these 2 errors exactly"
+FITTED = "noise.0.lower: must be positive (or use a log-normal prior): 2 parameters can fit these 2 errors exactly"
 
 
 def test_a_deviation_that_an_exact_fit_would_let_vanish(text, folder):

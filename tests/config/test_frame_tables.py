@@ -236,7 +236,7 @@ BROKEN = {
     "nothing holds it": (
         ['point = "foot"\n', 'point = "end"\nstiffness = { y', 'damper = ["x", "y", "rx", "ry", "rz"]'],
         ['points = ["foot", "end"]\n', 'points = ["end", "foot"]\nstiffness = { y', ""],
-        "model.supports: must hold the structure, or a spring to the ground must; free = true if",
+        "model.supports: must restrain the structure (a spring to the ground does too); set free = true if",
     ),
     "I without a web": (
         "flange = 0.01",
@@ -251,7 +251,7 @@ BROKEN = {
     "two ends at one place": (
         "ridge = [0.0, 4.0, 3.5]",
         "ridge = [0.0, 0.0, 3.0]",
-        "model.members.1.to: must not be where from is: the member would have no length (got 'ridge')",
+        "model.members.1.to: must not be at the place of from: the member would have no length (got 'ridge')",
     ),
     "a spring at an unknown point": (
         'point = "foot"',
@@ -347,9 +347,9 @@ def test_a_broken_structure(name, tmp_path):
 MISTAKEN = {
     'property = "G"; groups = ["roof"]': "property: must be 'E', 'rho', 'A', 'Iy', 'Iz', 'J', 'mass', 'inertia' ",
     'property = "E"; groups = "roof"': "groups",
-    'property = "E"; masses = ["crane"]': "masses: must be left out: E is of groups",
-    'property = "E"; groups = ["roof"]; directions = ["x"]': "directions: must be left out: E is of groups",
-    'property = "E"; groups = ["roof", "roof"]': "groups: E of roof is updated by p already",
+    'property = "E"; masses = ["crane"]': "masses: must be left out: E belongs to groups",
+    'property = "E"; groups = ["roof"]; directions = ["x"]': "directions: must be left out: E belongs to groups",
+    'property = "E"; groups = ["roof", "roof"]': "groups: E of roof is already updated by p",
     'property = "mass"; groups = ["roof"]': "masses: must name a mass",
     'property = "mass"; masses = ["end"]': "masses: must be among damper, crane (got 'end')",
     'property = "inertia"; masses = ["damper"]': "inertia of 'damper' is 0: name a direction",
@@ -379,7 +379,7 @@ def test_two_parameters_of_one_spring(tmp_path):
         'property = "stiffness"\nsprings = ["base"]\ndirections = ["ry"]', start=1e6, lower=1e5, upper=1e7
     )
     found = complaint(tmp_path, whole + second.replace('"p"', '"q"'))
-    assert "  parameters.1.springs: stiffness of base along ry is updated by p already" in found
+    assert "  parameters.1.springs: stiffness of base along ry is already updated by p" in found
 
 
 def test_what_moves_is_named_by_the_points_of_the_file(tmp_path):

@@ -112,7 +112,7 @@ def test_every_matrix_that_is_changed_at_random_was_right(tmp_path):
 @pytest.mark.parametrize(
     ("code", "text", "taken_s", "peak_mib", "expected"),
     [
-        (2, "Error: x.toml: 1 mistake:\n  name: is missing\n", 0.1, 200.0, ""),
+        (2, "Error: x.toml: 1 error:\n  name: is missing\n", 0.1, 200.0, ""),
         (0, "fine", 100.0, 200.0, ""),
         (1, "Traceback (most recent call last):\nKeyError: 3", 0.1, 200.0, "traceback: KeyError: 3"),
         (1, "Error: x", 0.1, 200.0, "exit code 1"),

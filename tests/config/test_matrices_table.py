@@ -153,7 +153,7 @@ BROKEN = [
     (M, 'file = "lower.npz"\ntriangle = "left"', "model.mass.0.triangle"),
     (K, 'file = "minus.npz"', "model: the stiffness matrix must not be negative for any motion"),
     (K, 'file = "nothing.npz"', "model: the structure is a mechanism: it can move without strain in 1 way"),
-    (K, 'file = "nothing.npz"', "free = true if nothing holds it on purpose"),
+    (K, 'file = "nothing.npz"', "set free = true if it is free on purpose"),
     (K, 'file = "model.mat"', "model.stiffness.0.variable: must be given, one of K1, K2"),
     (K, 'file = "model.mat"\nvariable = "K3"', "model.stiffness.0.variable: must be one of K1, K2 (got 'K3')"),
     (K, 'file = "k1.mtx"\nvariable = "K3"', "model.stiffness.0.variable: a .mtx file has one matrix"),
@@ -162,7 +162,7 @@ BROKEN = [
     (K, 'file = ""', "model.stiffness.0.file: must have at least 1 character"),
     (K, "", "model.stiffness.0: must have either file or matrix"),
     (K, f"{K}\nmatrix = [[1.0, 0.0], [0.0, 0.0]]", "model.stiffness.0: must have either file or matrix"),
-    (K, 'matrix = [[1.0]]\nvariable = "K"', "model.stiffness.0: variable must not be given beside matrix"),
+    (K, 'matrix = [[1.0]]\nvariable = "K"', "model.stiffness.0: variable must not be given together with matrix"),
     (K, "matrix = [[1.0, 2.0], [3.0]]", "model.stiffness.0.matrix: must have rows of one length (got [2, 1])"),
     (K, "matrix = [[1.0, 2.0]]", "model.stiffness.0.matrix: must hold a real square matrix (got float64 of shape"),
     (K, "matrix = []", "model.stiffness.0.matrix: must have at least 1 item"),
@@ -171,8 +171,16 @@ BROKEN = [
     (K, "matrix = [[1.0, nan], [nan, 1.0]]", "model.stiffness.0.matrix"),
     (M, "matrix = [[1.0]]", "model.mass.0.matrix: must have 2 rows, as model.stiffness.0 has (got 1)"),
     ('["second", "x"]]', '["second", "w"]]', "model.dofs.1: must be a node and one of x, y, z, rx, ry, rz (got"),
-    ('["second", "x"]]', '["first", "x"]]', "model.dofs.1: must not be that of another row (got ['first', 'x'])"),
-    ('name = "k1"', 'name = "k1"\nproperty = "E"\ngroups = ["a"]', "parameters.0.groups: is for frames alone"),
+    (
+        '["second", "x"]]',
+        '["first", "x"]]',
+        "model.dofs.1: must not be the name of another row (got ['first', 'x'])",
+    ),
+    (
+        'name = "k1"',
+        'name = "k1"\nproperty = "E"\ngroups = ["a"]',
+        "parameters.0.groups: is allowed for frames only",
+    ),
 ]
 
 

@@ -121,7 +121,7 @@ def test_an_error_of_a_size_of_its_own_beside_tests(mistakes, sd):
     table = f'[[error]]\nof = "frequencies"\nsd = {sd}\n{noise}\n[[parameters]]\nname = "k1"'
     (found,) = mistakes("tests = [[3.1, 9.8], [3.12, 9.85]]\n", '[[parameters]]\nname = "k1"', table)
     assert found.startswith(
-        "error.0.sd: must not be given beside tests, whose scatter tells the error of their mean"
+        "error.0.sd: must not be given together with tests, whose scatter gives the error of their mean"
     )
     assert "discrepancy" in found
 
@@ -196,8 +196,8 @@ BROKEN = {
     "frequencies = [3.1, nan]\nsd = 0.1": "measurement.frequencies.1: must be a finite number (got nan)",
     "frequencies = []\nsd = 0.1": "measurement.frequencies: must have at least 1 item",
     "frequencies = [3.1, 9.8]\nsd = [0.1, 0.0]": "measurement.sd",
-    "frequencies = [3.1, 9.8]\nsd = [0.1]": "measurement: sd must be 2, one a mode (got 1)",
-    "frequencies = [3.1, 9.8]\ncovariance = [[1.0]]": "measurement: covariance must be 2, one a mode (got 1)",
+    "frequencies = [3.1, 9.8]\nsd = [0.1]": "measurement: sd must be 2, one per mode (got 1)",
+    "frequencies = [3.1, 9.8]\ncovariance = [[1.0]]": "measurement: covariance must be 2, one per mode (got 1)",
     "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 0.0], [0.5, 1.0]]": (
         "measurement.covariance: must be symmetric (got 0.0 at 0.1 and 0.5 at 1.0)"
     ),
@@ -207,39 +207,41 @@ BROKEN = {
     "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 1.0], [1.0]]": "measurement.covariance: ",
     "frequencies = [3.1, 9.8]\ncovariance = [[1.0, 0.0], [0.0, -1.0]]": "measurement.covariance",
     "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0, 1.0], [1.0]]\n" + SENSORS: (
-        "measurement.shapes: must have rows of one length, one value a sensor (got [2, 1])"
+        "measurement.shapes: must have rows of one length, one value per sensor (got [2, 1])"
     ),
     "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0], [1.0]]\n" + SENSORS: (
         "measurement: shapes: must have shape (2, 2), sensors x modes (got (1, 2))"
     ),
     "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0, 1.0]]\n" + SENSORS: (
-        "measurement: shapes must be 2, one a mode (got 1)"
+        "measurement: shapes must be 2, one per mode (got 1)"
     ),
     'frequencies = [3.1, 9.8]\nsd = 0.1\nsensors = [["first", "x"], ["third", "x"], ["first", "up"]]': (
         "measurement.sensors.1: must be a point and a direction that are free to move (got ['third', 'x'])"
     ),
     "frequencies = [3.1, 9.8, 20.0]\nsd = 0.1": (
-        "measurement: must have at most 2 modes, one a degree of freedom of the model (got 3)"
+        "measurement: must have at most 2 modes, one per degree of freedom of the model (got 3)"
     ),
     "tests = [[3.1, 9.8]]": "measurement.tests: must have at least 2 items",
-    "tests = [[3.1, 9.8], [3.2]]": "measurement: tests must have rows of one length, one value a mode (got [2, 1",
-    "tests = [[3.1, 9.8], [3.2, 9.9]]\nsd = 0.1": "measurement: sd must not be given beside tests",
+    "tests = [[3.1, 9.8], [3.2]]": "measurement: tests must have rows of one length, one value per mode (got "
+    "[2, 1",
+    "tests = [[3.1, 9.8], [3.2, 9.9]]\nsd = 0.1": "measurement: sd must not be given together with tests",
     "tests = [[3.1, 9.8], [3.2, -9.9]]": "measurement.tests.1.1: must be positive and finite, or NaN (got -9.9",
     "tests = [[3.1, 9.8], [3.2, nan]]": "measurement.tests: every mode must have at least 2 values (got 1 of",
     "tests = [[3.1, 9.8], [3.1, 9.9]]": "measurement.tests: the values of a mode must differ",
     'tests = [[3.1, 9.8], [3.2, 9.9]]\nscatter = "joint"': "measurement.tests: must be of at least 5 tests",
     'tests_file = "none.csv"': "measurement.tests_file: must be a file (no such file: ",
-    'tests_file = "tests.csv"\nsd = 0.1': "measurement: sd must not be given beside tests_file, whose scatter",
+    'tests_file = "tests.csv"\nsd = 0.1': "measurement: sd must not be given together with tests_file, whose "
+    "scatter",
     'tests_file = "no-sd.csv"': "measurement.tests_file: line 2, column mode: must be a positive number (got 'a')",
-    "frequencies = [3.1]\nsd = 0.1\ntest_shapes = [[[1.0]]]": "measurement: test_shapes must be beside tests",
+    "frequencies = [3.1]\nsd = 0.1\ntest_shapes = [[[1.0]]]": "measurement: test_shapes must be given with tests",
     "tests = [[3.1, 9.8], [3.2, 9.9]]\ntest_shapes = [[[1.0, 0.5], [1.0, -0.5]]]\n" + SENSORS: (
-        "measurement.test_shapes: must be 2, one a test (got 1)"
+        "measurement.test_shapes: must be 2, one per test (got 1)"
     ),
     "tests = [[3.1, 9.8], [3.2, 9.9]]\ntest_shapes = [[[1.0, 0.5]], [[1.0, 0.5], [1.0, -0.5]]]\n" + SENSORS: (
-        "measurement.test_shapes.0: must be 2, one a mode (got 1)"
+        "measurement.test_shapes.0: must be 2, one per mode (got 1)"
     ),
     "tests = [[3.1], [3.2]]\ntest_shapes = [[[1.0, 0.5]], [[1.0]]]\n" + SENSORS: (
-        "measurement.test_shapes: must have rows of one length, one value a sensor (got [1, 2])"
+        "measurement.test_shapes: must have rows of one length, one value per sensor (got [1, 2])"
     ),
     "tests = [[3.1], [3.2], [3.3]]\ntest_shapes = [[[1.0, 0.0]], [[1.0, 0.1]], [[0.0, 1.0]]]\n" + SENSORS: (
         "measurement.test_shapes.2: mode 1 must have a MAC of at least 0.5"
@@ -253,16 +255,17 @@ BROKEN = {
         "measurement.shapes_file: must be a point and a direction that are free to move (got ['roof', 'x'])"
     ),
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"\n' + SENSORS: (
-        "measurement: sensors must not be given beside shapes_file"
+        "measurement: sensors must not be given together with shapes_file"
     ),
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"\nshapes = [[1.0, 1.0], [1.0, 1.0]]': (
         "measurement: must have either shapes or shapes_file"
     ),
     'uff = { file = "none.uff" }\nsd = 0.1': "measurement.uff: must be a file (no such file: ",
     'uff = { file = "test.uff" }': "measurement: must have either sd or beta or covariance (got [])",
-    'uff = { file = "test.uff" }\nsd = 0.1\nshapes = [[1.0]]': "measurement: shapes must not be given beside uff",
+    'uff = { file = "test.uff" }\nsd = 0.1\nshapes = [[1.0]]': "measurement: shapes must not be given "
+    "together with uff",
     'uff = { file = "test.uff", nodes = { tip = 3 } }\nsd = 0.1': "measurement.uff.nodes.tip",
-    'oma = { file = "oma.npz" }': "measurement: sensors must be given beside oma, one a channel",
+    'oma = { file = "oma.npz" }': "measurement: sensors must be given with oma, one per channel",
     'oma = { file = "no-sd.csv" }\n'
     + SENSORS: "measurement.oma: must be a file of fmu.formats.modes.pyoma.save_pyoma",
     'oma = { file = "oma.npz", modes = [3] }\n' + SENSORS: "measurement.oma: modes: must lie in 1..2 (got [3])",

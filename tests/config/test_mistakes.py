@@ -18,11 +18,11 @@ FRAME = [
     ("E = 2.1e11", "E = 1e308", "model.materials.steel.E: must be 0, or from 1e-60 to 1e+60 in size (got 1e+308)"),
     ("start = 7850.0", "start = -1e-300", "parameters.1.start: must be 0, or from 1e-60 to 1e+60"),
     ("elements = 4", f"elements = 1{'0' * 400}", "model.members.2.elements: must be 0, or from 1e-60 to 1e+60"),
-    ("elements = 4", f"elements = 1{'0' * 5000}", "is no TOML"),
+    ("elements = 4", f"elements = 1{'0' * 5000}", "is not valid TOML"),
     ("E = 2.1e11", "E = nan", "model.materials.steel.E: must be a finite number (got nan)"),
     ("nu = 0.3", "nu = 0.7", "model.materials.steel.nu: must be less than or equal to 0.5 (got 0.7)"),
     ("rho = 7850.0\n", "", "model.materials.steel.rho: is missing"),
-    ("nu = 0.3", "nu = 0.3\ncolour = 1", "model.materials.steel.colour: is no known key"),
+    ("nu = 0.3", "nu = 0.3\ncolour = 1", "model.materials.steel.colour: is not a known key"),
     (
         "thickness = 0.005",
         "thickness = 0.06",
@@ -35,7 +35,11 @@ FRAME = [
         "model.sections.beam: must be either rectangle",
     ),
     ("corner = [0.0, 0.0, 2.0]", "corner = [0.0, 2.0]", "model.points.corner: must have at least 3 items (got ["),
-    ("[model.points]", "[model.points]\nidle = [1.0, 1.0, 1.0]", "model.points.idle: is the end of no member"),
+    (
+        "[model.points]",
+        "[model.points]\nidle = [1.0, 1.0, 1.0]",
+        "model.points.idle: is not connected to a member or spring",
+    ),
     (
         'left = "clamped"',
         'nowhere = "clamped"',
@@ -49,10 +53,10 @@ FRAME = [
         'to = "wrong"',
         "model.members.1.to: must be one of left, corner, other, right (got 'wrong')",
     ),
-    ('to = "right"', 'to = "other"', "model.members.1.to: must differ from from (got 'other')"),
+    ('to = "right"', 'to = "other"', "model.members.1.to: must not be the same point as from (got 'other')"),
     ('section = "beam"', 'section = "I"', "model.members.2.section: must be one of leg, beam (got 'I')"),
     ("elements = 4", "elements = 0", "model.members.2.elements: must be greater than or equal to 1 (got 0)"),
-    ("elements = 4", "elements = 9998", "model.members: must have at most 10000 elements together"),
+    ("elements = 4", "elements = 9998", "model.members: must have at most 10000 elements in total"),
     ("elements = 4", "elements = 10001", "model.members.2.elements: must be less than or equal to 10000"),
     ("elements = 4", "elements = 4.5", "model.members.2.elements: must be a valid integer"),
     ("y_direction = [0.0, 1.0, 0.0]", "y_direction = [1.0, 0.0, 0.0]", "model: y_direction"),
@@ -61,7 +65,7 @@ FRAME = [
         "frequencies = [9.5, 0.0]",
         "measurement.frequencies.1: must be greater than 0 (got 0.0)",
     ),
-    ("frequencies = [9.5, 12.1]", "frequencies = [9.5]", "measurement: sd must be 1, one a mode (got 2)"),
+    ("frequencies = [9.5, 12.1]", "frequencies = [9.5]", "measurement: sd must be 1, one per mode (got 2)"),
     ("sd = [0.1, 0.2]", "", "measurement: must have either sd or beta"),
     ("sd = [0.1, 0.2]", "sd = 0.1\nbeta = 1.0", "measurement: must have either sd or beta"),
     (
@@ -82,7 +86,7 @@ FRAME = [
     (
         'name = "rho beam"',
         'name = "E legs"',
-        "parameters.1.name: must not be that of another parameter (got 'E legs')",
+        "parameters.1.name: must not be the name of another parameter (got 'E legs')",
     ),
     ('name = "rho beam"', 'name = "rho/beam"', "parameters.1.name: must have no slash, line break"),
     ("upper = 2.5e11", "upper = 1.4e11", "parameters.0: upper: must exceed lower 1.5e+11 (got 1.4e+11)"),
@@ -98,12 +102,12 @@ FRAME = [
     (
         'property = "rho"\ngroups = ["beam"]',
         'property = "E"\ngroups = ["legs"]',
-        "parameters.1.groups: E of legs is updated by E legs already",
+        "parameters.1.groups: E of legs is already updated by E legs",
     ),
     ('pairing = "index"', 'pairing = "ear"', "pairing: must be 'shape', 'index' or 'soft' (got 'ear')"),
     ('type = "frame"', 'type = "shell"', "model.type: must be one of frame, matrices, python (got 'shell')"),
     ('name = "portal"\n', "", "name: is missing"),
-    ("[measurement]", "[measurement", "is no TOML"),
+    ("[measurement]", "[measurement", "is not valid TOML"),
 ]
 
 MATRICES = [
@@ -132,7 +136,7 @@ MATRICES = [
     (
         '["first", "x"], ["second", "x"]]\n\n[[model',
         '["first", "x"]]\n\n[[model',
-        "model.dofs: must name 2 degrees of freedom, one a row (got 1)",
+        "model.dofs: must name 2 degrees of freedom, one per row (got 1)",
     ),
     (
         'sensors = [["first", "x"], ["second", "x"]]',
@@ -144,7 +148,7 @@ MATRICES = [
     (
         "frequencies = [3.1, 9.8]",
         "frequencies = [3.1, 9.8, 20.0]",
-        "measurement: shapes must be 3, one a mode (got 2)",
+        "measurement: shapes must be 3, one per mode (got 2)",
     ),
     (
         'name = "k2"',
@@ -170,7 +174,7 @@ def complaint(folder, text, name="portal.toml"):
 def test_a_broken_frame(frame_text, tmp_path, old, new, expected):
     found = complaint(tmp_path, broken(frame_text, old, new))
     assert expected in found
-    assert re.match(r"portal\.toml: \d mistakes?:\n  ", found)
+    assert re.match(r"portal\.toml: \d errors?:\n  ", found)
 
 
 @pytest.mark.parametrize(("old", "new", "expected"), MATRICES)
@@ -191,7 +195,7 @@ def test_every_mistake_at_once(frame_text, tmp_path):
         .replace("sd = 500.0", "sd = -1")
     )
     lines = complaint(tmp_path, text).splitlines()
-    assert lines[0] == "portal.toml: 3 mistakes:"
+    assert lines[0] == "portal.toml: 3 errors:"
     assert [line.split(":")[0].strip() for line in lines[1:]] == [
         "model.materials.steel.nu",
         "model.masses.0.mass",
@@ -220,7 +224,7 @@ def test_a_hundred_thousand_mistakes_are_few_lines(frame_text, tmp_path):
     assert len(caught.value.mistakes) == 100_000
     lines = str(caught.value).splitlines()
     assert len(lines) == 22
-    assert lines[0] == "portal.toml: 100000 mistakes:"
+    assert lines[0] == "portal.toml: 100000 errors:"
     assert lines[-1] == "  … and 99 980 more"
     result = CliRunner().invoke(cli.main, ["check", str(tmp_path / "portal.toml")], prog_name="fmu")
     assert result.exit_code == 2
@@ -277,7 +281,7 @@ def test_values_are_shown_short_and_as_the_file_has_them(frame_text, tmp_path, v
 
 def test_what_moves_the_cursor_is_escaped(frame_text, tmp_path):
     found = complaint(tmp_path, f'"\\u001b[2J\\u202e" = 1\n{frame_text}')
-    assert "\\x1b[2J\\u202e: is no known key" in found
+    assert "\\x1b[2J\\u202e: is not a known key" in found
 
 
 def test_a_text_of_a_spreadsheet_is_read(frame_text, tmp_path):
@@ -317,7 +321,7 @@ def test_a_directory(tmp_path):
 
 def test_a_file_that_is_no_text(tmp_path):
     (tmp_path / "portal.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigurationError, match="is no TOML"):
+    with pytest.raises(ConfigurationError, match="is not valid TOML"):
         load(tmp_path / "portal.toml")
 
 

@@ -55,7 +55,7 @@ BROKEN = {
         "prior.distribution: must be one of uniform, normal, truncated-normal, half-normal, log-normal, beta",
     ),
     "normal": ("lower = 1.0", "prior.sd: is missing"),
-    "normal, sd = 1.0, sigma = 2.0": ("lower = 1.0", "prior.sigma: is no known key"),
+    "normal, sd = 1.0, sigma = 2.0": ("lower = 1.0", "prior.sigma: is not a known key"),
     "normal, sd = 1.0": ("", "lower: must be positive, as the property is (got None)"),
     "truncated-normal, sd = 1.0": ("", "1: prior: a truncated normal needs lower or upper"),
     "half-normal, sd = -1.0": ("", "prior.sd: must be greater than 0 (got -1.0)"),

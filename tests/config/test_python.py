@@ -206,9 +206,9 @@ BROKEN = [
     ("storeys:modes", "storeys:table", "frequencies: must have shape (n,) (got (2, 2))"),
     ('modes"', 'modes"\nbatched = "yes"', "model.batched: must be a valid boolean (got 'yes')"),
     ('modes"', 'modes"\nstep = 0.5', "model.step: must be less than or equal to 0.1 (got 0.5)"),
-    ('modes"', 'modes"\ncolour = 1', "model.colour: is no known key"),
+    ('modes"', 'modes"\ncolour = 1', "model.colour: is not a known key"),
     ('type = "python"', 'type = "pyhton"', "model.type: must be one of frame, matrices, python (got 'pyhton')"),
-    ('name = "k1"', 'name = "k1"\nproperty = "E"', "parameters.0.property: is for frames alone"),
+    ('name = "k1"', 'name = "k1"\nproperty = "E"', "parameters.0.property: is allowed for frames only"),
     (
         'sensors = [["first", "x"], ["second", "x"]]',
         'sensors = [["first", "x"]]',
@@ -298,7 +298,7 @@ def test_a_function_that_works_at_the_start_alone_is_checked(tmp_path, monkeypat
     (tmp_path / "two.toml").write_text(text)
     result = CliRunner().invoke(cli.main, ["check", "two.toml", "--draws", "5"], prog_name="fmu")
     assert result.exit_code == 0, result.output
-    assert "At 5 of 5 draws from the prior the model failed." in result.output
+    assert "The model failed at 5 of 5 prior draws." in result.output
 
 
 def test_a_module_that_is_too_large_is_not_read(tmp_path):

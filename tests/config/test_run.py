@@ -41,7 +41,7 @@ def test_a_line_a_mistake(invoke, frame_text, folder):
     result = invoke("run", "portal.toml", *SHORT)
     assert result.exit_code == 2
     assert result.stderr.splitlines() == [
-        "Error: portal.toml: 2 mistakes",
+        "Error: portal.toml: 2 errors",
         "  model.materials.steel.nu: must be less than or equal to 0.5 (got 3.0)",
         "  parameters.1.prior.sd: must be greater than 0 (got 0.0)",
     ]
@@ -49,7 +49,7 @@ def test_a_line_a_mistake(invoke, frame_text, folder):
 
 
 def test_neither_a_case_nor_a_file(invoke):
-    for name, words in (("bridge", "neither one of cantilever"), ("bridge.toml", "no such file")):
+    for name, words in (("bridge", "neither a built-in problem (cantilever"), ("bridge.toml", "no such file")):
         result = invoke("run", name, *SHORT)
         assert result.exit_code == 2
         assert len(result.stderr.splitlines()) == 1

@@ -202,10 +202,10 @@ def test_a_function_that_fails_at_the_start_is_refused(failure, reason):
 
 def test_with_shapes_there_are_more_ways_to_fail():
     for wrong, reason in (
-        (([1.0, 2.0], np.ones((3, 2))), "shapes: must have 2 rows, one a sensor (got 3)"),
+        (([1.0, 2.0], np.ones((3, 2))), "shapes: must have 2 rows, one per sensor (got 3)"),
         (([1.0], np.ones((2, 1))), "must give at least the 2 measured modes (gave 1 modes)"),
         (([1.0, 2.0], np.full((2, 2), np.nan)), "shapes: must be finite"),
-        ([1.0, 2.0], "shapes: must have 2 rows, one a sensor (got none)"),
+        ([1.0, 2.0], "shapes: must have 2 rows, one per sensor (got none)"),
     ):
         posed = problem(
             BlackBoxModel(lambda theta, wrong=wrong: wrong if theta[0] > 500.0 else everything(theta), 2)

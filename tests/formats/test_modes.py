@@ -93,7 +93,7 @@ def test_frequencies_alone(tmp_path):
         ("mode,frequency,frequency\na,1,2\n", ["line 1: column names must be distinct"]),
         (
             "mode,frequency\na,1,2\nb\n",
-            ["line 2: must have 2 values, one a column (got 3)", "line 3: must have 2"],
+            ["line 2: must have 2 values, one per column (got 3)", "line 3: must have 2"],
         ),
         (
             "mode,frequency,sd,number\na,-1,0,0\n\na,nan,x,1.5\n",

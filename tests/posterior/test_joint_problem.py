@@ -148,7 +148,7 @@ def test_the_reduced_model_is_good_enough_for_shapes_too():
 
 
 def test_beta_and_error_models_exclude_each_other():
-    with pytest.raises(ValueError, match=r"^beta: must not be given beside error models"):
+    with pytest.raises(ValueError, match=r"^beta: must not be given together with error models"):
         fmu.UpdatingProblem(
             storeys(),
             fmu.ModalData([1.0, 2.0, 3.0, 4.0]),

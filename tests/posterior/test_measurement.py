@@ -65,7 +65,7 @@ def test_measured_shapes():
         ({"frequencies_hz": [31.9, -2.0]}, r"frequencies_hz\.1: must be positive and finite \(got -2\.0 Hz\)"),
         ({"frequencies_hz": [np.nan, 1.0]}, r"frequencies_hz\.0: must be positive and finite \(got nan Hz\)"),
         ({"frequencies_hz": [np.inf]}, r"frequencies_hz\.0: must be positive and finite \(got inf Hz\)"),
-        ({"frequencies_hz": [1.0, 2.0], "numbers": (1,)}, r"numbers: must be 2, one a mode \(got 1\)"),
+        ({"frequencies_hz": [1.0, 2.0], "numbers": (1,)}, r"numbers: must be 2, one per mode \(got 1\)"),
         (
             {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[1.0], [2.0]]},
             r"shapes: must have shape \(1, 1\), sensors x modes \(got \(2, 1\)\)",
@@ -78,17 +78,17 @@ def test_measured_shapes():
             {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[np.nan]]},
             r"shapes: must be finite, and no mode zero at every sensor",
         ),
-        ({"frequencies_hz": [1.0], "labels": ("a", "b")}, r"labels: must be 1, one a mode \(got 2\)"),
+        ({"frequencies_hz": [1.0], "labels": ("a", "b")}, r"labels: must be 1, one per mode \(got 2\)"),
         *(
             (
                 {"frequencies_hz": [1.0, 2.0], "counterparts": wrong},
-                rf"counterparts: must be 2 distinct numbers from 1, one a mode \(got {re.escape(str(wrong))}\)",
+                rf"counterparts: must be 2 distinct numbers from 1, one per mode \(got {re.escape(str(wrong))}\)",
             )
             for wrong in ((1,), (2, 2), (0, 1))
         ),
         (
             {"frequencies_hz": [1.0], "sensors": ((1, "z"),), "shapes": [[1.0]], "counterparts": (2,)},
-            r"counterparts: must not be given beside shapes, which pair the modes",
+            r"counterparts: must not be given together with shapes, which pair the modes",
         ),
     ],
 )
@@ -112,10 +112,10 @@ def test_uncertainty_is_kept_and_described():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"sd_hz": [0.1]}, r"sd_hz: must be a number or have shape \(2,\), one a mode \(got \(1,\)\)"),
+        ({"sd_hz": [0.1]}, r"sd_hz: must be a number or have shape \(2,\), one per mode \(got \(1,\)\)"),
         ({"sd_hz": [0.1, 0.0]}, r"sd_hz: must be positive and finite \(got 0\.0\)"),
         ({"sd_hz": np.nan}, r"sd_hz: must be positive and finite \(got nan\)"),
-        ({"sd_hz": 0.1, "covariance_hz2": np.eye(2)}, r"sd_hz: must not be given beside covariance_hz2"),
+        ({"sd_hz": 0.1, "covariance_hz2": np.eye(2)}, r"sd_hz: must not be given together with covariance_hz2"),
         ({"shapes_sd": 0.1}, r"shapes_sd: must not be given without shapes"),
         (
             {"shapes_sd": [[0.1]], "shapes": [[1.0, 2.0], [1.0, 1.0]], "sensors": ((1, "x"), (2, "x"))},

@@ -29,14 +29,14 @@ def doubtful():
 
 def test_the_verdicts_are_those_of_the_check(found, doubtful):
     assert [(v.answer, v.is_good) for v in check_page(found).verdicts] == [
-        ("Nothing doubtful", True),
+        ("No warnings", True),
         ("Yes", True),
         ("4 of 5 directions", None),
         ("Yes", True),
     ]
     verdicts = check_page(doubtful).verdicts
     assert [v.is_good for v in verdicts] == [True, False, True, True]
-    assert verdicts[1].answer == "Not 1 of 3"
+    assert verdicts[1].answer == "1 of 3 modes not covered"
     assert verdicts[1].reasons == tuple(doubtful.prior.sentences())
 
 
@@ -66,5 +66,5 @@ def test_the_page_replaces_itself_and_nothing_else(found, tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "precious"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "index.html").write_text("precious")
-    with pytest.raises(ValueError, match="will not replace"):
+    with pytest.raises(ValueError, match="does not replace"):
         write_check(found, tmp_path / "other")

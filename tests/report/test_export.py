@@ -134,5 +134,5 @@ def test_what_is_asked_for_must_be_there(done, arguments, words):
 
 
 def test_nothing_to_export(tmp_path):
-    with pytest.raises(ValueError, match="holds no traces"):
+    with pytest.raises(ValueError, match="contains no traces"):
         export(tmp_path)

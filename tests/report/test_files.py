@@ -134,7 +134,7 @@ def _fails_at(name, written):
 )
 def test_a_manifest_of_other_origin_stops_everything(tmp_path, content):
     (tmp_path / MANIFEST).write_text(content)
-    with pytest.raises(ValueError, match=r"^out: .* is no manifest written by fmu"):
+    with pytest.raises(ValueError, match=r"^out: .* is not a manifest written by fmu"):
         OutputDirectory(tmp_path)
 
 

@@ -101,11 +101,11 @@ def test_verdicts_come_first(beam_report):
     page = Parsed((beam_report / "hmc.html").read_text())
     titles = [title for _, title in page.headings]
     assert titles[:4] == [
-        "Hamiltonian Monte Carlo", "Verdict", "Why the run has not converged", "What speaks against the model"
+        "Hamiltonian Monte Carlo", "Verdict", "Why the run has not converged", "Findings against the model"
     ]  # fmt: skip
     assert page.text.index("✗ Not converged") < page.text.index("Contents") < page.text.index("Updated parameters")
-    assert "mode 1 was measured at 31.9 Hz, outside the 99 % interval" in page.text
-    assert "draws that have not converged, and so provisional" in page.text
+    assert "mode 1: the measured frequency, 31.9 Hz, is outside the 99 % prediction interval" in page.text
+    assert "provisional, because the draws have not converged" in page.text
 
 
 def test_a_converged_run_says_so_and_a_single_chain_does_not(plain_report):
@@ -116,7 +116,7 @@ def test_a_converged_run_says_so_and_a_single_chain_does_not(plain_report):
     assert "Not converged" not in good
     assert UNSEARCHED in good[: good.index("Contents")]
     assert "✗ Not converged" in bad
-    assert "1 chain, at least 2 are needed" in bad[: bad.index("Contents")]
+    assert "1 chain; at least 2 are needed" in bad[: bad.index("Contents")]
     assert "✗ 1 of 2 converged" in index
     assert "Only Hamiltonian Monte Carlo has converged" in index
 
@@ -141,11 +141,11 @@ def test_what_a_trace_lacks_is_said(plain_report, hostile_report):
     missing = plain.text[plain.text.rindex("Not on this page") :]
     for words in (
         "Frequencies: the trace holds no frequencies",
-        "Maxima of the posterior: deterministic updating: the trace keeps none",
-        "Modal assurance criterion: the trace keeps no mode shapes",
-        "Mode shapes before and after: the trace keeps no geometry",
-        "Leaving one mode out: the trace has no likelihood of single modes",
-        "Certificate of the reduced model: no reduced model took part",
+        "Posterior maxima: deterministic updating: the trace has none",
+        "Modal assurance criterion: the trace has no mode shapes",
+        "Mode shapes before and after: the trace has no geometry",
+        "Leave-one-mode-out check: the trace has no likelihood of single modes",
+        "Certificate of the reduced model: no reduced model was used",
     ):
         assert words in missing
     black_box = Parsed((hostile_report / "hmc.html").read_text())
@@ -160,8 +160,8 @@ def test_older_traces_lack_groups(hostile_traces, tmp_path):
         del trace[group]
     index = write_pages({"hmc": trace}, tmp_path)
     page = Parsed((tmp_path / "hmc.html").read_text())
-    assert "The trace does not keep the frequencies before updating" in page.text
-    assert "What the data can tell: the trace keeps neither a linearised model" in page.text
+    assert "The trace has no frequencies before updating" in page.text
+    assert "Identifiability: the trace has neither a linearised model" in page.text
     assert "1 sampler." in Parsed(index.read_text()).text
 
 
@@ -181,8 +181,8 @@ def test_chains_that_stand_still_have_a_page(hostile_traces, tmp_path):
         trace[group] = still.assign_coords(chain=one["chain"], draw=one["draw"])
     write_pages({"hmc": trace}, tmp_path)
     page = Parsed((tmp_path / "hmc.html").read_text())
-    assert "chain 0 stands still for 40 of its 40 draws" in page.text
-    assert "Leaving one mode out: the draws are too few, or stand still." in page.text
+    assert "chain 0 does not move for 40 of its 40 draws" in page.text
+    assert "Leave-one-mode-out check: there are too few draws, or they do not move." in page.text
 
 
 @pytest.mark.parametrize(
@@ -244,7 +244,7 @@ def test_a_page_of_other_origin_is_not_replaced(run_directory):
     (run_directory / "report" / "index.html").write_text("mine")
     result = CliRunner().invoke(main, ["report", str(run_directory)])
     assert result.exit_code == 2
-    assert "will not replace (index.html)" in result.stderr
+    assert "does not replace (index.html)" in result.stderr
     assert [path.name for path in (run_directory / "report").iterdir()] == ["index.html"]
 
 
@@ -267,7 +267,7 @@ def test_command_writes_the_report(run_directory):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("missing", "does not exist"), ("empty", "holds no traces"), ("file", "is a file")]
+    ("name", "words"), [("missing", "does not exist"), ("empty", "contains no traces"), ("file", "is a file")]
 )
 def test_wrong_directory_is_one_line(name, words, tmp_path):
     (tmp_path / "empty").mkdir()

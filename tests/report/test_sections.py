@@ -130,7 +130,7 @@ def test_shapes_beside_measured_ones(hmc, monkeypatch):
     assert [number(row["of another mode"]) for row in rows] == pytest.approx(others, abs=6e-3)
     monkeypatch.setattr("fmu.report.sections.verdicts.fit_warnings", lambda trace: [])
     assert np.diag(after).min() >= ALIKE
-    least = f"Every measured shape is that of its mode: MAC at least {np.diag(after).min():.2f}."
+    least = f"Every mode matches its measured shape: MAC at least {np.diag(after).min():.2f}."
     assert least in model_fit(run).reasons
     assert not any("measured shape" in reason for reason in model_fit(hmc).reasons)
 
@@ -166,7 +166,7 @@ def test_cost_counts_the_warm_up(hmc):
     solves = table(section)[0]
     assert number(solves["warm-up"]) == attrs["warmup_n_solves"]
     assert number(solves["both"]) == attrs["n_solves"] + attrs["warmup_n_solves"] == hmc.costs["n_solves"]
-    gained = {row["quantity"]: row["value"] for row in table(section, "What it gave")}
+    gained = {row["quantity"]: row["value"] for row in table(section, "Efficiency")}
     assert number(gained["effective draws per 1000 solves"]) == pytest.approx(
         1000 * hmc.costs["ess_per_solve"], rel=0.006
     )
@@ -174,12 +174,12 @@ def test_cost_counts_the_warm_up(hmc):
 
 def test_certificate_is_held_against_what_was_promised(hmc):
     kept = origin.certificate(hmc)
-    assert kept.parts[0].words.endswith("The reduced model keeps its promise.")
+    assert kept.parts[0].words.endswith("Reduced-model error within tolerance.")
     broken = hmc.trace.copy()
     broken.attrs = {**hmc.trace.attrs, "certificate_log_prob_error": 0.5}
     (run,) = runs_of({"hmc": broken}).values()
     section = origin.certificate(run)
-    assert section.parts[0].words.endswith("The reduced model does not keep its promise.")
+    assert section.parts[0].words.endswith("Reduced-model error above tolerance.")
     assert table(section)[1]["found"] == "0.5"
     assert [row["allowed"] for row in table(section)[:2]] == ["1e-6", "0.001"]
 
@@ -195,7 +195,7 @@ def test_certificate_is_held_against_a_looser_promise(hmc):
     }
     (run,) = runs_of({"hmc": loose}).values()
     section = origin.certificate(run)
-    assert section.parts[0].words.endswith("The reduced model keeps its promise.")
+    assert section.parts[0].words.endswith("Reduced-model error within tolerance.")
     assert [row["allowed"] for row in table(section)[:2]] == ["0.001", "0.1"]
 
 
@@ -246,6 +246,6 @@ def test_a_good_verdict_says_what_it_covers(plain_traces):
 
 def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):
     (plain,) = runs_of({"hmc": plain_traces["hmc"]}).values()
-    assert (model_fit(plain).is_good, model_fit(plain).answer) == (None, "Cannot be said")
+    assert (model_fit(plain).is_good, model_fit(plain).answer) == (None, "Unknown")
     (fitted,) = runs_of({"hmc": hostile_traces["hmc"]}).values()
     assert (model_fit(fitted).is_good, model_fit(fitted).answer) == (True, "Yes")

@@ -33,7 +33,7 @@ def test_it_is_described_and_scales(figure):
         '<svg role="img" aria-label="rises &#34;steeply&#34; to 3 &lt;GPa&gt;" viewBox="0 0 288 144">'
     )
     assert svg.endswith("</svg>")
-    with pytest.raises(ValueError, match="alt: must say what the figure shows"):
+    with pytest.raises(ValueError, match="alt: must describe the figure"):
         inline_svg(figure, "a", " ")
 
 

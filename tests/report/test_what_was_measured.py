@@ -76,7 +76,7 @@ def test_the_trace_keeps_the_tests(run, problem, tmp_path):
 def test_tables_say_which_is_which(run, problem):
     (table,) = (part for part in updating.frequencies(run).parts if isinstance(part, PageTable))
     assert table.header[-2:] == ("90 %, mean of tests, Hz", "90 %, one more test, Hz")
-    assert f"the mean of {N - 1} to {N} tests; and where one more test would" in table.caption
+    assert f"of a new measurement, the mean of {N - 1} to {N} tests; and of one more test" in table.caption
     section = prediction.predictive(run)
     _, singles = (part for part in section.parts if isinstance(part, PageTable))
     rows = [dict(zip(singles.header, row, strict=True)) for row in singles.rows]
@@ -84,7 +84,7 @@ def test_tables_say_which_is_which(run, problem):
     tests = problem.data.tests.frequencies_hz
     low, high = (run.prediction[f"test_eti90_{end}"].to_numpy() for end in ("lb", "ub"))
     inside = np.sum((tests >= low) & (tests <= high), axis=0)
-    assert [row["tests made in it"] for row in rows] == [
+    assert [row["tests inside that"] for row in rows] == [
         f"{inside[0]} of {N - 1}",
         *(f"{k} of {N}" for k in inside[1:]),
     ]
@@ -112,7 +112,7 @@ def test_what_was_not_updated_is_not_among_what_was(run):
     assert verdict.reasons[0].startswith("c was not updated by the data: the draws keep ")
     assert verdict.reasons[0] in run.diagnosis.warnings
     assert verdict.reasons[0] not in model_fit(run).reasons
-    assert "as the mean of 40 tests, outside the 99 % interval" in model_fit(run).reasons[0]
+    assert "(the mean of 40 tests), is outside the 99 % prediction interval" in model_fit(run).reasons[0]
 
 
 def test_the_pages_have_it(traces, problem, tmp_path):
@@ -124,9 +124,7 @@ def test_the_pages_have_it(traces, problem, tmp_path):
     found = fmu.check(problem, draws=20)
     verdicts = {verdict.question: verdict for verdict in check_page(found).verdicts}
     assert verdicts["Are the tests independent?"].is_good is False
-    told = verdicts["What can the data tell?"]
+    told = verdicts["What can the data identify?"]
     assert told.is_good is False
-    assert told.reasons[0].startswith(
-        "The measured modes add nothing to what the prior says of c: the data leave 100 %"
-    )
+    assert told.reasons[0].startswith("The measured modes carry no information on c: 100 %")
     assert told.reasons[0] in " ".join(str(found).split())

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 CONVERGED = "converged"
 UNSEARCHED = (
-    "as far as its own draws tell: no maxima are known, and chains that agree do not show one that none of them "
-    "visited; fmu.diagnose(trace, problem) searches for them"
+    "judged by its own draws only, as no maxima are known: chains that agree cannot reveal a maximum that "
+    "none of them visited; "
+    "fmu.diagnose(trace, problem) searches for maxima"
 )
 GROUP = "maxima"
 """Group of a trace that keeps the maxima known when it was made."""
@@ -167,7 +168,7 @@ def judge(
     warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
     warnings += information_warnings(trace) + repeatability_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
-    stopped = f"the run was stopped after {steps} draws, and can go on" if steps else ""
+    stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
     return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped)
 
 

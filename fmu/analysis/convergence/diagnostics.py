@@ -159,18 +159,21 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     failures = []
     kind, needed = ("ensemble", MIN_ENSEMBLES) if is_ensemble else ("chain", MIN_CHAINS)
     if chains < needed:
-        failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}, at least {needed} are needed: --chains 4")
+        failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}; at least {needed} are needed: --chains 4")
     failures += _standing(trace)
     required, names = required_ess(chains), table.index
-    short = _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat")
+    short = _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat is {}; it must be below {}")
     for column, label in (("ess_bulk", "bulk ESS"), ("ess_tail", "tail ESS")):
-        short += _below(table[column].to_numpy(), required, names, label)
-    short += _above((table["mcse_mean"] / table["sd"]).to_numpy(), MCSE_LIMIT, names, "MCSE over sd")
+        short += _below(table[column].to_numpy(), required, names, label + " is {}; at least {} are needed")
+    mcse = (table["mcse_mean"] / table["sd"]).to_numpy()
+    short += _above(mcse, MCSE_LIMIT, names, "MCSE over sd is {}; it must be below {}")
     lengths = walker_rhat = None
     if is_ensemble:
         lengths, walker_rhat = autocorrelation_times_run(trace), rhat_over_walkers(trace)
-        short += _below(lengths, MIN_AUTOCORRELATION_TIMES, names, "number of autocorrelation times")
-        short += _above(walker_rhat, WALKER_RHAT_LIMIT, names, "R-hat over walkers")
+        short += _below(
+            lengths, MIN_AUTOCORRELATION_TIMES, names, "the run is {} autocorrelation times long; {} are needed"
+        )
+        short += _above(walker_rhat, WALKER_RHAT_LIMIT, names, "R-hat over walkers is {}; it must be below {}")
     if short:
         remedy = for_too_few_draws(trace, table, required, lengths, walker_rhat)
         failures += [f"{reason}{remedy}" for reason in short]
@@ -186,7 +189,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
     if stands[chain, walker] < max(STANDING_LIMIT * steps, STANDING_DRAWS):
         return []
     who = f"chain {chain}" if walkers == 1 else f"walker {walker} of ensemble {chain}"
-    return [f"{who} stands still for {stands[chain, walker]} of its {steps} draws{for_chains_apart(trace)}"]
+    return [f"{who} does not move for {stands[chain, walker]} of its {steps} draws{for_chains_apart(trace)}"]
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
@@ -196,30 +199,30 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
         diverging = stats["diverging"].to_numpy()
         if not np.mean(diverging) <= DIVERGING_LIMIT:
             failures.append(
-                f"{int(diverging.sum())} of {diverging.size} trajectories diverged; a shorter step helps: "
+                f"{int(diverging.sum())} of {diverging.size} trajectories diverged; use a shorter step: "
                 "fmu.HamiltonianMonteCarlo(target_accept=0.95)"
             )
     if "energy" in stats:
         chains = [f"chain {k}" for k in range(stats.sizes["chain"])]
         fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
-        failures += _below(fraction, ENERGY_LIMIT, chains, "E-BFMI")
+        failures += _below(fraction, ENERGY_LIMIT, chains, "E-BFMI is {}; at least {} is needed")
     return failures
 
 
-def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
+def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
     """Return a sentence on the worst of `values` unless all are below `limit`."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
-    return [f"{label} {_beside(values[worst], limit)} of {names[worst]} is not below {given(limit)}"]
+    return [f"{names[worst]}: {sentence.format(_beside(values[worst], limit), given(limit))}"]
 
 
-def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, label: str) -> list[str]:
+def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
     """Return a sentence on the worst of `values` unless all are at least `limit`."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))
-    return [f"{label} {_beside(values[worst], limit)} of {names[worst]} is below {given(limit)}"]
+    return [f"{names[worst]}: {sentence.format(_beside(values[worst], limit), given(limit))}"]
 
 
 def _beside(value: float, limit: float) -> str:

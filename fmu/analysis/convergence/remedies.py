@@ -24,9 +24,9 @@ SHORTEST_WARMUP = 1000
 def for_chains_apart(trace: xr.DataTree) -> str:
     """Return the remedy for chains that stand still, or are where next to no probability is."""
     if "observed_data" in trace.children and trace.attrs["init"] != "maxima":
-        return '; start the chains at the maxima of the posterior: init="maxima" (--init maxima)'
+        return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))
-    return f"; give the chains more steps to settle: --warmup {warmup}"
+    return f"; lengthen the warm-up: --warmup {warmup}"
 
 
 def for_missed_maximum(trace: xr.DataTree) -> str:
@@ -34,7 +34,7 @@ def for_missed_maximum(trace: xr.DataTree) -> str:
     if trace.attrs["sampler"] != "tempering" and (
         trace.attrs["init"] == "maxima" or "observed_data" not in trace.children
     ):
-        return "; parallel tempering moves between maxima: --sampler tempering"
+        return "; use parallel tempering, which moves between maxima: --sampler tempering"
     return for_chains_apart(trace)
 
 

@@ -114,16 +114,19 @@ class Identifiability:
         """Say in words what the data constrain, and what is left to the prior and the bounds."""
         n, k = len(self.names), self.n_informed
         said = [f"The data constrain {k} of {n} directions of the parameter space more than the prior does."]
-        left = [share(1.0 / np.sqrt(1.0 + s**2)) + " of the prior's standard deviation" for s in self._svd[0]]
+        left = [share(1.0 / np.sqrt(1.0 + s**2)) + " of the prior standard deviation" for s in self._svd[0]]
         for direction, remains in list(zip(self.directions, left, strict=True))[k : k + _SENTENCES]:
             said.append(
-                f"The combination {self.in_words(direction)} is left to the prior and the bounds: the data leave "
+                f"The combination {self.in_words(direction)} is determined by the prior and the bounds alone: "
+                f"it keeps "
                 f"{remains}."
             )
         if n - k > _SENTENCES:
-            said.append(f"So are {n - k - _SENTENCES} more.")
+            said.append(f"The same holds for {n - k - _SENTENCES} more.")
         if k == n:
-            said.append(f"The least of them is {self.in_words(self.directions[-1])}: the data leave {left[-1]}.")
+            said.append(
+                f"The least constrained direction is {self.in_words(self.directions[-1])}: it keeps {left[-1]}."
+            )
         return said
 
     def in_words(self, direction: FloatArray) -> str:

@@ -54,13 +54,13 @@ class Information:
         """Name what the data did not update, a sentence each."""
         said = []
         for one, remains in self.uninformed:
-            left = f"the draws keep {share(min(remains, 1.0))} of the prior's standard deviation"
+            left = f"the draws keep {share(min(remains, 1.0))} of the prior standard deviation"
             if len(one.names) == 1:
                 said.append(f"{one.words} was not updated by the data: {left}")
             elif one.told:
                 said.append(
-                    f"{listed(one.names)} were not updated by themselves: the data tell only what {one.told}, "
-                    f"and {left} along their common change"
+                    f"{listed(one.names)} were not updated individually: the data determine only {one.told}, "
+                    f"and {left} along their joint change"
                 )
             else:
                 said.append(

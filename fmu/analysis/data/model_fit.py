@@ -43,9 +43,9 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
             is_close = sign * (x.mean() - bound) < _WITHIN * x.std()
             if near >= LEAST_SHARE and near > MORE_THAN_THE_PRIOR * before and is_close:
                 found.append(
-                    f"{name} is piled up against its {side} bound, {given(float(bound))} {unit}".rstrip()
-                    + f": {share(near)} of the draws are within {share(NEAR_A_BOUND)} of the bounds' distance of "
-                    f"it, {share(before)} of the prior"
+                    f"{name}: {share(near)} of the draws (prior: {share(before)}) lie within "
+                    f"{share(NEAR_A_BOUND)} of the range from the {side} bound, {given(float(bound))} "
+                    f"{unit}".rstrip()
                 )
     return found
 
@@ -75,11 +75,11 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
     rows = zip(table.index, *(table[c] for c in columns), strict=True)
     for k, (mode, measured, low, high, mean, sd) in enumerate(rows):
         if not low <= measured <= high:
-            how = "" if tests is None else f" as {measurement_in_words(tests[:, [k]])}"
+            how = "" if tests is None else f" ({measurement_in_words(tests[:, [k]])})"
             _, from_hz, to_hz, mean_hz = apart(measured, low, high, mean, sd=sd)
             found.append(
-                f"mode {mode} was measured at {given(measured)} Hz{how}, outside the {share(INTERVAL)} interval "
-                f"of its prediction, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
+                f"mode {mode}: the measured frequency, {given(measured)} Hz{how}, is outside the "
+                f"{share(INTERVAL)} prediction interval, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
             )
     return found
 
@@ -94,7 +94,7 @@ def shape_warnings(trace: xr.DataTree) -> list[str]:
         return []
     before, after = (np.diag(alike.sel(state=state)) for state in (START, MEAN))
     return [
-        f"mode {mode} has not the shape that was measured: MAC {fixed(b, 2)} before and {_below(a)} after "
+        f"mode {mode} does not match the measured shape: MAC {fixed(b, 2)} before and {_below(a)} after "
         f"updating, below {ALIKE}"
         for mode, b, a in zip(alike["mode"].to_numpy(), before, after, strict=True)
         if a < ALIKE
@@ -122,5 +122,5 @@ def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
     draw, known = apart(reached, highest, sd=1.0)
     return [
         f"a draw has log-probability {draw}, above the highest maximum found, {known}: the search missed a "
-        "maximum, and needs more starts"
+        "maximum; use more starts"
     ]

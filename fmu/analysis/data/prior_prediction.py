@@ -79,25 +79,23 @@ class PriorPrediction:
         """Say in words which measured frequencies the prior does not expect."""
         said = []
         if self.failed:
-            said.append(
-                f"At {self.failed} of {self.failed + len(self.frequencies)} draws from the prior the model failed."
-            )
+            said.append(f"The model failed at {self.failed} of {self.failed + len(self.frequencies)} prior draws.")
         if len(self.frequencies) < 2:
             return said
         for k in np.flatnonzero(self.is_far):
             side = "above" if self.distance[k] > 0 else "below"
             said.append(
                 f"Mode {self.labels[k]}: measured at {given(self.measured[k])} Hz, "
-                f"{fixed(abs(self.distance[k]), 1)} sd {side} what the prior predicts "
-                f"({with_sd(self.mean[k], self.sd[k])} Hz): another mode, bounds too narrow, or a model that "
-                "lacks something."
+                f"{fixed(abs(self.distance[k]), 1)} sd {side} the prior prediction "
+                f"({with_sd(self.mean[k], self.sd[k])} Hz). Possible causes: wrong pairing, bounds too "
+                f"narrow, incomplete model."
             )
         if not np.any(self.is_far):
             far = int(np.argmax(np.abs(self.distance)))
             said.append(
-                "The prior expects the measured frequencies: each lies within "
-                f"{fixed(abs(self.distance[far]), 1)} sd of its predictions (mode {self.labels[far]} the "
-                "farthest)."
+                "The prior covers the measured frequencies: each lies within "
+                f"{fixed(abs(self.distance[far]), 1)} sd of its prior prediction (mode {self.labels[far]} is "
+                "the farthest)."
             )
         return said
 

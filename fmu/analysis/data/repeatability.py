@@ -73,14 +73,14 @@ class Repeatability:
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
             said.append(
-                "Consecutive tests resemble each other, if all modes are taken together (mean lag-1 "
+                "Consecutive tests are correlated when all modes are considered together (mean lag-1 "
                 f"autocorrelation {fixed(self.autocorrelation.mean(), 2)}). {_worth(n, effective)}"
             )
         if said:
             said.append(
                 "Find out what changed between the tests (temperature, mass, joints). Then average the tests of "
-                "each block or day into one row of tests, as such means are nearly independent; or keep the tests "
-                "of one state of the structure; or give frequencies with an sd that covers the change."
+                "each block or day into one row of tests, as such means are nearly independent; or keep only "
+                "the tests of one state of the structure; or give frequencies with an sd that covers the change."
             )
         return said
 
@@ -88,12 +88,12 @@ class Repeatability:
         what = []
         if self.resembles[k]:
             rho = fixed(self.autocorrelation[k], 2)
-            what.append(f"consecutive tests resemble each other (lag-1 autocorrelation {rho})")
+            what.append(f"consecutive tests are correlated (lag-1 autocorrelation {rho})")
         if self.drifts[k]:
             way = "rises" if self.drift[k] > 0 else "falls"
             what.append(
                 f"the frequency {way} by {share(abs(self.drift[k]))} from the first test to the last "
-                f"(correlation with the order of the tests {fixed(self.trend[k], 2)})"
+                f"(correlation with the test order {fixed(self.trend[k], 2)})"
             )
         return f"Mode {self.labels[k]}: {' and '.join(what)}. {_worth(self.n[k], self.effective[k])}"
 

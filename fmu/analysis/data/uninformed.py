@@ -65,26 +65,26 @@ def doubts(found: Identifiability) -> list[str]:
     said = []
     for one in left_to_prior(found):
         remains = 1.0 / np.sqrt(1.0 + np.sum((found.sensitivity @ one.direction) ** 2))
-        left = f"the data leave {share(min(remains, 1.0))} of the prior's standard deviation"
+        left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
         if len(one.names) == 1:
             said.append(
-                f"The measured modes add nothing to what the prior says of {one.words}: {left}. Fix it if it is "
-                "known well, or measure something that depends on it."
+                f"The measured modes carry no information on {one.words}: {left}. Fix it if it is known well, "
+                f"or measure something that depends on it."
             )
         elif one.told:
             said.append(
-                f"The measured modes cannot tell {listed(one.names)} apart: only {one.told} updated. By "
-                f"themselves {listed(one.names)} keep the prior: {left} along their common change. {_REMEDY}"
+                f"The measured modes cannot separate {listed(one.names)}: they determine only {one.told}. "
+                f"Individually, {listed(one.names)} keep the prior: {left} along their joint change. {_REMEDY}"
             )
         else:
             said.append(
-                f"The measured modes hardly change along the combination {one.words} (in prior standard "
+                f"The measured modes are insensitive to the combination {one.words} (in prior standard "
                 f"deviations): {left}, and {listed(one.names)} keep the prior along it. {_REMEDY}"
             )
     return said
 
 
-_REMEDY = "Add a known mass, make a static test, measure other modes, or fix one of them."
+_REMEDY = "Add a known mass, make a static test, measure other modes, or fix one of the parameters."
 
 
 def eliminated(rows: FloatArray) -> FloatArray:
@@ -116,7 +116,7 @@ def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -
 
 
 def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
-    """Return what stays the same along a direction if it is a common factor: ``"k/m is"``; empty if it is none."""
+    """Return what stays the same along a direction if it is a common factor: ``"k/m"``; empty if it is none."""
     change = relative[large]
     if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():
         return ""
@@ -125,8 +125,8 @@ def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]
         return ""
     one = [names[k] for k in sorted(large)]
     if np.all(np.sign(change) == np.sign(change[0])):
-        return f"{one[0]}/{one[1]} is" if len(one) == 2 else f"the ratios of {listed(one)} are"
-    return f"the product of {listed(one)} is" if len(one) == 2 else ""
+        return f"{one[0]}/{one[1]}" if len(one) == 2 else f"the ratios of {listed(one)}"
+    return f"the product of {listed(one)}" if len(one) == 2 else ""
 
 
 def listed(names: Sequence[str]) -> str:

@@ -68,13 +68,13 @@ class Evidence:
         if np.all(rhat < RHAT_LIMIT):
             return ()
         if not np.any(np.isfinite(rhat)):
-            return ("R-hat of the log-likelihood is not known: it takes several chains that move",)
+            return ("R-hat of the log-likelihood is unknown: it needs several chains that move",)
         worst = 1 + int(np.argmax(np.nan_to_num(rhat, nan=np.inf)))
         t = self.table["inverse_temperature"][worst]
         return (
             f"R-hat {apart(rhat[worst - 1], RHAT_LIMIT, digits=3)[0]} of the log-likelihood at rung {worst}, t = "
-            f"{significant(t, 2)}, is not below {given(RHAT_LIMIT)}: modes have yet to find their share there, "
-            "and the error is too small",
+            f"{significant(t, 2)}, is not below {given(RHAT_LIMIT)}: the chains do not agree there, and the "
+            f"error is underestimated",
         )
 
     def __str__(self) -> str:

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima
 
 _APART = 4.0
-PSEUDO = "the modal residual is a pseudo-likelihood, which has no evidence"
+PSEUDO = "the modal residual is a pseudo-likelihood and has no evidence"
 WHAT = (
-    "The logarithm of the evidence, the probability density of the data under the model and its prior, says which "
-    "of several models of the same measured data, with errors of the same kind, is the more probable."
+    "The evidence is the probability density of the data under the model and its prior. Of several models "
+    "with the same measured data and errors of the same kind, the one with the largest evidence is the most "
+    "probable."
 )
 
 
@@ -110,15 +111,16 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
     doubts = []
     if fewest == 0.0:
         basis = f"the Laplace approximation at {count}"
-        doubts.append("the posterior need not be Gaussian around them, and no draw has tested it")
+        doubts.append("the posterior may not be Gaussian around them, and no draws have checked it")
     else:
         basis = f"importance sampling around {count}, worth {significant(_worth(maxima))} independent draws"
         if fewest < RELIABLE:
             doubts.append(
-                f"around one of them it is worth {significant(fewest, 2)} draws, of {significant(RELIABLE)} needed"
+                f"around one of them it is worth {significant(fewest, 2)} draws; {significant(RELIABLE)} are "
+                f"needed"
             )
     if reached > max(m.log_prob for m in maxima) + 1e-3:
-        doubts.append("a draw is above all maxima, so that one was missed")
+        doubts.append("a draw lies above all maxima, so one was missed")
     return FoundEvidence(maxima.log_evidence, maxima.log_evidence_error, basis, tuple(doubts))
 
 

@@ -117,7 +117,10 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     if unseen:
         where = _whereabouts(nearest.reshape(len(draws), -1, walkers), maxima)
         remedy = for_missed_maximum(trace)
-        return Comparison([*(_never_visited(maxima, k, reached) + remedy for k in unseen), f"instead {where}"], [])
+        return Comparison(
+            [*(_never_visited(maxima, k, reached) + remedy for k in unseen), f"the draws were elsewhere: {where}"],
+            [],
+        )
     if reached >= maxima[0].log_prob + _ABOVE:  # above all that was found: the masses are not to be relied on
         return Comparison([], [])
     owner = draws_of_maxima(theta, lp.ravel(), maxima).reshape(lp.shape)
@@ -168,7 +171,7 @@ def _name(maxima: Maxima, k: int) -> str:
 def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
     there, here = apart(maxima[k].log_prob, reached, sd=1.0)
     return (
-        f"{_name(maxima, k)}, with log-probability {there} where the best draw has {here}, was never visited; it "
+        f"{_name(maxima, k)} was never visited: its log-probability is {there} (best draw: {here}), and it "
         f"holds {mass_in_words(maxima[k].share)} of the probability"
     )
 
@@ -189,7 +192,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
     parts = []
     for k in np.unique(homes).tolist():
         count = int(np.sum(homes == k))
-        where = "near none of the maxima"
+        where = "near no maximum"
         if k >= 0:
             where = (
                 f"around {_name(maxima, k)} (log-probability {rounded(maxima[k].log_prob, 1.0)}, "

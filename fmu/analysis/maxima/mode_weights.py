@@ -135,7 +135,7 @@ def _importance(
     proposals = [m.proposal(lower, upper, t) for m in maxima for t in _TEMPERATURES]
     u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])
     log_q = logsumexp([proposal.log_density(u) for proposal in proposals], axis=0) - np.log(len(proposals))
-    log_w = np.concatenate(by_parts("weighing the maxima", log_prob, u)) - log_q
+    log_w = np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
     model = np.stack([m.log_prob - m.drop(u) for m in maxima])
     belongs = model - logsumexp(model, axis=0)
     return [_weighted(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]

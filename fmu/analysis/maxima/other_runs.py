@@ -66,9 +66,9 @@ def missed_places(
             there, best = apart(log_prob, float(here.log_prob.max()), sd=1.0)
             where = in_words(names, theta, [trace["posterior"][n].attrs.get("units", "") for n in names])
             found.append(
-                f"the run {name} was at {where}, with log-probability {there} where the best draw here has "
-                f"{best}, and no draw of this run is near; {mass_in_words(mass)} of the probability is "
-                f"there{for_missed_maximum(trace)}"
+                f"run {name} visited {where}, and no draw of this run is near: the log-probability there is "
+                f"{there} (best draw here: {best}), and it holds {mass_in_words(mass)} of the "
+                f"probability{for_missed_maximum(trace)}"
             )
     return found
 

@@ -121,7 +121,7 @@ def initial_modes(problem: UpdatingProblem, theta: ArrayLike | None = None) -> I
         return _of_function(problem.model, structural, labels, measured)
     frequencies = problem.frequencies(point)
     found = tuple(ComputedMode(None, float(frequencies[k]), int(k)) for k in range(len(frequencies)))
-    note = "The model itself says which of its modes answer to the measured ones."
+    note = "The model itself pairs its modes with the measured ones."
     return InitialModes(labels, measured, found, notes=(note,))
 
 
@@ -173,7 +173,7 @@ def _of_function(
     seen = np.ones(len(found), dtype=bool)
     doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, alike is None)]
     doubts += disordered(labels, paired, measured)
-    how = "by number, as the function gives them" if alike is None else "by MAC with the measured shapes"
+    how = "by number, in the order of the function" if alike is None else "by MAC with the measured shapes"
     notes = (f"Modes are paired {how}.", *(unmeasured(found) if alike is not None else ()))
     return InitialModes(labels, measured, found, alike, tuple(doubts), notes)
 

@@ -31,9 +31,9 @@ GROUP = "pairing"
 MOST_DRAWS = 2000
 """Draws looked at: evenly spaced over the chains, and the most probable one."""
 _MEANS = {
-    "shape": "the log-probability jumps there if the two modes veer, not if they cross unmixed",
-    "index": "there the log-probability has a kink, and the frequency is that of another shape",
-    "soft": "there the candidates that share the measured mode change places, without a jump",
+    "shape": "the log-probability jumps there if the two modes veer, but not if they cross without mixing",
+    "index": "the log-probability has a kink there, and the frequency belongs to another shape",
+    "soft": "the candidate modes swap weights there, without a jump",
 }
 
 
@@ -90,19 +90,19 @@ class PairingChanges:
         """Say it in words, what matters most first."""
         said = [*self._jumped(), *self._swaps()]
         if not said:
-            said.append("No two measured modes changed their order, compared with the model before updating.")
+            said.append("In all draws the measured modes are in the same order as in the model before updating.")
         if self.constant:
-            said.append("Every measured mode is answered by one computed mode throughout: that was verified.")
+            said.append("Every measured mode is paired with the same computed mode throughout (verified).")
         elif self.rule is not None and not self.jumps:
             said.append(
-                f"Every measured mode is answered by one computed mode in all of {self.project} draws looked at."
+                f"Every measured mode is paired with the same computed mode in all {self.project} draws examined."
             )
         nearest = int(np.argmin(np.where(np.isnan(self.gap), np.inf, self.gap)))
         if np.isfinite(self.gap[nearest]):
             kind = "paired" if self.constant or self.rule is None else "computed"
             said.append(
-                f"The nearest that another {kind} mode came to one that answers: "
-                f"{share(float(self.gap[nearest]))} in frequency, to mode {self.labels[nearest]}."
+                f"Smallest gap to another {kind} mode: {share(float(self.gap[nearest]))} in frequency, at "
+                f"mode {self.labels[nearest]}."
             )
         return tuple(said)
 
@@ -115,9 +115,9 @@ class PairingChanges:
         return f"<ul>{items}</ul>{shown}"
 
     def _jumped(self) -> list[str]:
-        of = f"of {self.project} draws looked at"
+        of = f"of {self.project} draws examined"
         return [
-            f"Mode {self.labels[i]} is answered by another computed mode than at the most probable draw in "
+            f"Mode {self.labels[i]} is not paired with the same computed mode as at the most probable draw in "
             f"{share(float(self.changed[i]))} {of}: {_MEANS[str(self.rule)]}."
             for i in np.argsort(-self.changed, kind="stable")
             if self.changed[i] > 0
@@ -127,8 +127,8 @@ class PairingChanges:
         rows, columns = np.nonzero(np.triu(self.swapped) > 0)
         order = np.argsort(-self.swapped[rows, columns], kind="stable")
         return [
-            f"Modes {self.labels[i]} and {self.labels[j]} swapped in {share(float(self.swapped[i, j]))} of the "
-            "draws, compared with their order in the model before updating."
+            f"Modes {self.labels[i]} and {self.labels[j]} are in reversed order in "
+            f"{share(float(self.swapped[i, j]))} of the draws, compared with the model before updating."
             for i, j in zip(rows[order], columns[order], strict=True)
         ]
 
@@ -200,8 +200,8 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
     modes = ", ".join(label for label, changed in zip(found.labels, found.changed, strict=True) if changed > 0)
     return [
         f"the pairing by MAC changes in {share(found.jumps / found.project)} of the draws (measured "
-        f"{'modes' if ',' in modes else 'mode'} {modes}): where the modes veer the log-probability jumps, which "
-        'pairing="soft" does not'
+        f"{'modes' if ',' in modes else 'mode'} {modes}): the log-probability jumps where these modes veer; "
+        'pairing="soft" avoids jumps'
     ]
 
 

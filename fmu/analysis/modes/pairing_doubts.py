@@ -17,10 +17,10 @@ RIVAL = 0.1
 CLOSE = 0.01
 """Relative distance of two frequencies below which they are hard to tell apart."""
 TAKEN_FOR_GRANTED = (
-    "No shapes were measured: that the measured modes are the lowest that the sensors see, in this order, is "
-    "taken for granted."
+    "No shapes were measured. The measured modes are assumed to be the lowest modes that the sensors see, in "
+    "this order."
 )
-COUNTERPARTS_GIVEN = "No shapes were measured: which modes before updating answer is as the counterparts say."
+COUNTERPARTS_GIVEN = "No shapes were measured. The counterparts define the pairing before updating."
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None)
         rival = others[np.argmax(row[others])] if len(others) else column
         if rival != column and row[rival] > row[column] - RIVAL:
             doubts.append(
-                f"Mode {labels[k]}: the sensors hardly tell computed mode {column + 1} (MAC "
+                f"Mode {labels[k]}: the sensors can hardly distinguish computed mode {column + 1} (MAC "
                 f"{fixed(row[column], 2)}) from {rival + 1} (MAC {fixed(row[rival], 2)})."
             )
     return doubts
@@ -82,7 +82,7 @@ def close(
                 told.add(pair)
                 doubts.append(
                     f"Mode {labels[k]}: computed modes {pair[0] + 1} and {pair[1] + 1} are {share(distance)} "
-                    "apart; which of them was measured, their frequencies do not tell."
+                    "apart in frequency, too close to tell which of them was measured."
                 )
     return doubts
 
@@ -94,7 +94,7 @@ def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray)
     if numbers == sorted(numbers):
         return []
     return [
-        "Measured and computed modes come in different orders: "
+        "Measured and computed modes are in different orders: "
         + ", ".join(f"{labels[k]} is computed mode {paired[k] + 1}" for k in order)
         + "."
     ]

@@ -29,10 +29,10 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     model = problem.model
     if not isinstance(model, PairedStructure):
         name = model.black_box.name if isinstance(model, PairedBlackBox) else type(model).__name__
-        return [f"The model is the function {name}: what it does with its parameters is not known."]
+        return [f"The model is the function {name}, treated as a black box."]
     structure = model.structure
     sizes = [str(len(block)) for block in structure.blocks]
-    parts = "in one piece" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"
+    parts = "in one block" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"
     if 1 < len(sizes) <= _MOST_BLOCKS:
         parts += f" of {', '.join(sizes[:-1])} and {sizes[-1]}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
@@ -42,11 +42,11 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         reduced = [str(block.size) for block in model.reduced.blocks if isinstance(block, ReducedBlock)]
         if reduced:
             said.append(
-                f"Within the bounds a reduced model of {' + '.join(reduced)} unknowns answers for it, certified "
-                "against the full one."
+                f"Within the bounds a reduced model with {' + '.join(reduced)} unknowns replaces it, "
+                f"certified against the full model."
             )
     else:
-        said.append("The full model answers everywhere: it is not reduced.")
+        said.append("The full model is used everywhere; there is no reduced model.")
     return said
 
 
@@ -59,7 +59,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     for j, parameter in enumerate(problem.parameters):
         changes = _changes(structure, j) if isinstance(structure, SeparableModel) else ""
         if j >= problem.model.n_parameters:
-            changes = "errors of the measurement"
+            changes = "measurement errors"
         rows.append(
             {
                 "unit": parameter.unit,
@@ -106,17 +106,17 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     M = structure.M(problem.start[: structure.n_parameters])
     if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
         least, most = (significant(float(end), 4) for end in (M.diagonal().min(), M.diagonal().max()))
-        between = f"is {least} kg" if least == most else f"goes from {least} to {most} kg"
+        between = f"is {least} kg" if least == most else f"ranges from {least} to {most} kg"
         return [
             f"At the start the diagonal of the mass matrix {between}; its rows have no directions (dofs in "
-            "[model]) in which masses could be added up."
+            f"[model]), so the total mass is not known."
         ]
     directions = np.array([direction for _, direction in structure.dofs])
     rigid = [(directions == name).astype(float) for name in _TRANSLATIONS if name in directions]
     if not rigid:
         return []
     mass = min(float(motion @ (M @ motion)) for motion in rigid)
-    return [f"At the start a mass of about {significant(mass)} kg moves with the free degrees of freedom."]
+    return [f"At the start the free degrees of freedom move a mass of about {significant(mass)} kg."]
 
 
 def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:

@@ -14,17 +14,18 @@ from fmu.cli.source import source
 @click.command("check")
 @click.argument("case")
 @click.option("--pairing", type=click.Choice(("shape", "index", "soft")),
-              help="Pair computed with measured modes by shape, by number in the spectrum, or softly by shape, "
-              "without jumps.  [default: what the file says]")  # fmt: skip
+              help="How computed modes are paired with measured ones: by shape, by number in the spectrum, or "
+                   "softly by shape (no jumps).  [default: as in the file]")  # fmt: skip
 @click.option("--draws", type=click.IntRange(min=2), default=200, show_default=True,
-              help="Draws from the prior at which the model is solved; fewer where a solve is slow.")  # fmt: skip
+              help="Prior draws at which the model is solved. Use fewer if the model is slow.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: check/CASE]")
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: check/CASE]")
 def command(case: str, pairing: str | None, draws: int, seed: int, out: Path | None) -> None:
-    """Look at CASE before sampling it: a built-in problem, or one that a TOML file describes.
+    """Check CASE before sampling: a built-in problem, or a TOML file.
 
-    Says what the model is, which of its modes answer to the measured ones, whether its gradient is right, what the
-    data can tell of the parameters, and whether the prior expects the data. Draws the structure: index.html.
+    Describes the model, pairs its modes with the measured ones, tests the gradient, and shows which parameters the
+    data can identify and whether the prior covers the data. Writes a page with a drawing of the structure
+    (index.html).
     """
     problem_of = source(case, pairing)
     from fmu.analysis.check import check

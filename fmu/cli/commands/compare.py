@@ -15,7 +15,7 @@ def command(directory: Path) -> None:
     """Compare the samplers of the run in DIRECTORY."""
     paths = sorted(directory.glob("*.nc"))
     if not paths:
-        raise click.BadParameter(f"{directory} holds no traces (*.nc).", param_hint="'DIRECTORY'")
+        raise click.BadParameter(f"{directory} contains no traces (*.nc).", param_hint="'DIRECTORY'")
     from fmu.analysis.convergence.comparison import side_by_side
     from fmu.analysis.convergence.diagnosis import diagnose_all
     from fmu.analysis.convergence.diagnostics import summary
@@ -24,7 +24,8 @@ def command(directory: Path) -> None:
     traces = {path.stem: load_trace(path) for path in paths}
     problems = {trace.attrs["problem"] for trace in traces.values()}
     if len(problems) > 1:
-        raise click.BadParameter(f"{directory} mixes problems: {', '.join(sorted(problems))}.",
+        raise click.BadParameter(f"{directory} contains runs of different problems: "
+                                 f"{', '.join(sorted(problems))}.",
                                  param_hint="'DIRECTORY'")  # fmt: skip
     summaries = {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, summaries=summaries)

@@ -13,10 +13,10 @@ from fmu.config.template import KINDS, files, template, write_template
 @click.argument("kind", type=click.Choice(KINDS))
 @click.argument("directory", type=click.Path(path_type=Path, file_okay=False), required=False)
 def command(kind: str, directory: Path | None) -> None:
-    """Start a problem file: a commented template that runs as it stands.
+    """Write a commented template of a problem file, ready to run.
 
-    KIND is what the model is: a frame of beams, matrices of a finite-element program, or a Python function. The
-    file is printed (fmu init frame > beam.toml), or written to DIRECTORY together with the files that it names.
+    KIND is the type of model: a frame of beams, matrices from a finite-element program, or a Python function. The
+    file is printed (fmu init frame > beam.toml), or written to DIRECTORY together with the files that it needs.
     Existing files are never replaced.
     """
     if directory is not None:
@@ -26,6 +26,7 @@ def command(kind: str, directory: Path | None) -> None:
     beside = files(kind)[1:]
     if beside:
         click.echo(
-            f"This file needs {', '.join(beside)} beside it: fmu init {kind} DIRECTORY writes all of them.",
+            f"This file needs {', '.join(beside)} in the same directory; fmu init {kind} DIRECTORY writes all "
+            f"of them.",
             err=True,
         )

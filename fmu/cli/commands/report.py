@@ -10,7 +10,7 @@ import click
 @click.command("report")
 @click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
 def command(directory: Path) -> None:
-    """Write HTML pages on the run in DIRECTORY: report/index.html and a page a sampler."""
+    """Write an HTML report on the run in DIRECTORY: report/index.html and one page per sampler."""
     from fmu.report.html import write_report
 
     click.echo(f"Written to {write_report(directory)}")

@@ -27,53 +27,70 @@ if TYPE_CHECKING:
     from fmu.runs.run_directory import RunDirectory
 
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate"}
-"""What may be said anew when a run is resumed: the draws do not depend on it."""
+"""Options that may change when a run is resumed: the draws do not depend on them."""
 
 
 @click.command("run")
 @click.argument("case", required=False)
 @click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS),
-              help="May be given several times.  [default: hmc; mh for a Python function without gradients]",
+              help="Sampler. Repeat the option for several.  [default: hmc; mh for a Python function without "
+                   "gradients]",
               )  # fmt: skip
 @click.option("--pairing", type=click.Choice(("shape", "index", "soft")),
-              help="Pair computed with measured modes by shape, by number in the spectrum, or softly by shape, "
-              "without jumps.  [default: what the file says]")  # fmt: skip
-@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Steps kept.")
-@click.option("--warmup", type=click.IntRange(min=0), default=1000, show_default=True, help="Steps before them.")
-@click.option("--chains", type=click.IntRange(min=1), default=4, show_default=True, help="Chains or ensembles.")
+              help="How computed modes are paired with measured ones: by shape, by number in the spectrum, or "
+                   "softly by shape (no jumps).  [default: as in the file]")  # fmt: skip
+@click.option("--draws", type=click.IntRange(min=1), default=1000, show_default=True, help="Draws kept per chain.")
+@click.option(
+    "--warmup",
+    type=click.IntRange(min=0),
+    default=1000,
+    show_default=True,
+    help="Warm-up steps per chain, before the draws.",
+)
+@click.option(
+    "--chains",
+    type=click.IntRange(min=1),
+    default=4,
+    show_default=True,
+    help="Number of chains (emcee: ensembles).",
+)
 @click.option("--groups", type=click.IntRange(min=1),
-              help="Groups of chains that advance and learn by themselves, for several workers; part of what "
-              "determines the draws.  [default: 1; of emcee, every ensemble]")  # fmt: skip
+              help="Independent groups of chains, each with its own adaptation, for several workers. The "
+                   "draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--starts", type=click.IntRange(min=1),
-              help="Climbs of the search for maxima before sampling; fewer are faster and may miss one.  "
+              help="Optimiser starts for the MAP search before sampling. Fewer are faster but may miss a "
+                   "maximum.  "
               "[default: 256; 16 for a Python function without gradients]")  # fmt: skip
 @click.option("--init", type=click.Choice(INITS), default="maxima", show_default=True,
-              help="Where the chains start: around the maxima, in proportion to their shares; drawn from the "
-              "prior; or at the start values.")  # fmt: skip
+              help="Where the chains start: around the maxima, in proportion to their probability; at draws "
+                   "from the prior; or at the start values.")  # fmt: skip
 @click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
-              help="Go on until the verdict is good and every effective sample size is at least N; exit code 1 if "
-              "--max-draws are reached before.")  # fmt: skip
-@click.option("--max-draws", type=click.IntRange(min=1), help="The most steps kept with --until-ess."
+              help="Sample until the run has converged and every effective sample size is at least N. Exit "
+                   "code 1 if --max-draws is reached first.")  # fmt: skip
+@click.option("--max-draws", type=click.IntRange(min=1), help="Maximum number of draws per chain with --until-ess."
               "  [default: 32 times --draws]")  # fmt: skip
 @click.option("--max-failure-rate", type=click.FloatRange(0, 1), default=MAX_FAILURE_RATE, show_default=True,
-              help="Stop when a larger share of the solves has failed.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), help="Directory to write.  [default: runs/CASE-PAIRING]")
-@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the directory.")
+              help="Stop if more than this fraction of the solves fails.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: runs/CASE-PAIRING]")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the output directory.")
 @click.option("--resume", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="DIR",
-              help="Go on with the run in DIR that was stopped or killed, to its end.")  # fmt: skip
+              help="Resume the run in DIR.")  # fmt: skip
 @click.option("--keep-draws", type=click.IntRange(min=1), default=1000, show_default=True,
-              help="Keep the run on disk every so many steps,")  # fmt: skip
+              help="Steps between saves to disk.")  # fmt: skip
 @click.option("--keep-seconds", type=click.FloatRange(min=0), default=30.0, show_default=True,
-              help="and every so many seconds: as much is lost if it is killed.")  # fmt: skip
+              help="Seconds between saves to disk. Work since the last save is lost if the run is "
+                   "killed.")  # fmt: skip
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
               help="Number of processes that advance the groups of chains, or evaluate a Python function at "
               "several points at once.")  # fmt: skip
 @click.option("--cluster", metavar="ADDRESS",
               help="Run on a Dask cluster instead: tcp://HOST:PORT of its scheduler.")  # fmt: skip
 @click.option("--progress", type=click.Choice(("bars", "json", "none")), default="bars", show_default=True,
-              help="Bars on a terminal, or lines of JSON on standard error.")  # fmt: skip
-@click.option("--report/--no-report", "reports", default=True, help="Write HTML pages too, as fmu report does.")
+              help="Progress bars on the terminal, or JSON lines on standard error.")  # fmt: skip
+@click.option(
+    "--report/--no-report", "reports", default=True, help="Also write the HTML report, as fmu report does."
+)
 @click.pass_context
 def command(
     context: click.Context,
@@ -87,13 +104,13 @@ def command(
     progress: str,
     **orders: Any,
 ) -> int:
-    """Sample CASE: a built-in problem, or one that a TOML file describes.
+    """Sample the posterior of CASE: a built-in problem, or a TOML file.
 
-    Searches for the maxima of the posterior first (map.csv), so that a sampler that misses one is found out.
-    Writes a trace (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, and pages to
-    read (report/index.html); where solves failed, a ledger of them (failures-SAMPLER.csv); keeps CASE
-    (problem.toml, run.json). What is drawn is kept on disk meanwhile: Ctrl-C stops cleanly, and a run that was
-    stopped or killed goes on with --resume, bit for bit.
+    First searches for the posterior maxima (map.csv), to detect samplers that miss one. Writes a trace
+    (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, an HTML report
+    (report/index.html), a list of failed solves if there are any (failures-SAMPLER.csv), and a copy of CASE
+    (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops it cleanly; --resume continues a run
+    that was stopped or killed, bit for bit.
     """
     from fmu.config.kept import KeptProblem
 
@@ -178,7 +195,9 @@ def _tell_beforehand(
 
     (first, *_) = orders["samplers"]
     if not named and first != "hmc":
-        click.echo(f"The model gives no gradients: {first} is the sampler (--sampler chooses another).", err=True)
+        click.echo(
+            f"The model has no gradients, so the sampler is {first} (choose another with --sampler).", err=True
+        )
     parts = estimates(problem, orders, orders["starts"] or default_starts(problem), workers)
     if parts:
         click.echo(in_words(parts), err=True)
@@ -206,12 +225,13 @@ def _resumed(context: click.Context, directory: Path, orders: dict[str, Any]) ->
     if changed:
         what = "CASE" if changed[0].name == "case" else changed[0].opts[0]
         raise click.BadParameter(
-            f"{what} is that of the run, which keeps it in {directory}: leave it out.", param_hint="'--resume'"
+            f"{what} cannot be changed when the run in {directory} is resumed: leave it out.",
+            param_hint="'--resume'",
         )
     where = unfinished(directory)
     found = kept(where) if (where / ORIGIN).is_file() else None
     if found is None or not found.orders:
-        raise click.BadParameter(f"{directory} is not of a run that can be resumed.", param_hint="'--resume'")
+        raise click.BadParameter(f"{directory} contains no run that can be resumed.", param_hint="'--resume'")
     anew = {str(p.name): orders[str(p.name)] for p in said if p.name in found.orders}
     return replace(found, orders={**found.orders, **anew})
 

@@ -9,11 +9,11 @@ import click
 
 
 @click.command("schema")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File to write.  [default: print]")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Output file.  [default: print]")
 def command(out: Path | None) -> None:
     """Print the JSON schema of problem files, for editors.
 
-    An editor with Taplo (Even Better TOML) completes and checks a file whose first line names it:
+    An editor with Taplo (Even Better TOML) completes and checks files whose first line is
     #:schema ./fmu.schema.json
     """
     from fmu.config.schema import schema

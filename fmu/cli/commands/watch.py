@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fmu.runs.status import RunReading, SamplerReading
 
 _WIDTH = 100
-_HEADER = ("sampler", "group", "state", "phase", "steps", "kept ago", "accept", "R-hat", "ESS", "solves", "per s",
+_HEADER = ("sampler", "group", "state", "phase", "steps", "saved ago", "accept", "R-hat", "ESS", "solves", "per s",
            "failed", "left")  # fmt: skip
 _WORDS = 4  # columns of words, at the left of their place
 _PHASES = {"warmup": "warm-up", "draws": "draws"}
@@ -33,14 +33,14 @@ _CLEAR = "\033[H\033[2J"
 
 @click.command("watch")
 @click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--follow", is_flag=True, help="Look again and again, until the run ends.")
+@click.option("--follow", is_flag=True, help="Repeat until the run ends.")
 @click.option("--every", type=click.FloatRange(min=0, min_open=True), default=5.0, show_default=True,
-              metavar="SECONDS", help="How often, with --follow.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="One JSON object; with --follow one a line.")
+              metavar="SECONDS", help="Interval with --follow.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object; with --follow, one per line.")
 def command(directory: Path, follow: bool, every: float, as_json: bool) -> None:
-    """Show how far the run in DIRECTORY is: that of an fmu run, or the checkpoint of fmu.sample.
+    """Show the progress of the run in DIRECTORY (of fmu run, or a checkpoint of fmu.sample).
 
-    Reads files only, as the run kept them last, and leaves the run alone.
+    Reads only the files that the run saved last; the run is not disturbed.
     """
     from fmu.runs.status import RUNNING, RunReader
 
@@ -82,9 +82,9 @@ def _lines(reading: RunReading) -> Iterator[str]:
         yield f"Note: {note}"
     if reading.state in ("stopped", "killed"):
         if reading.is_of_command:
-            yield f"To go on: fmu run --resume {reading.directory}"
+            yield f"To resume: fmu run --resume {reading.directory}"
         else:
-            yield f"To go on: the same call of fmu.sample, with checkpoint={str(reading.directory)!r}"
+            yield f"To resume: repeat the same call of fmu.sample, with checkpoint={str(reading.directory)!r}"
 
 
 def _state(reading: RunReading) -> str:
@@ -96,7 +96,7 @@ def _state(reading: RunReading) -> str:
     if reading.state == "killed":
         return f"killed ({process})"
     if reading.state == "silent":
-        return f"silent ({process}, which cannot be asked from here, has kept nothing for long)"
+        return f"silent ({process} cannot be reached from here and has saved nothing for a long time)"
     doing = f", {reading.phase}" if reading.phase else ""
     return f"running for {duration(max(time.time() - who.began, 0.0))}{doing} ({process})"
 

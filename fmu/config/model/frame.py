@@ -96,17 +96,22 @@ class FrameTable(TomlTable):
                 if name not in known:
                     found.append(Mistake(f"model.members.{i}.{key}", _unknown(name, known)))
             if member.start == member.end:
-                found.append(Mistake(f"model.members.{i}.to", got("must differ from from", member.end)))
+                found.append(
+                    Mistake(f"model.members.{i}.to", got("must not be the same point as from", member.end))
+                )
             elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
-                rule = f"must not be where from is: the member would have no length (got {member.end!r})"
+                rule = f"must not be at the place of from: the member would have no length (got {member.end!r})"
                 found.append(Mistake(f"model.members.{i}.to", rule))
         if sum(member.elements for member in self.members) > MOST_ELEMENTS:
-            found.append(Mistake("model.members", f"must have at most {MOST_ELEMENTS} elements together"))
+            found.append(Mistake("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
         names = [mass.name for mass in self.masses if mass.name is not None]
         if len(set(names)) < len(names):
             found.append(Mistake("model.masses", got("must have distinct names", names)))
         if not (self.free or self.supports or any(spring.points is None for spring in self.springs.values())):
-            rule = "must hold the structure, or a spring to the ground must; free = true if it is free on purpose"
+            rule = (
+                "must restrain the structure (a spring to the ground does too); set free = true if it is "
+                "free on purpose"
+            )
             found.append(Mistake("model.supports", rule))
         return found
 
@@ -127,7 +132,7 @@ class FrameTable(TomlTable):
         used = {point for member in self.members for point in (member.start, member.end)}
         used |= {end for spring in self.springs.values() for end in spring.ends}
         idle = sorted(set(self.points) - used)
-        return found + [Mistake(f"model.points.{name}", "is the end of no member") for name in idle]
+        return found + [Mistake(f"model.points.{name}", "is not connected to a member or spring") for name in idle]
 
 
 class _Mesh:

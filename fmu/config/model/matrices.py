@@ -55,7 +55,7 @@ class TermTable(TomlTable):
         if (self.file is None) == (self.matrix is None):
             raise ValueError("must have either file or matrix")
         if self.matrix is not None and self.variable is not None:
-            raise ValueError("variable must not be given beside matrix")
+            raise ValueError("variable must not be given together with matrix")
         return self
 
     @property
@@ -147,7 +147,9 @@ class MatricesTable(TomlTable):
                 rule = got(f"must be a node and one of {', '.join(DIRECTIONS)}", [node, direction])
                 found.append(Mistake(f"model.dofs.{i}", rule))
             if (node, direction) in seen:
-                found.append(Mistake(f"model.dofs.{i}", got("must not be that of another row", [node, direction])))
+                found.append(
+                    Mistake(f"model.dofs.{i}", got("must not be the name of another row", [node, direction]))
+                )
             seen.add((node, direction))
         return found
 
@@ -202,7 +204,7 @@ class MatricesTable(TomlTable):
         ]
         if self.dofs is not None and len(self.dofs) != n:
             found.append(
-                Mistake("model.dofs", f"must name {n} degrees of freedom, one a row (got {len(self.dofs)})")
+                Mistake("model.dofs", f"must name {n} degrees of freedom, one per row (got {len(self.dofs)})")
             )
         if found:
             raise BrokenError(found)
@@ -211,5 +213,5 @@ class MatricesTable(TomlTable):
         """Return what is wrong with a model in the words of the file, with what to do about it."""
         text = error.replace("K_terms", "stiffness").replace("M_terms", "mass") + ", at the start"
         if "can move without strain" in text and not self.free:
-            text += "; free = true if nothing holds it on purpose"
+            text += "; set free = true if it is free on purpose"
         return text

@@ -24,7 +24,7 @@ class Built(NamedTuple):
 def without_targets(parameters: Sequence[ParameterTable]) -> list[Mistake]:
     """Return the keys of parameters that say what of a frame they are, in a file without a frame."""
     return [
-        Mistake(f"parameters.{i}.{key}", "is for frames alone")
+        Mistake(f"parameters.{i}.{key}", "is allowed for frames only")
         for i, table in enumerate(parameters)
         for key in Target.model_fields
         if key in table.model_fields_set

@@ -77,7 +77,7 @@ def target_mistakes(
                 quantity = str(table.property), name, direction
                 if quantity in owner:
                     along = f" along {direction}" if direction else ""
-                    rule = f"{table.property} of {name}{along} is updated by {owner[quantity]} already"
+                    rule = f"{table.property} of {name}{along} is already updated by {owner[quantity]}"
                     found.append(Mistake(where, rule))
                 owner[quantity] = names[i]
     return found
@@ -91,4 +91,4 @@ def _out_of_place(where: str, table: Target, key: str) -> list[Mistake]:
     wrong = [other for other in _SINGULAR if other != key and getattr(table, other)]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
-    return [Mistake(f"{where}.{other}", f"must be left out: {table.property} is of {key}") for other in wrong]
+    return [Mistake(f"{where}.{other}", f"must be left out: {table.property} belongs to {key}") for other in wrong]

@@ -197,7 +197,7 @@ class PairedBlackBox:
         else:
             if answer.shapes is None or len(answer.shapes) != len(self.reference):
                 rows = "none" if answer.shapes is None else len(answer.shapes)
-                raise AnswerError(f"shapes: must have {len(self.reference)} rows, one a sensor (got {rows})")
+                raise AnswerError(f"shapes: must have {len(self.reference)} rows, one per sensor (got {rows})")
             if given < self.n_modes:
                 raise AnswerError(f"must give at least the {self.n_modes} measured modes (gave {given} modes)")
             if not np.all(np.isfinite(answer.shapes)):

@@ -179,7 +179,7 @@ def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
                     path.name, [f"line {number}: column names must be distinct (got {shown(header)})"]
                 )
         elif len(cells) != len(header):
-            found.append(f"line {number}: must have {len(header)} values, one a column (got {len(cells)})")
+            found.append(f"line {number}: must have {len(header)} values, one per column (got {len(cells)})")
         elif len(rows) == MOST_ROWS:
             found.append(f"line {number}: must not be there: a table has at most {MOST_ROWS} rows")
             break

@@ -78,7 +78,7 @@ def pyoma_modes(
     if given["Fn_std"] is not None and given["setups_used"] is None:
         sd = np.array(given["Fn_std"], dtype=float).reshape(-1)
     if sd is not None and len(sd) != len(frequencies):
-        found.append(f"Fn_std: must be {len(frequencies)}, one a mode (got {len(sd)})")
+        found.append(f"Fn_std: must be {len(frequencies)}, one per mode (got {len(sd)})")
     if found:
         raise ModesError(source, found)
     columns = np.array(chosen) - 1

@@ -86,7 +86,7 @@ class ModalData:
         object.__setattr__(self, "labels", tuple(self.labels) or tuple(str(i + 1) for i in range(n)))
         for name in ("numbers", "labels"):
             if len(getattr(self, name)) != n:
-                raise ValueError(f"{name}: must be {n}, one a mode (got {len(getattr(self, name))})")
+                raise ValueError(f"{name}: must be {n}, one per mode (got {len(getattr(self, name))})")
 
         if len(set(self.labels)) < n:
             raise ValueError(f"labels: must be distinct (got {self.labels})")
@@ -111,15 +111,15 @@ class ModalData:
         if not given:
             return
         if len(given) != n or len(set(given)) < n or min(given) < 1:
-            raise ValueError(f"counterparts: must be {n} distinct numbers from 1, one a mode (got {given})")
+            raise ValueError(f"counterparts: must be {n} distinct numbers from 1, one per mode (got {given})")
         if self.shapes is not None:
-            raise ValueError("counterparts: must not be given beside shapes, which pair the modes")
+            raise ValueError("counterparts: must not be given together with shapes, which pair the modes")
 
     def _check_uncertainty(self, n: int) -> None:
         if self.sd_hz is not None and self.covariance_hz2 is not None:
-            raise ValueError("sd_hz: must not be given beside covariance_hz2")
+            raise ValueError("sd_hz: must not be given together with covariance_hz2")
         if self.sd_hz is not None:
-            object.__setattr__(self, "sd_hz", _spread(self.sd_hz, "sd_hz", (n,), "one a mode"))
+            object.__setattr__(self, "sd_hz", _spread(self.sd_hz, "sd_hz", (n,), "one per mode"))
         if self.covariance_hz2 is not None:
             object.__setattr__(self, "covariance_hz2", checked_covariance(self.covariance_hz2, n))
         if self.shapes_sd is not None:

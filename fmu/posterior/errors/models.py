@@ -191,7 +191,7 @@ def _weights(weights: ArrayLike | None, n: int) -> FloatArray:
         return np.ones(n)
     given = np.asarray(weights, dtype=float)
     if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
-        raise ValueError(f"weights: must be {n} positive numbers, one a mode (got {given.tolist()})")
+        raise ValueError(f"weights: must be {n} positive numbers, one per mode (got {given.tolist()})")
     return given
 
 

@@ -19,7 +19,7 @@ from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 
 _MOST_PAIRS, _FEWEST = 8, 50
-TOO_FEW = "the draws are too few"
+TOO_FEW = "there are too few draws"
 
 
 def reliability(run: ReportedRun) -> PageSection:
@@ -37,7 +37,7 @@ def reliability(run: ReportedRun) -> PageSection:
             )
         )  # fmt: skip
     header = ("parameter", "unit", "R-hat", "bulk ESS", "tail ESS", "MCSE of the mean", "MCSE/sd")
-    caption = f"How well the draws determine the posterior: {run.chains_in_words}."
+    caption = f"Accuracy of the posterior estimates: {run.chains_in_words}."
     return PageSection(
         "reliability", "Reliability of the draws", (PageTable(caption, header, tuple(rows), words=(1,)),)
     )
@@ -60,8 +60,8 @@ def paths(run: ReportedRun) -> PageSection:
         far = [f"{name} {fixed(_furthest(axis), 2)}" for name, axis in zip(run.names, axes, strict=True)]
         alt = f"Rank plots. Largest distance from uniform ranks: {', '.join(far)}."
         caption = (
-            "Ranks of each chain's draws among all: distance of their distribution from the uniform one, with the "
-            "p-value of a multi-chain test."
+            "Ranks of each chain's draws among all draws: difference of their distribution from a uniform "
+            "one, with the p-value of a multi-chain test."
         )
         drawings.append(picture(axes, "ranks", alt, caption))
     return PageSection("paths", "Paths and ranks", (Pictures(tuple(drawings)),))
@@ -105,7 +105,7 @@ def _running_means(run: ReportedRun) -> Picture:
     sd = draws.std(axis=(0, 1))
     apart = np.ptp(draws.mean(axis=1), axis=0) / np.where(sd > 0, sd, np.inf)
     far = ", ".join(f"{name} {fixed(x, 2)}" for name, x in zip(run.names, apart, strict=True))
-    alt = f"Running means of the chains. At the end they differ by, in posterior standard deviations: {far}."
+    alt = f"Running means of the chains. Differences at the end, in posterior standard deviations: {far}."
     caption = "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors."
     return picture(plot_running_means(run.trace, run.summary), "means", alt, caption)
 
@@ -164,7 +164,7 @@ def energies(run: ReportedRun) -> PageSection | Omitted:
     values = ", ".join(fixed(x, 2) for x in fraction)
     diverged = int(stats["diverging"].sum()) if "diverging" in stats else 0
     said = (
-        f"E-BFMI of the chains: {values}; below 0.3 the momenta would not carry them through the posterior. "
+        f"E-BFMI of the chains: {values} (below 0.3: poor exploration). "
         f"{diverged} of {stats['energy'].size} trajectories diverged."
     )
     drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",

@@ -34,8 +34,8 @@ def overview(runs: Mapping[str, ReportedRun], pages: Mapping[str, str]) -> PageS
         "sampler", "verdict", "R-hat", "bulk ESS", "tail ESS", "solves", "time, s", "ESS / 1000 solves", "ESS / s"
     )  # fmt: skip
     caption = (
-        "R-hat and ESS of the worst parameter; model solves and time with the warm-up. Of a run that has not "
-        "converged no ESS is to be relied on."
+        "R-hat and ESS of the worst parameter; model solves and time with the warm-up. The ESS of a run that "
+        "has not converged is not reliable."
     )
     return PageSection("overview", "Samplers side by side", (PageTable(caption, header, tuple(rows), words=(1,)),))
 
@@ -51,7 +51,7 @@ def efficiency(runs: Mapping[str, ReportedRun]) -> PageSection:
     axes = plot_efficiency({name: run.trace for name, run in runs.items()}, costs)
     alt = f"Effective draws per 1000 model solves: {seen}."
     caption = (
-        "Effective draws of the worst parameter per 1000 model solves, warm-up counted. Outlined only: not "
+        "Effective draws of the worst parameter per 1000 model solves, warm-up included. Outline only: not "
         "converged."
     )
     return PageSection("efficiency", "Efficiency", (Pictures((picture(axes, "efficiency", alt, caption),)),))
@@ -87,7 +87,7 @@ def _judgement(runs: Mapping[str, ReportedRun]) -> Text | Items:
     converged = [run for run in runs.values() if run.diagnosis.converged]
     if len(converged) < 2:
         few = "None has" if not converged else f"Only {converged[0].title} has"
-        return Text(f"{few} converged: means that differ, or that do not, say nothing here.")
+        return Text(f"{few} converged, so the means cannot be compared.")
     said, furthest = [], 0.0
     for one, other in combinations(converged, 2):
         difference = (one.summary["mean"] - other.summary["mean"]).abs().to_numpy()

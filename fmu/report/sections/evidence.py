@@ -21,7 +21,7 @@ def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
         maxima,
     )
     if not found:
-        nothing = "no maxima are known, and no run is of parallel tempering"
+        nothing = "no maxima are known, and there is no run of parallel tempering"
         return Omitted(title, PSEUDO if is_pseudo(first.trace) else nothing)
     rows = tuple((f"{one.basis[0].upper()}{one.basis[1:]}", one.value, one.is_reliable) for one in found)
     table = PageTable(

@@ -17,12 +17,12 @@ def cost(run: ReportedRun) -> PageSection:
     """Return what the run cost, and what it gave for that."""
     attrs, costs = run.trace.attrs, run.costs
     counts = []
-    for words, name in (("model solves", "n_solves"), ("gradients among them", "n_gradients")):
+    for words, name in (("model solves", "n_solves"), ("of which gradients", "n_gradients")):
         before, kept = int(attrs[f"warmup_{name}"]), int(attrs[name])
         counts.append((words, whole(before), whole(kept), whole(before + kept)))
     warmup_s, wall_s = float(attrs["warmup_wall_s"]), float(attrs["wall_s"])
     counts.append(("time, s", fixed(warmup_s, 1), fixed(wall_s - warmup_s, 1), fixed(wall_s, 1)))
-    spent = PageTable("What was spent", ("quantity", "warm-up", "draws kept", "both"), tuple(counts))
+    spent = PageTable("Computational cost", ("quantity", "warm-up", "draws kept", "both"), tuple(counts))
     rows = (
         ("smallest bulk ESS", fixed(float(costs["ess_bulk_min"]), 0)),
         ("effective draws per 1000 solves", significant(1000 * float(costs["ess_per_solve"]))),
@@ -30,7 +30,7 @@ def cost(run: ReportedRun) -> PageSection:
         ("share of draws that moved", share(float(costs["accept_rate"]))),
         ("divergences", whole(costs["divergences"])),
     )
-    gained = PageTable("What it gave: ESS of the worst parameter, warm-up counted", ("quantity", "value"), rows)
+    gained = PageTable("Efficiency: ESS of the worst parameter, warm-up included", ("quantity", "value"), rows)
     return PageSection("cost", "Cost", (spent, gained))
 
 
@@ -38,7 +38,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
     """Return how far the reduced model is from the full one at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     if "certificate_draws" not in attrs:
-        return Omitted(title, "no reduced model took part that could be certified")
+        return Omitted(title, "no reduced model was used")
     frequency, log_prob = (float(attrs[f"certificate_{name}_error"]) for name in ("frequency", "log_prob"))
     changes = int(attrs["certificate_pairing_changes"])
     usual = Tolerance()
@@ -48,8 +48,8 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
     )
     is_kept = frequency <= allowed.frequency and log_prob <= allowed.log_prob and not changes
     said = (
-        f"{attrs['certificate_draws']} of the draws kept were solved again with the full model. The reduced model "
-        + ("keeps its promise." if is_kept else "does not keep its promise.")
+        f"{attrs['certificate_draws']} of the draws were solved again with the full model. Reduced-model error "
+        + ("within tolerance." if is_kept else "above tolerance.")
     )
     rows = (
         ("largest relative error of a frequency", *_beside(frequency, allowed.frequency)),
@@ -79,7 +79,7 @@ def settings(run: ReportedRun) -> PageSection:
     rows = tuple((name, _short(given.get(name)), _short(learnt.get(name))) for name in names)
     header = ("setting", "given", "after warm-up")
     parts: list[Part] = [
-        PageTable("Settings of the sampler; what was learnt in warm-up is frozen", header, rows, (1, 2))
+        PageTable("Settings of the sampler; those tuned in warm-up are fixed afterwards", header, rows, (1, 2))
     ]
     about = [(name, str(attrs[name])) for name in ("seed", "chains", "walkers", "draws", "warmup", "init")]
     about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
@@ -87,7 +87,7 @@ def settings(run: ReportedRun) -> PageSection:
     parts.append(PageTable("The run", ("quantity", "value"), tuple(about), (1,)))
     long = {name: value for name, value in learnt.items() if len(_text(value)) > _LONG}
     if long:
-        parts.append(Details("What was learnt, in full", (Code(_pretty(long)),)))
+        parts.append(Details("Tuned settings in full", (Code(_pretty(long)),)))
     configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
     parts.append(Details("Everything that determines the draws, as JSON", (configuration,)))
     return PageSection("settings", "Settings, seed and versions", tuple(parts))

@@ -16,7 +16,9 @@ from fmu.types import FloatArray
 
 _FEWEST = 100
 """Draws to estimate the tail of importance weights from."""
-NO_NOISE = "the modal residual is a pseudo-likelihood, without measurement noise to predict with"
+NO_NOISE = (
+    "the modal residual is a pseudo-likelihood without measurement noise, so no measurement can be predicted"
+)
 
 
 def predictive(run: ReportedRun) -> PageSection | Omitted:
@@ -38,7 +40,7 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
     header = ("mode", "measured, Hz", "distance, sd", "share predicted below", "in the 90 % interval")
     tests = measured_tests(run.trace)
     new = "a new measurement" if tests is None else f"a new measurement, {measurement_in_words(tests)}"
-    caption = f"Measured frequencies among those predicted for {new}, noise included."
+    caption = f"Measured frequencies and the predictive distribution of {new}, noise included."
     seen = "; ".join(f"mode {mode} {fixed(float(d), 2)}" for mode, d in distance.items())
     alt = (
         f"Distance of the measured frequencies from the predicted mean in predictive standard deviations: {seen}."
@@ -70,12 +72,12 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
         mean = span(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n)
         rows.append((str(mode), str(len(made)), fixed(s, n), mean, span(low, high, n), f"{inside} of {len(made)}"))
     header = (
-        "mode", "tests", "scatter s, Hz", "90 % for the mean of as many, Hz", "90 % for one more test, Hz",
-        "tests made in it",
+        "mode", "tests", "scatter s, Hz", "90 % for the mean of as many tests, Hz", "90 % for one more test, Hz",
+        "tests inside that",
     )  # fmt: skip
     caption = (
-        "The likelihood is of the mean of the tests, whose error is s/√n. One more test scatters by s about the "
-        "structure's frequency (Student's t, as s is known from n tests only)."
+        "The likelihood is of the mean of the tests, whose error is s/√n. A further test scatters by s about "
+        "the structure's frequency (Student's t, because s is estimated from n tests)."
     )
     parts: tuple[Part, ...] = (PageTable(caption, header, tuple(rows)),)
     doubts = repeatability_warnings(run.trace)
@@ -84,12 +86,12 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
     """Return how each mode is predicted by the others."""
-    title = "Leaving one mode out"
+    title = "Leave-one-mode-out check"
     if "log_likelihood" not in run.trace.children:
         return Omitted(title, "the trace has no likelihood of single modes")
     posterior = run.trace["posterior"]
     if posterior.sizes["chain"] * posterior.sizes["draw"] < _FEWEST or run.summary["ess_bulk"].isna().all():
-        return Omitted(title, "the draws are too few, or stand still")
+        return Omitted(title, "there are too few draws, or they do not move")
     table = leave_one_out(run.trace)
     rows = tuple(
         (str(mode), fixed(float(row["elpd"]), 2), fixed(float(row["pareto_k"]), 2),
@@ -102,12 +104,13 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
     if doubtful:
         few = f"modes {', '.join(doubtful)}" if len(doubtful) > 1 else f"mode {doubtful[0]}"
         warnings = [
-            f"Not reliable for {few}: without it the posterior would be another one, and the draws do not reach "
-            "there. The estimate is an upper bound at best; to know, update again without the mode."
+            f"Not reliable for {few}: without it the posterior would be very different, and the draws do not "
+            f"cover it. The estimate is an upper bound at best; for a reliable one, update again without the mode."
         ]
         if len(run.names) >= len(table):
             warnings.append(
-                "With as many parameters as modes that is the rule: the others do not determine the one left out."
+                "This is usual with as many parameters as modes: the other modes do not determine the one "
+                "left out."
             )
         parts.insert(0, Items(tuple(warnings)))
     return PageSection("loo", title, tuple(parts))

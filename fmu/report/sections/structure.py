@@ -14,13 +14,13 @@ from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 
-NO_SHAPES = "the trace keeps no mode shapes: the model gives none, or an older version sampled it"
+NO_SHAPES = "the trace has no mode shapes: the model gives none, or an older version of fmu sampled it"
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
     """Return which directions of the parameter space the data constrain."""
-    title = "What the data can tell"
+    title = "Identifiability"
     parts: list[Part] = []
     kept = kept_identifiability(run.trace)
     for state, found in kept.items():
@@ -28,11 +28,11 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
         parts += [Text(f"{_WHERE.get(state, state)}: {first[0].lower()}{first[1:]}"), Items(tuple(others))]
     if kept:
         tables = tuple(_directions(state, found) for state, found in kept.items())
-        parts.append(Details("The directions and their singular values", tables))
+        parts.append(Details("Directions and singular values", tables))
     if "prior" in run.trace.children:
         parts.append(_contraction(run))
     if not parts:
-        return Omitted(title, "the trace keeps neither a linearised model nor draws from the prior")
+        return Omitted(title, "the trace has neither a linearised model nor draws from the prior")
     return PageSection("identifiability", title, tuple(parts))
 
 
@@ -47,8 +47,8 @@ def _directions(state: str, found: Identifiability) -> PageTable:
         for k, (s, direction) in enumerate(zip(found.singular_values, found.directions, strict=True), 1)
     )
     caption = (
-        f"{_WHERE.get(state, state)}. Orthonormal directions in units of the prior's standard deviations; along "
-        "each, the data leave the given part of the prior's standard deviation."
+        f"{_WHERE.get(state, state)}. Orthonormal directions in units of the prior standard deviations. Sd "
+        f"left: part of the prior standard deviation that remains along each direction."
     )
     return PageTable(caption, ("direction", "singular value", "sd left", *found.names), rows)
 
@@ -63,8 +63,8 @@ def _contraction(run: ReportedRun) -> PageTable:
             (name, unit.name, fixed(before, n), fixed(after, n), fixed(float(table["contraction"][name]), 3))
         )
     caption = (
-        "From prior to posterior: contraction is 1 − the ratio of the variances, near 1 where the data determine "
-        "a parameter, near 0 where they say nothing about it."
+        "From prior to posterior: contraction is 1 − the ratio of the variances, near 1 where the data "
+        "determine a parameter, near 0 where they carry no information on it."
     )
     header = ("parameter", "unit", "prior sd", "posterior sd", "contraction")
     return PageTable(caption, header, tuple(rows), words=(1,))
@@ -79,7 +79,7 @@ def mac(run: ReportedRun) -> PageSection | Omitted:
     values = criterion.sel(state=MEAN).transpose("reference_mode", "mode").to_numpy()
     diagonal = ", ".join(fixed(x, 2) for x in np.diag(values))
     others = values[~np.eye(len(values), dtype=bool)]
-    most = f" and at most {fixed(others.max(), 2)} off it" if len(others) else ""
+    most = f" and at most {fixed(others.max(), 2)} off the diagonal" if len(others) else ""
     drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.",
                       f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
     said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
@@ -97,7 +97,10 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
         others = np.delete(after[k], k)
         nearest = fixed(float(others.max()), 2) if len(others) else MISSING
         rows.append((label, fixed(float(before[k, k]), 2), fixed(float(after[k, k]), 2), nearest))
-    caption = "With the measured shape: at the start, at the posterior mean, and there of the mode next to it."
+    caption = (
+        "MAC with the measured shape: before updating (start) and after (posterior mean). Last column: "
+        "the most similar other mode, after updating."
+    )
     return (PageTable(caption, ("mode", "MAC before", "MAC after", "of another mode"), tuple(rows)),)
 
 
@@ -105,7 +108,7 @@ def pairing(run: ReportedRun) -> PageSection | Omitted:
     """Return how often computed modes changed places over the draws."""
     title = "Pairing over the draws"
     if GROUP not in run.trace.children or "posterior_predictive" not in run.trace.children:
-        return Omitted(title, "the trace keeps no frequencies at the draws and before updating")
+        return Omitted(title, "the trace has no frequencies at the draws and before updating")
     found = pairing_changes(run.trace)
     parts: list[Part] = [Items(found.sentences())]
     if found.swapped.any() or found.jumps:
@@ -119,11 +122,12 @@ def pairing(run: ReportedRun) -> PageSection | Omitted:
             for mode, row in found.table().iterrows()
         )
         caption = (
-            "Shares of the draws in which modes come in another order than before updating, and of those looked "
-            "at in which another computed mode answers than at the most probable draw."
+            "Order swapped: share of the draws in which two modes are in another order than before updating. "
+            "Other computed mode: share of the draws examined in which the mode is not paired with the same "
+            "computed mode as at the most probable draw."
         )
         header = ("mode", "order swapped", "with mode", "other computed mode")
-        parts.append(Details("The changes mode by mode", (PageTable(caption, header, rows, words=(2,)),)))
+        parts.append(Details("Changes by mode", (PageTable(caption, header, rows, words=(2,)),)))
     return PageSection("pairing", title, tuple(parts))
 
 
@@ -131,7 +135,7 @@ def shapes(run: ReportedRun) -> PageSection | Omitted:
     """Return the structure deformed in its modes."""
     title = "Mode shapes before and after"
     if GROUP not in run.trace.children or "displacement" not in run.trace[GROUP]:
-        return Omitted(title, "the trace keeps no geometry to draw them on")
+        return Omitted(title, "the trace has no geometry to draw them on")
     modes = run.trace[GROUP].to_dataset()
     moved = modes["displacement"]
     turned = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).max(axis=(1, 2))
@@ -141,7 +145,10 @@ def shapes(run: ReportedRun) -> PageSection | Omitted:
         hz = hertz(before, after)
         rows.append((label, *hz, change(after / before - 1), share(float(turned[k]))))
         seen.append(f"mode {label} from {hz[0]} to {hz[1]} Hz, its shape by up to {rows[-1][-1]}")
-    caption = "At the start and at the posterior mean. Change of shape: the largest, of the largest displacement."
+    caption = (
+        "At the start and at the posterior mean. Change of shape: largest change, relative to the "
+        "largest displacement."
+    )
     header = ("mode", "before, Hz", "after, Hz", "change", "change of shape")
     alt = f"Deformed structure in each mode, before and after: {'; '.join(seen)} of the largest displacement."
     drawing = picture(

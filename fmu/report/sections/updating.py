@@ -17,7 +17,7 @@ from fmu.report.run import ReportedRun
 from fmu.report.svg import picture
 from fmu.report.units import shown
 
-_RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, along a combination"}
+_RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, for a combination"}
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
@@ -50,10 +50,10 @@ def parameters(run: ReportedRun) -> PageSection:
         parts.append(PageTable("Posterior of the parameters", header, tuple(rows[True]), words=(1,)))
     if rows[False]:
         caption = (
-            "Not updated by the data. The values are what the prior says, or follow from it where the data tell a "
-            "combination of parameters only. Sd left: of the prior's standard deviation."
+            "Not updated by the data. The values come from the prior, alone or where the data determine only "
+            "a combination of parameters. Sd left: part of the prior standard deviation that remains."
         )
-        header = (*header[:6], "sd left", "bounds", "rests on")
+        header = (*header[:6], "sd left", "bounds", "determined by")
         parts.append(PageTable(caption, header, tuple(rows[False]), words=(1, 8)))
     maximum = run.maxima[0].theta if run.maxima else None
     axes = plot_parameter_updates({run.name: run.trace}, maximum=maximum, summaries={run.name: run.summary})
@@ -89,35 +89,34 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
         "90 %, without noise, Hz", "90 %, with noise, Hz",
     )  # fmt: skip
     caption = (
-        "After: posterior mean of the model's frequency. Its 90 % interval without the measurement noise is where "
-        "the model's frequency lies, with it where a new measurement would."
+        "After: posterior mean of the model's frequency. 90 % intervals: without noise, of the model's "
+        "frequency; with noise, of a new measurement."
     )
     if has_tests:
         header = (*header[:-1], "90 %, mean of tests, Hz", "90 %, one more test, Hz")
         caption = (
-            "After: posterior mean of the model's frequency. 90 % intervals: without the measurement noise, where "
-            f"the model's frequency lies; where a new measurement would, {measurement_in_words(tests)}; and where "
-            "one more test would."
+            "After: posterior mean of the model's frequency. 90 % intervals: without noise, of the model's "
+            f"frequency; of a new measurement, {measurement_in_words(tests)}; and of one more test."
         )
     if np.isnan(before).all():
-        caption += " The trace does not keep the frequencies before updating."
+        caption += " The trace has no frequencies before updating."
     axes = plot_frequency_updates(run.trace)
     drawing = picture(axes, "frequencies", f"Errors of the frequencies: {'; '.join(seen)}.",
-                      "Distance of the model's frequencies from the measured ones.")  # fmt: skip
+                      "Errors of the model's frequencies.")  # fmt: skip
     return PageSection("frequencies", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))
 
 
 def maxima(run: ReportedRun) -> PageSection | Omitted:
     """Return the maxima of the posterior: deterministic updating."""
-    title = "Maxima of the posterior: deterministic updating"
+    title = "Posterior maxima: deterministic updating"
     if run.maxima is None:
-        return Omitted(title, "the trace keeps none; fmu run searches for them first")
+        return Omitted(title, "the trace has none; fmu run searches for them before sampling")
     found = run.maxima
     count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
-    lead = f"{count} Share: of the posterior's probability. Starts: how many climbs ended there."
+    lead = f"{count} Share: part of the posterior probability. Starts: optimiser starts that ended there."
     said = found.at_bounds()
     if len(found) > MOST_SHOWN:
-        said.append(f"The other {len(found) - MOST_SHOWN} are lower, and in map.csv.")
+        said.append(f"The other {len(found) - MOST_SHOWN} are lower; map.csv lists them.")
     parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found))
     if said:
         parts = (*parts, Items(tuple(said)))
@@ -144,4 +143,6 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
         values = [found.before[k], *(m.frequencies[k] for m in best), mean[k]]
         rows.append((f"mode {label}", "Hz", *hertz(*values), given(found.measured[k])))
     header = ("quantity", "unit", "start", *names, "posterior mean", "measured")
-    return PageTable("The model at the start, at the maxima and on average", header, tuple(rows), words=(1,))
+    return PageTable(
+        "Model at the start, at the maxima and at the posterior mean", header, tuple(rows), words=(1,)
+    )

@@ -12,8 +12,8 @@ from fmu.numbers import fixed, share
 from fmu.report.document import Verdict
 from fmu.report.run import ReportedRun
 
-SOUND = "Nothing speaks against it: the chains agree, and there are enough effective draws of every parameter."
-COVERED = "No maximum that was found and holds 1 % of the probability was left out."
+SOUND = "The chains agree, and every parameter has enough effective draws."
+COVERED = "All maxima found that hold at least 1 % of the probability were visited."
 
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, Verdict, Verdict]:
@@ -36,14 +36,14 @@ def model_fit(run: ReportedRun) -> Verdict:
     untold = information_warnings(run.trace)  # which `updated` is about
     found = warnings = tuple(warning for warning in run.diagnosis.warnings if warning not in untold)
     if not run.diagnosis.converged:
-        found = (*found, "All of this is by draws that have not converged, and so provisional.")
+        found = (*found, "These statements are provisional, because the draws have not converged.")
     if run.prediction is None or "noisy_sd" not in run.prediction:
-        nothing = "The run has no predictive distribution of measurements to hold against the data."
-        return Verdict(question, "Cannot be said", None, "Why that cannot be said", (nothing, *found))
+        nothing = "The run has no predictive distribution of measurements to compare with the data."
+        return Verdict(question, "Unknown", None, "Why this is unknown", (nothing, *found))
     missed, n = len(fit_warnings(run.trace)), len(run.prediction)
     if missed:
         answer = f"No: {missed} of {n} measured modes {'is' if missed == 1 else 'are'} not fitted"
-        return Verdict(question, answer, False, "What speaks against the model", found)
+        return Verdict(question, answer, False, "Findings against the model", found)
     tests = measured_tests(run.trace)
     kind = "" if tests is None else f", {measurement_in_words(tests)},"
     within = (
@@ -51,9 +51,7 @@ def model_fit(run: ReportedRun) -> Verdict:
         "noise included."
     )
     answer = "Yes, with reservations" if warnings else "Yes"
-    return Verdict(
-        question, answer, True, "What speaks for the model, and against it", (within, *_shapes(run), *found)
-    )
+    return Verdict(question, answer, True, "Findings for and against the model", (within, *_shapes(run), *found))
 
 
 def updated(run: ReportedRun) -> Verdict:
@@ -61,13 +59,13 @@ def updated(run: ReportedRun) -> Verdict:
     question = "Did the data update the parameters?"
     found = information(run.trace)
     if found is None:
-        nothing = "The trace has no draws from the prior to hold the posterior against."
-        return Verdict(question, "Cannot be said", None, "Why that cannot be said", (nothing,))
+        nothing = "The trace has no draws from the prior to compare the posterior with."
+        return Verdict(question, "Unknown", None, "Why this is unknown", (nothing,))
     n, left = len(found.names), sum(basis != DATA for basis in found.basis)
     if not found.uninformed:
-        narrowed = "Along every direction of the parameter space the draws are narrower than the prior."
-        return Verdict(question, "Yes", True, "What speaks for it", (narrowed,))
-    answer = f"{n - left} of {n}" if left else "All, but not in every combination"
+        narrowed = "In every direction of the parameter space the posterior is narrower than the prior."
+        return Verdict(question, "Yes", True, "Why the parameters count as updated", (narrowed,))
+    answer = f"{n - left} of {n}" if left else "All, but not every combination"
     return Verdict(question, answer, False, "What the data did not update", tuple(found.warnings()))
 
 
@@ -77,4 +75,4 @@ def _shapes(run: ReportedRun) -> tuple[str, ...]:
     if alike is None or shape_warnings(run.trace):
         return ()
     least = float(np.diag(alike.sel(state=MEAN)).min())
-    return (f"Every measured shape is that of its mode: MAC at least {fixed(least, 2)}.",)
+    return (f"Every mode matches its measured shape: MAC at least {fixed(least, 2)}.",)
