@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from fmu.config import load as load
     from fmu.engines import engine as engine
     from fmu.fem.black_box import BlackBoxModel as BlackBoxModel
+    from fmu.fem.condensation import craig_bampton as craig_bampton
+    from fmu.fem.condensation import guyan as guyan
     from fmu.fem.frame.frame import ElementGroup as ElementGroup
     from fmu.fem.frame.frame import Frame as Frame
     from fmu.fem.frame.joints import JointSpring as JointSpring
@@ -101,12 +103,14 @@ _HOME = {
     "UpdatingProblem": "fmu.posterior.problem",
     "check": "fmu.analysis.check",
     "compare": "fmu.analysis.convergence.comparison",
+    "craig_bampton": "fmu.fem.condensation",
     "diagnose": "fmu.analysis.convergence.diagnosis",
     "engine": "fmu.engines",
     "evidence": "fmu.analysis.evidence.estimate",
     "expectation": "fmu.analysis.data.prediction",
     "export": "fmu.report.export",
     "find_map": "fmu.analysis.maxima.search",
+    "guyan": "fmu.fem.condensation",
     "identifiability": "fmu.analysis.data.identifiability",
     "load": "fmu.config",
     "load_trace": "fmu.analysis.trace.conversion",
@@ -153,12 +157,14 @@ __all__ = [
     "cases",
     "check",
     "compare",
+    "craig_bampton",
     "diagnose",
     "engine",
     "evidence",
     "expectation",
     "export",
     "find_map",
+    "guyan",
     "identifiability",
     "load",
     "load_trace",

@@ -58,6 +58,10 @@ def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
     masters : array_like of int
         The degrees of freedom to keep, in the order wanted.
 
+    Returns
+    -------
+    Reduction
+
     Raises
     ------
     ValueError
@@ -80,6 +84,10 @@ def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reductio
     boundary : array_like of int
     n_modes : int
         Fixed-interface modes kept of each substructure (all, where it has fewer); 0 is `guyan`.
+
+    Returns
+    -------
+    Reduction
 
     Raises
     ------
