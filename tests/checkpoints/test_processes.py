@@ -82,7 +82,7 @@ def test_killed(tmp_path, whole, started):
     """Nobody else is let in before, everybody at once afterwards."""
     with started(tmp_path, DRAWS, "draws", 25) as process:
         wait_for("draws 25", process)
-        with pytest.raises(ValueError, match=rf"^checkpoint: another run is at work in {tmp_path}$"):
+        with pytest.raises(ValueError, match=rf"^checkpoint: another run is running in {tmp_path}$"):
             sampled(tmp_path)
         process.kill()
         process.join()
@@ -143,7 +143,7 @@ def test_a_file_that_is_too_large(tmp_path, whole, started):
         said, _ = said_at_last(process)
     assert said.splitlines()[-1] == (
         f"OSError checkpoint: cannot write to {tmp_path} (File too large); what was drawn before draws step 21 of "
-        "group 1 is kept there"
+        "group 1 is saved there"
     )
     assert not list(tmp_path.rglob("*.part"))
     assert gone_on(tmp_path, whole) == ("draws", 21)
