@@ -95,7 +95,7 @@ def test_watched_from_outside(tmp_path, whole, started):
     group, seen = tmp_path / "group-1", set()
     with started(tmp_path, DRAWS) as process:
         wait_for("warmup 1", process)
-        with pytest.raises(ValueError, match="another run is at work"):
+        with pytest.raises(ValueError, match="another run is running"):
             sampled(tmp_path)
         while process.is_alive():
             for number, path in numbered(group, "state"):
