@@ -197,7 +197,7 @@ def test_maxima_are_kept_with_a_checkpoint(problem, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("fmu.analysis.maxima.search.find_map", searched_again)
         assert fmu.sample(problem, "mh", **settings)["posterior"].identical(first["posterior"])
-    with pytest.raises(ValueError, match=r"holds another run: run\.init\.maxima"):
+    with pytest.raises(ValueError, match=r"contains another run: run\.init\.maxima"):
         fmu.sample(problem, "mh", **settings, maxima=fmu.find_map(problem, seed=2))
 
 

@@ -102,7 +102,7 @@ def kept(directory: Path, model: Path | None = None) -> KeptProblem:
         folder, pairing = str(origin["folder"]), str(origin["pairing"])
         orders, finished = dict(origin["orders"]), tuple(map(str, origin["finished"]))
     except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{directory / ORIGIN} is not a file that fmu run wrote ({error})") from error
+        raise ValueError(f"{directory / ORIGIN} is not as fmu run wrote it ({error})") from error
     if model is not None:
         return KeptProblem(model, model.parent, pairing, orders, finished)
     return KeptProblem(directory / FILE, directory / folder, pairing, orders, finished)

@@ -66,13 +66,15 @@ class Identity:
             here, there = self.versions[name], found.versions.get(name)
             if here != there:
                 raise ValueError(
-                    f"checkpoint: {directory} was written with {name} {there}, and goes on bit for bit with that "
-                    f"version only (here is {here})"
+                    f"checkpoint: {directory} was written with {name} {there} and can be resumed bit for bit "
+                    f"with that version only (installed: {here})"
                 )
         differing = list(_differences(found.configuration, self.configuration))
         if differing:
             more = f", and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else ""
-            raise ValueError(f"checkpoint: {directory} holds another run: {'; '.join(differing[:_SHOWN])}{more}")
+            raise ValueError(
+                f"checkpoint: {directory} contains another run: {'; '.join(differing[:_SHOWN])}{more}"
+            )
 
 
 @cache

@@ -39,7 +39,7 @@ class RunDirectory:
     def __init__(self, path: Path) -> None:
         self.path, self.folder = path, path / FOLDER
         self.folder.mkdir(exist_ok=True)
-        self._hold = DirectoryLock(self.folder, f"--out: another fmu run is at work in {path}")
+        self._hold = DirectoryLock(self.folder, f"--out: another fmu run is running in {path}")
         announce(self.folder)
         self._phase = PhaseNote(self.folder)
 

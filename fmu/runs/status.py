@@ -129,7 +129,7 @@ class RunReader:
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
         orders, finished = self._asked(where)
         if not (orders or traces or folder.is_dir()):
-            raise ValueError(f"directory: must be that of a run (got {self.directory})")
+            raise ValueError(f"directory: must be the directory of a run (got {self.directory})")
         if not orders and not folder.is_dir():  # only traces are known of it
             orders, finished = {"samplers": traces}, tuple(traces)
         begun = [path.parent.name for path in sorted(folder.glob("*/group-1"))]

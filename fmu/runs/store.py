@@ -86,7 +86,7 @@ class Store:
         self._groups: dict[int, _GroupFiles] = {}
         self._kept_at: dict[int, float] = {}
         self.directory.mkdir(parents=True, exist_ok=True)
-        self._hold = DirectoryLock(self.directory, f"checkpoint: another run is at work in {self.directory}")
+        self._hold = DirectoryLock(self.directory, f"checkpoint: another run is running in {self.directory}")
         try:
             identity.check(self.directory)
             self._tidy()
@@ -113,7 +113,7 @@ class Store:
         if state.arithmetic != arithmetic():
             warnings.warn(
                 f"{self.directory} was written with another kind of CPU or BLAS ({state.arithmetic}; here "
-                f"{arithmetic()}): the run goes on, but not bit for bit as it would have there",
+                f"{arithmetic()}): the run is resumed, but not bit for bit",
                 OtherArithmeticWarning,
                 stacklevel=4,
             )
@@ -146,7 +146,7 @@ class Store:
             done = pending.first
             raise OSError(
                 f"checkpoint: cannot write to {self.directory} ({error.strerror or error}); what was drawn before "
-                f"{pending.phase} step {done + 1} of group {group + 1} is kept there"
+                f"{pending.phase} step {done + 1} of group {group + 1} is saved there"
             ) from error
         self._kept_at[group] = time.monotonic()
 
@@ -195,11 +195,11 @@ class _GroupFiles:
             try:
                 state = read_state(path)
                 if state.configuration != configuration:
-                    raise ValueError(f"checkpoint: {path} is of another run")
+                    raise ValueError(f"checkpoint: {path} belongs to another run")
                 for segment in state.segments:
                     self._content(segment)
             except (DamagedError, OSError) as error:
-                then = "begins anew" if path == states[0][1] else "goes on from the state before it"
+                then = "starts again" if path == states[0][1] else "resumes from the state before it"
                 warnings.warn(f"{path} is damaged ({error}): the group {then}", CheckpointWarning, stacklevel=5)
                 continue
             self.segments, self._number = list(state.segments), states[-1][0]

@@ -39,9 +39,9 @@ def test_numpy_and_nan_are_the_numbers_that_they_hold(tmp_path):
 @pytest.mark.parametrize(
     ("run", "message"),
     [
-        ({"seed": 2}, "holds another run: run.seed 1 there, 2 here$"),
-        ({"groups": 2}, "holds another run: run.groups null there, 2 here$"),
-        ({"init": [[1.0]]}, r"holds another run: run.init null there, \[\[1.0\]\] here$"),
+        ({"seed": 2}, "contains another run: run.seed 1 there, 2 here$"),
+        ({"groups": 2}, "contains another run: run.groups null there, 2 here$"),
+        ({"init": [[1.0]]}, r"contains another run: run.init null there, \[\[1.0\]\] here$"),
         ({f"x{k}": k for k in range(5)}, "run.x0 null there, 0 here; .*; run.x2 null there, 2 here, and 2 more$"),
         ({"init": list(range(100))}, r"run.init null there, \[0, 1, .*… here$"),
     ],
@@ -57,7 +57,7 @@ def test_what_differs_is_named(kept, run, message):
 def test_what_differs_deep_down_is_named(tmp_path):
     one, other = ({"model": {"parts": [{"E": 1.0}, {"E": E}], "n": 3}} for E in (2.0, 2.5))
     Identity.of(one).write(tmp_path)
-    with pytest.raises(ValueError, match=r"holds another run: model.parts.1.E 2.0 there, 2.5 here$"):
+    with pytest.raises(ValueError, match=r"contains another run: model.parts.1.E 2.0 there, 2.5 here$"):
         Identity.of(other).check(tmp_path)
 
 
@@ -65,7 +65,9 @@ def test_what_differs_deep_down_is_named(tmp_path):
 def test_other_versions_are_refused(kept, monkeypatch, package):
     now = identity.versions()
     monkeypatch.setattr(identity, "versions", lambda: now | {package: "99.9"})
-    message = f"was written with {package} {now[package]}, and goes on .* with that version only .here is 99.9.$"
+    message = (
+        f"was written with {package} {now[package]} and can be resumed .* that version only .installed: 99.9.$"
+    )
     with pytest.raises(ValueError, match=message):
         of().check(kept)
     assert of().hash != Identity.read(kept).hash

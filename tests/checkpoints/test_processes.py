@@ -82,7 +82,7 @@ def test_killed(tmp_path, whole, started):
     """Nobody else is let in before, everybody at once afterwards."""
     with started(tmp_path, DRAWS, "draws", 25) as process:
         wait_for("draws 25", process)
-        with pytest.raises(ValueError, match=rf"^checkpoint: another run is at work in {tmp_path}$"):
+        with pytest.raises(ValueError, match=rf"^checkpoint: another run is running in {tmp_path}$"):
             sampled(tmp_path)
         process.kill()
         process.join()
@@ -95,7 +95,7 @@ def test_watched_from_outside(tmp_path, whole, started):
     group, seen = tmp_path / "group-1", set()
     with started(tmp_path, DRAWS) as process:
         wait_for("warmup 1", process)
-        with pytest.raises(ValueError, match="another run is at work"):
+        with pytest.raises(ValueError, match="another run is running"):
             sampled(tmp_path)
         while process.is_alive():
             for number, path in numbered(group, "state"):
@@ -143,7 +143,7 @@ def test_a_file_that_is_too_large(tmp_path, whole, started):
         said, _ = said_at_last(process)
     assert said.splitlines()[-1] == (
         f"OSError checkpoint: cannot write to {tmp_path} (File too large); what was drawn before draws step 21 of "
-        "group 1 is kept there"
+        "group 1 is saved there"
     )
     assert not list(tmp_path.rglob("*.part"))
     assert gone_on(tmp_path, whole) == ("draws", 21)

@@ -175,7 +175,7 @@ def test_a_damaged_note(kept, note):
 
 def test_no_run(tmp_path):
     (tmp_path / "notes.txt").touch()
-    with pytest.raises(ValueError, match=r"directory: must be that of a run \(got "):
+    with pytest.raises(ValueError, match=r"directory: must be the directory of a run \(got "):
         read(tmp_path)
 
 

@@ -234,7 +234,7 @@ class TestDamage:
     def test_a_byte_of_the_newest_state(self, half, whole, where):
         flip(files(half, "state")[-1], where)
         with pytest.warns(
-            CheckpointWarning, match=r"state-000007 is damaged .*: the group goes on from the state"
+            CheckpointWarning, match=r"state-000007 is damaged .*: the group resumes from the state"
         ):
             again = ran(half)
         assert_same(again, whole)
@@ -252,7 +252,7 @@ class TestDamage:
     def test_a_byte_of_the_newest_segment(self, half, whole):
         flip(files(half, "steps")[-1], 0.5)
         with pytest.warns(
-            CheckpointWarning, match="the checksum of steps-000007.h5 is wrong.*goes on from the state"
+            CheckpointWarning, match="the checksum of steps-000007.h5 is wrong.*resumes from the state"
         ):
             again = ran(half)
         assert_same(again, whole)
@@ -265,14 +265,14 @@ class TestDamage:
 
     def test_a_segment_that_all_states_need(self, half, whole):
         flip(files(half, "steps")[0], 0.5)
-        with damage("checksum of steps-000001.h5 is wrong.*goes on", "checksum of steps-000001.h5.*begins anew"):
+        with damage("checksum of steps-000001.h5 is wrong.*resumes", "checksum of steps-000001.h5.*starts again"):
             again = ran(half)
         assert_same(again, whole)
 
     def test_all_states(self, half, whole):
         for path in files(half, "state"):
             flip(path, 0.5)
-        with damage("state-000007 is damaged.*goes on", "state-000006 is damaged.*begins anew"):
+        with damage("state-000007 is damaged.*resumes", "state-000006 is damaged.*starts again"):
             again = ran(half)
         assert_same(again, whole)
 
@@ -296,7 +296,7 @@ class TestDamage:
             ran(half, progress=killed_at("draws", 31))
         assert [number for number, _ in numbered(half / "group-1", "state")] == [6, 8]
         flip(files(half, "state")[-1], 0.5)
-        with pytest.warns(CheckpointWarning, match="goes on from the state before it"):
+        with pytest.warns(CheckpointWarning, match="resumes from the state before it"):
             again = ran(half)
         assert_same(again, whole)
 
@@ -306,7 +306,7 @@ class TestDamage:
         for path in (tmp_path / "group-2").glob("state-*"):
             flip(path, 0.5)
         seen = []
-        with damage("group-2/state-000007 is damaged.*goes on", "group-2/state-000006 is damaged.*begins anew"):
+        with damage("group-2/state-000007 is damaged.*resumes", "group-2/state-000006 is damaged.*starts again"):
             again = ran(tmp_path, progress=lambda *call: seen.append((call[3]["group"], *call[:2])), **more)
         assert_same(again, ran(None, **more))
         assert next(call for call in seen if call[0] == "1/2") == ("1/2", "draws", HALF + 1)
@@ -327,7 +327,7 @@ class TestDamage:
 
 class TestIdentity:
     def test_another_run(self, half, whole):
-        with pytest.raises(ValueError, match=r"holds another run: run\.seed 1 there, 2 here$"):
+        with pytest.raises(ValueError, match=r"contains another run: run\.seed 1 there, 2 here$"):
             ran(half, identity=Identity.of({"run": {"seed": 2}}))
         assert_same(ran(half), whole)
 
@@ -335,10 +335,10 @@ class TestIdentity:
     def test_the_file_is_damaged_or_gone(self, half, whole, damage):
         """Every state knows its run too: nothing foreign is gone on with, and nothing is lost to it."""
         damage(half / "run")
-        with pytest.raises(ValueError, match=r"checkpoint: .*state-000007 is of another run"):
+        with pytest.raises(ValueError, match=r"checkpoint: .*state-000007 belongs to another run"):
             ran(half, identity=Identity.of({"run": {"seed": 2}}))
         assert_same(ran(half), whole)
-        with pytest.raises(ValueError, match=r"holds another run: run\.seed 1 there"):
+        with pytest.raises(ValueError, match=r"contains another run: run\.seed 1 there"):
             ran(half, identity=Identity.of({"run": {"seed": 2}}))
 
     def test_a_call_that_fails_leaves_the_directory_to_another(self, tmp_path):
@@ -365,7 +365,7 @@ class TestDirectory:
 
     def test_one_run_at_a_time(self, half):
         def again(*call):
-            with pytest.raises(ValueError, match=rf"checkpoint: another run is at work in {half}$"):
+            with pytest.raises(ValueError, match=rf"checkpoint: another run is running in {half}$"):
                 ran(half)
             raise Killed
 

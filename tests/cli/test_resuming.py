@@ -84,8 +84,8 @@ def test_one_run_at_a_time(folder, whole, at_keep):
     with pytest.raises(Cut):
         run(*of("mh"))
     with RunDirectory(folder / "out"):
-        assert_refused(resume(), "another fmu run is at work in out")
-        assert_refused(run("--overwrite", *of("slice")), "another fmu run is at work in out")
+        assert_refused(resume(), "another fmu run is running in out")
+        assert_refused(run("--overwrite", *of("slice")), "another fmu run is running in out")
     assert resume().exit_code == 0
     assert_same("mh", folder / "out", whole)
 

@@ -33,7 +33,7 @@ def test_init_writes_all_that_belongs_together(invoke, tmp_path):
     assert {path.name for path in (tmp_path / "new" / "here").iterdir()} == set(files("matrices"))
     again = invoke("init", "matrices", "new/here")
     assert again.exit_code == 2
-    assert again.stderr.startswith("Error: directory: new/here holds matrices.toml, K0.mtx")
+    assert again.stderr.startswith("Error: directory: new/here already contains matrices.toml, K0.mtx")
 
 
 def test_the_path_of_a_user_with_a_structure(invoke, tmp_path):

@@ -61,7 +61,7 @@ def watch(*arguments):
 def test_a_stopped_run(out):
     lines = watch("out")
     assert lines[0] == "out: stopped"
-    assert lines[2].split()[:6] == ["sampler", "group", "state", "phase", "steps", "kept"]
+    assert lines[2].split()[:6] == ["sampler", "group", "state", "phase", "steps", "save"]
     rows = {line.split()[0]: line.split() for line in lines[3:8]}
     assert rows["mh"][1:4] == ["finished", "draws", "25/25"]
     assert rows["emcee"][1:3] == ["all", "stopped"]
@@ -143,7 +143,11 @@ def test_damage_is_said(out):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(("none",), "does not exist"), ((".",), "must be that of a run (got .)"), ((".", "--every", "0"), "x>0")],
+    [
+        (("none",), "does not exist"),
+        ((".",), "must be the directory of a run (got .)"),
+        ((".", "--every", "0"), "x>0"),
+    ],
 )
 def test_bad_input_is_one_line(tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

@@ -112,7 +112,7 @@ def test_a_problem_that_moved(function, tmp_path_factory):
 
 def test_a_run_that_says_no_origin_as_it_was_written(function):
     (function / "out" / "run.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"run.json is not a file that fmu run wrote"):
+    with pytest.raises(ValueError, match=r"run.json is not as fmu run wrote it"):
         export(function / "out")
 
 

@@ -193,7 +193,7 @@ class Maxima:
             hz = (float(f[k]) for f in (self.before, *(m.frequencies for m in best), self.measured))
             *texts, _ = hertz(*hz, digits=max(_FEWEST_DIGITS, written_digits(self.measured[k])))
             rows.append(["Hz", *texts, given(self.measured[k])])
-        index = ["log-probability", "share of mass", "starts", *self.names]
+        index = ["log-probability", "share of probability", "starts", *self.names]
         index += [f"mode {label}" for label in self.labels]
         header = ["unit", "before", *(f"maximum {k}" for k in range(1, len(best) + 1)), "measured"]
         return pd.DataFrame(rows, index=index, columns=header)

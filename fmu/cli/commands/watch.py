@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fmu.runs.status import RunReading, SamplerReading
 
 _WIDTH = 100
-_HEADER = ("sampler", "group", "state", "phase", "steps", "saved ago", "accept", "R-hat", "ESS", "solves", "per s",
+_HEADER = ("sampler", "group", "state", "phase", "steps", "save age", "accept", "R-hat", "ESS", "solves", "per s",
            "failed", "left")  # fmt: skip
 _WORDS = 4  # columns of words, at the left of their place
 _PHASES = {"warmup": "warm-up", "draws": "draws"}

@@ -104,8 +104,8 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
     if doubtful:
         few = f"modes {', '.join(doubtful)}" if len(doubtful) > 1 else f"mode {doubtful[0]}"
         warnings = [
-            f"Not reliable for {few}: without it the posterior would be very different, and the draws do not "
-            f"cover it. The estimate is an upper bound at best; for a reliable one, update again without the mode."
+            f"Not reliable for {few}: without the mode the posterior would be very different, and the draws do "
+            "not cover it. The estimate is an upper bound at best; for a reliable one, update without the mode."
         ]
         if len(run.names) >= len(table):
             warnings.append(
