@@ -29,7 +29,7 @@ def drawn(load, tmp_path):
             return Run(problem, HamiltonianMonteCarlo(), **settings).extend(DRAWS)
         where = Checkpoint(tmp_path / f"{next(number)}", **every)
         with Store(where, identity, problem.names, problem.units) as store:
-            return Run(problem, HamiltonianMonteCarlo(), keeper=store, **settings).extend(DRAWS)
+            return Run(problem, HamiltonianMonteCarlo(), checkpointer=store, **settings).extend(DRAWS)
 
     return draw
 

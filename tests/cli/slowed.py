@@ -25,7 +25,7 @@ def linger():
 
 
 def slow_down(wanted):
-    begin, step = phases.Phase.__init__, group._Group.step
+    begin, step = phases.Phase.__init__, group._GroupRunner.step
 
     def beginning(self, name, *arguments):
         begin(self, name, *arguments)
@@ -38,7 +38,7 @@ def slow_down(wanted):
             linger()
         return info
 
-    phases.Phase.__init__, group._Group.step = beginning, stepping
+    phases.Phase.__init__, group._GroupRunner.step = beginning, stepping
 
 
 def run_in(folder, arguments):

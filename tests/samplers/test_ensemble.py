@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from targets import CorrelatedGaussian, TruncatedGaussian
 
-from fmu.samplers import Ensemble
-from fmu.samplers.loop import run
+from fmu.samplers import Ensemble, run
 from fmu.samplers.snooker import SnookerMove
 
 

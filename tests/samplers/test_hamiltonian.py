@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from targets import Counting, SkewedGumbel, Target, TruncatedGaussian
 
-from fmu.samplers import HamiltonianMonteCarlo, State
-from fmu.samplers.loop import run
+from fmu.samplers import HamiltonianMonteCarlo, State, run
 
 DENSE2 = np.array([[0.5, 0.3], [0.3, 0.9]])
 

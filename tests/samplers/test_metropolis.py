@@ -3,8 +3,7 @@ import pytest
 from moments import assert_right
 from targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
-from fmu.samplers import Independence, LogNormalWalk, MetropolisHastings, RandomWalk
-from fmu.samplers.loop import run
+from fmu.samplers import Independence, LogNormalWalk, MetropolisHastings, RandomWalk, run
 
 
 class Gamma(Target):

@@ -16,8 +16,7 @@ from targets import (
     TwoModes,
 )
 
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice
-from fmu.samplers.loop import run
+from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, run
 
 
 def dense(ndim):

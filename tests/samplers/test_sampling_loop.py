@@ -14,8 +14,8 @@ from fmu.samplers import (
     Run,
     Slice,
     named,
+    run,
 )
-from fmu.samplers.loop import run
 
 WALK = MetropolisHastings(RandomWalk(0.3))
 SETTINGS = {"draws": 6, "warmup": 4, "chains": 3, "seed": 1, "init": "prior"}

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
-from fmu.samplers import Slice, State
-from fmu.samplers.loop import run
+from fmu.samplers import Slice, State, run
 from fmu.samplers.slice import SCHEMES, _Account
 
 

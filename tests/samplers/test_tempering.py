@@ -13,7 +13,7 @@ from fmu.analysis.evidence.estimate import evidence
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers.loop import run
+from fmu.samplers import run
 from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedDensity
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.ladder import adapted, rejections, stages

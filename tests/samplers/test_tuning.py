@@ -6,8 +6,7 @@ from moments import assert_right
 from targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named
-from fmu.samplers.loop import run
+from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named, run
 from fmu.samplers.loop.snapshot import restored
 
 ADAPTIVE = ("mh", "slice", "hmc")
@@ -141,7 +140,7 @@ def test_nothing_is_learnt_after_warm_up(name):
     first = begun.extend(50)
     scaled = ScaledDensity(target)
     given = {"scaled": scaled, "density": target, "sampler": named(name)}
-    held = restored(begun._groups[0].standing.group, given)
+    held = restored(begun._groups[0].group_state.group, given)
     assert held["tuner"] is None
     kernel, state, copy = held["settings"].bind(scaled), held["state"], np.random.default_rng(0)
     copy.bit_generator.state = held["generator"]

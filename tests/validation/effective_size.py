@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from scipy.stats import chi2, rankdata
 
 from fmu.analysis.convergence.effective import ess_bulk, ess_mean
-from fmu.samplers.loop import run
+from fmu.samplers import run
 from fmu.types import FloatArray
 from tests.samplers.targets import SkewedGumbel, Target, TruncatedGaussian
 from tests.validation.contenders import Contender

@@ -116,7 +116,7 @@ class Row:
 def kept_steps(directory: Path) -> Mapping[str, int]:
     """Return how many steps of each phase are kept of a group."""
     states = numbered(directory, "state")
-    return read_state(states[-1][1]).standing.done if states else {WARMUP: 0, DRAWS: 0}
+    return read_state(states[-1][1]).group_state.done if states else {WARMUP: 0, DRAWS: 0}
 
 
 def forked(work: Callable[[int], object]) -> tuple[int, int]:

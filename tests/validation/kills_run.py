@@ -68,7 +68,7 @@ def drawn(
             identity = Identity.of({"problem": problem.configuration(), "sampler": name})
             store = stack.enter_context(Store(where, identity, problem.names, problem.units))
         settings = {"warmup": size.warmup, "chains": size.chains, "groups": size.groups, "seed": 1}
-        begun = Run(problem, named(name), **settings, init="prior", progress=tell, keeper=store)  # type: ignore[arg-type]
+        begun = Run(problem, named(name), **settings, init="prior", progress=tell, checkpointer=store)  # type: ignore[arg-type]
         result = begun.extend(size.draws)
     found = {}
     for phase in ("warmup", "posterior"):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fmu.samplers import named
-from fmu.samplers.loop import run
+from fmu.samplers import named, run
 from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch
 from tests.benchmarks.peers.target import Target
 
