@@ -189,11 +189,11 @@ def test_published_tables():
 
 
 SYNTAX = {
-    "fem/drawing.py": "SVG",
+    "fem/frame/drawing.py": "SVG",
     "report/svg.py": "SVG",
-    "analysis/diagnostics.py": "names of columns, eti90_lb",
-    "analysis/model_fit.py": "names of columns",
-    "report/paper/page.py": "names of columns",
+    "analysis/convergence/diagnostics.py": "names of columns, eti90_lb",
+    "analysis/data/model_fit.py": "names of columns",
+    "paper/pages/page.py": "names of columns",
     "config/parameters.py": "a power of ten that no float can hold",
 }
 """Where numbers are not for people."""
