@@ -15,9 +15,9 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 MANIFEST = "manifest.json"
+# The mark of a manifest, by which directories that fmu has written before are known: it must not be reworded.
 _ABOUT = (
-    "Written by fmu. The next run replaces these files and removes those that it no longer writes; it leaves "
-    "all others alone."
+    "Written by fmu. The next run replaces these files, takes away those it no longer writes, and nothing else."
 )
 
 

@@ -1,6 +1,7 @@
 """What an output directory may and may not do to what is in it."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -33,6 +34,17 @@ def test_files_appear_with_a_manifest(tmp_path):
     publish(root, one="1", sub__two="2")
     assert {name: text for name, text in tree(root).items() if name != MANIFEST} == {"one": "1", "sub/two": "2"}
     assert listed(root) == ["one", "sub/two"]
+
+
+def test_the_committed_results_are_known_to_be_ours(tmp_path):
+    """As is every directory that an earlier version has written."""
+    kept = Path(__file__).parents[2] / "results" / MANIFEST
+    names = json.loads(kept.read_text())["files"]
+    for name in (MANIFEST, *names):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(kept.read_text() if name == MANIFEST else "old")
+    publish(tmp_path, one="1")
+    assert sorted(tree(tmp_path)) == [MANIFEST, "one"]
 
 
 def test_own_files_are_replaced_and_outdated_ones_taken_away(tmp_path):
