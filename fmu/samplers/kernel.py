@@ -1,4 +1,4 @@
-"""The protocols that every sampler shares: density, sampler, kernel, state and info.
+"""The protocols that every sampler shares: sampler, kernel, state and info; `fmu.types` has the density.
 
 A sampler is a small frozen dataclass of settings. Bound to a density it is a kernel, which advances all
 chains of one task in lockstep as one array, so that one batched evaluation of the density serves them all.

@@ -4,7 +4,6 @@ One experiment of the paper; runs on the cantilever, on a black-box model with h
 """
 
 import fcntl
-import os
 
 import numpy as np
 import pytest
@@ -112,10 +111,9 @@ def plain_traces():
 
 def written_once(name, request, tmp_path_factory):
     """Return the directory of the pages on the traces `name`, written by the first worker that needs them."""
-    base = tmp_path_factory.getbasetemp()
-    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    pages = base / f"pages-{name}"
-    with (base / f"pages-{name}.lock").open("w") as lock:
+    shared_folder = request.getfixturevalue("shared_folder")
+    pages = shared_folder / f"pages-{name}"
+    with (shared_folder / f"pages-{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not pages.exists():
             unfinished = tmp_path_factory.mktemp(name)

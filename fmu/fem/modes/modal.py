@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -130,6 +130,11 @@ class FullBlock:
         dense = self.size <= DENSE_LIMIT
         return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
 
+    def _matrices(self, theta: FloatArray) -> Iterator[tuple[Any, Any]]:
+        """Give K and M at each theta (n, n_parameters) in turn."""
+        K_sum, M_sum = self._sums
+        return zip(map(K_sum, self._K_map(theta)), map(M_sum, self._M_map(theta)), strict=True)
+
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
 
@@ -140,10 +145,7 @@ class FullBlock:
         if count == 0:
             return lam, phi
         constant_mass, finite = all(term.constant for term in self.M_terms), None
-        K_weights, M_weights = self._K_map(theta), self._M_map(theta)
-        K_sum, M_sum = self._sums
-        for i in range(len(theta)):
-            K, M = K_sum(K_weights[i]), M_sum(M_weights[i])
+        for i, (K, M) in enumerate(self._matrices(theta)):
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
@@ -185,14 +187,12 @@ class FullBlock:
             return BlockPrediction(lam, shapes)
         lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
         shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
-        K_sum, M_sum = self._sums
-        for i, point in enumerate(theta):
+        for i, (K, M) in enumerate(self._matrices(theta)):
             if not np.all(np.isfinite(phi[i])):
                 continue
-            K, M = K_sum(self._K_map(point[None])[0]), M_sum(self._M_map(point[None])[0])
             if self.size > _DENSE_SLOPES:
                 K, M = sp.csc_array(K), sp.csc_array(M)
-            dK, dM = (_slopes_times(terms, point, phi[i]) for terms in (self.K_terms, self.M_terms))
+            dK, dM = (_slopes_times(terms, theta[i], phi[i]) for terms in (self.K_terms, self.M_terms))
             for k in range(count):
                 slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
                 shape_slopes[i, :, k] = rows @ slope

@@ -151,11 +151,12 @@ class WeightedSum:
         matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in terms]
         for matrix in matrices:
             matrix.sum_duplicates()
-        keys = [_row_of_entries(m).astype(np.int64) * self._shape[1] + m.indices for m in matrices]
+        keys = [np.ravel_multi_index(matrix.tocoo().coords, self._shape) for matrix in matrices]
         pattern = np.unique(np.concatenate(keys))
+        rows, columns = np.unravel_index(pattern, self._shape)
         self._places = pattern if dense else None
-        self._indices = (pattern % self._shape[1]).astype(np.int32)
-        self._indptr = np.searchsorted(pattern, np.arange(self._shape[0] + 1) * self._shape[1]).astype(np.int32)
+        self._indices = columns.astype(np.int32)
+        self._indptr = np.searchsorted(rows, np.arange(self._shape[0] + 1)).astype(np.int32)
         self._parts = [
             (slice(None) if len(key) == len(pattern) else np.searchsorted(pattern, key).astype(np.int32), m.data)
             for key, m in zip(keys, matrices, strict=True)
@@ -172,10 +173,6 @@ class WeightedSum:
             total.flat[self._places] = data
             return total
         return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
-
-
-def _row_of_entries(matrix: Any) -> Any:
-    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
 
 
 def _as_csr(matrix: Any) -> Any:

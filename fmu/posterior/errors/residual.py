@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import CoefficientMap, Term, weighted_sum
+from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
 from fmu.posterior.data.modal_data import ModalData
 from fmu.types import FloatArray
 
@@ -69,6 +69,7 @@ class ModalResidual:
         self._K_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.K_terms)
         self._M_terms = tuple(Term(sp.csc_array(t.matrix[order][:, order]), t.powers) for t in model.M_terms)
         self._K_map, self._M_map = CoefficientMap(self._K_terms), CoefficientMap(self._M_terms)
+        self._K_sum, self._M_sum = (WeightedSum(terms, dense=False) for terms in (self._K_terms, self._M_terms))
         self._n_sensors = len(sensors)
         self._eigenvalues = (2.0 * np.pi * np.asarray(data.frequencies_hz)) ** 2
         self._shapes = np.asarray(data.shapes)
@@ -103,8 +104,8 @@ class ModalResidual:
 
     def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
         """Return K and M at one theta, sensors first, and the condensation onto the sensors."""
-        K = sp.csc_array(weighted_sum(self._K_terms, self._K_map(theta)[0]))
-        M = sp.csc_array(weighted_sum(self._M_terms, self._M_map(theta)[0]))
+        K = sp.csc_array(self._K_sum(self._K_map(theta)[0]))
+        M = sp.csc_array(self._M_sum(self._M_map(theta)[0]))
         return K, M, StaticCondensation(K, np.arange(self._n_sensors))
 
     def _terms(self, residual: FloatArray) -> FloatArray:

@@ -43,18 +43,17 @@ class GaussNewton:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.scale = problem.scale
         self._scaled = ScaledDensity(problem)
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
-        p = self.problem
+        p, scale = self.problem, self._scaled.scale
         theta = self._scaled.to_theta(u)
         log_likelihood, slope, information = p.likelihood.quadratic(theta)  # type: ignore[union-attr]
         value = -log_likelihood - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = self._prior(theta)
-        gradient = -slope * self.scale - prior_slope
-        hessian = information * np.outer(self.scale, self.scale)
+        gradient = -slope * scale - prior_slope
+        hessian = information * np.outer(scale, scale)
         i = np.arange(p.ndim)
         hessian[:, i, i] += prior_curvature
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
@@ -65,7 +64,7 @@ class GaussNewton:
         """Return slope and curvature −∂² of the log-prior in u, each (n, ndim); the parameters are independent."""
         slope, curvature = np.empty_like(theta), np.empty_like(theta)
         for k, parameter in enumerate(self.problem.parameters):
-            slope[:, k], curvature[:, k] = _prior_in_one(parameter, theta[:, k], self.scale[k])
+            slope[:, k], curvature[:, k] = _prior_in_one(parameter, theta[:, k], self._scaled.scale[k])
         return slope, curvature
 
 

@@ -54,27 +54,27 @@ def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
-    points = _starting_points(problem, starts, seed)
+    scaled = ScaledDensity(problem)
+    points = _starting_points(problem, scaled, starts, seed)
     with phase("search", starts):
-        return _found(problem, points)
+        return _found(problem, scaled, points)
 
 
-def _found(problem: Problem, points: FloatArray) -> tuple[Maximum, ...]:
+def _found(problem: Problem, scaled: ScaledDensity, points: FloatArray) -> tuple[Maximum, ...]:
     """Return where the climbs from scaled points (n, ndim) lead to."""
     if not problem.likelihood.of_modes:
-        return _merged(problem, [_climb(problem, u) for u in points])
-    scaled = ScaledDensity(problem)
+        return _merged(problem, [_climb(scaled, u) for u in points])
     ends = ascend(GaussNewton(problem), points, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
-    arrived = _merged(problem, _ended(problem, ends.position[ends.stationary]))
+    arrived = _merged(problem, _ended(scaled, ends.position[ends.stationary]))
     near: list[Maximum] = []
     lost: list[Maximum] = []
-    for stalled in _merged(problem, _ended(problem, ends.position[~ends.stationary])):
+    for stalled in _merged(problem, _ended(scaled, ends.position[~ends.stationary])):
         (near if any(_is_same(problem, stalled, m) for m in arrived) else lost).append(stalled)
-    polished = [_climb(problem, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
+    polished = [_climb(scaled, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
     return _merged(problem, [*arrived, *near, *polished])
 
 
-def _starting_points(problem: Problem, starts: int, seed: int) -> FloatArray:
+def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
     """Return scaled points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
@@ -82,14 +82,13 @@ def _starting_points(problem: Problem, starts: int, seed: int) -> FloatArray:
     sobol = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed))
     unit = sobol.random_base2(int(np.ceil(np.log2(starts))))[: starts - 1]
     theta = np.concatenate([problem.start[None], lower + (upper - lower) * unit])
-    scaled = ScaledDensity(problem)
     return np.clip(scaled.to_scaled(theta), scaled.lower, scaled.upper)
 
 
-def _ended(problem: Problem, u: FloatArray) -> list[Maximum]:
+def _ended(scaled: ScaledDensity, u: FloatArray) -> list[Maximum]:
     """Return one maximum for each of the scaled points that has a probability, shape (n, ndim)."""
-    theta = ScaledDensity(problem).to_theta(u)
-    values = problem.log_prob(theta)
+    theta = scaled.to_theta(u)
+    values = scaled.density.log_prob(theta)
     return [Maximum(x, float(v), 1) for x, v in zip(theta, values, strict=True) if np.isfinite(v)]
 
 
@@ -113,9 +112,8 @@ def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
     return tuple(distinct)
 
 
-def _climb(problem: Problem, start: FloatArray, starts: int = 1) -> Maximum:
+def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum:
     """Climb by L-BFGS-B from a scaled point."""
-    scaled = ScaledDensity(problem)
     from scipy.optimize import minimize
 
     def negative(u: FloatArray) -> tuple[float, FloatArray]:
@@ -134,4 +132,4 @@ def _climb(problem: Problem, start: FloatArray, starts: int = 1) -> Maximum:
     )
     theta = scaled.to_theta(result.x)
     advanced(starts)
-    return Maximum(theta, float(problem.log_prob(theta)), starts)
+    return Maximum(theta, float(scaled.density.log_prob(theta)), starts)
