@@ -1,0 +1,55 @@
+"""The public names, each imported from its home when it is first used: a line here is all that a new one takes."""
+
+from . import cases as cases
+from .analysis.check import check as check
+from .analysis.convergence.comparison import compare as compare
+from .analysis.convergence.diagnosis import diagnose as diagnose
+from .analysis.convergence.diagnostics import summary as summary
+from .analysis.data.identifiability import identifiability as identifiability
+from .analysis.data.prediction import expectation as expectation
+from .analysis.evidence.estimate import evidence as evidence
+from .analysis.maxima.search import find_map as find_map
+from .analysis.modes.pairing_changes import pairing_changes as pairing_changes
+from .analysis.trace.conversion import load_trace as load_trace
+from .analysis.trace.conversion import save_trace as save_trace
+from .config import load as load
+from .engines import engine as engine
+from .fem.black_box import BlackBoxModel as BlackBoxModel
+from .fem.condensation import craig_bampton as craig_bampton
+from .fem.condensation import guyan as guyan
+from .fem.frame.frame import ElementGroup as ElementGroup
+from .fem.frame.frame import Frame as Frame
+from .fem.frame.joints import JointSpring as JointSpring
+from .fem.frame.joints import PointMass as PointMass
+from .fem.frame.section import Material as Material
+from .fem.frame.section import Section as Section
+from .fem.frame.updates import Factor as Factor
+from .fem.modes.separable import RigidArm as RigidArm
+from .fem.modes.separable import SeparableModel as SeparableModel
+from .fem.modes.terms import Term as Term
+from .posterior.data.modal_data import ModalData as ModalData
+from .posterior.errors.models import FrequencyErrors as FrequencyErrors
+from .posterior.errors.models import MACErrors as MACErrors
+from .posterior.errors.models import ShapeErrors as ShapeErrors
+from .posterior.parameters import Parameter as Parameter
+from .posterior.priors.base import Normal as Normal
+from .posterior.priors.base import Uniform as Uniform
+from .posterior.priors.one_sided import HalfNormal as HalfNormal
+from .posterior.priors.one_sided import LogNormal as LogNormal
+from .posterior.priors.scipy_distributions import ScaledBeta as ScaledBeta
+from .posterior.priors.scipy_distributions import ScipyPrior as ScipyPrior
+from .posterior.problem import UpdatingProblem as UpdatingProblem
+from .report.export import export as export
+from .report.html import write_report as write_report
+from .runs.settings import Checkpoint as Checkpoint
+from .samplers.ensemble import Ensemble as Ensemble
+from .samplers.hmc.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
+from .samplers.metropolis import MetropolisHastings as MetropolisHastings
+from .samplers.proposals import RandomWalk as RandomWalk
+from .samplers.slice import Slice as Slice
+from .samplers.tempering.tempering import Tempering as Tempering
+from .sampling import StoppedRun as StoppedRun
+from .sampling import sample as sample
+
+__version__: str
+__all__: list[str]
