@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from fmu.posterior.errors.terms import ErrorTerm, FrequencyTerm, MACTerm, ShapeT
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
 
-KINDS = ("absolute", "relative", "eigenvalue")
+Kind = Literal["absolute", "relative", "eigenvalue"]
 
 
 class ErrorModel(Protocol):
@@ -27,6 +27,14 @@ class ErrorModel(Protocol):
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the model of the errors of `data`."""
+        ...
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return how many errors `data` have of this kind."""
+        ...
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say whether `data` have the standard deviation of these errors, which `sd` would replace."""
         ...
 
 
@@ -56,7 +64,7 @@ class FrequencyErrors:
     that, or a prior that says what is possible.
     """
 
-    kind: str = "relative"
+    kind: Kind = "relative"
     sd: ArrayLike | Parameter | None = None
     weights: ArrayLike | None = None
     discrepancy: Parameter | None = None
@@ -75,8 +83,8 @@ class FrequencyErrors:
         ValueError
             If the kind is unknown, or standard deviations or weights do not fit the data.
         """
-        if self.kind not in KINDS:
-            raise ValueError(f"kind: must be one of {KINDS} (got {self.kind!r})")
+        if self.kind not in get_args(Kind):
+            raise ValueError(f"kind: must be one of {get_args(Kind)} (got {self.kind!r})")
         measured = np.asarray(data.frequencies_hz)
         unit = {"absolute": np.ones(len(measured)), "relative": measured, "eigenvalue": np.ones(len(measured))}
         sd = self.sd
@@ -92,6 +100,14 @@ class FrequencyErrors:
         size = unit[self.kind] / np.sqrt(_weights(self.weights, len(measured)))
         known = spread("frequency errors", sd, self.discrepancy, size, index)
         return FrequencyTerm(self.kind, measured, known)
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return the number of modes."""
+        return data.n_modes
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say whether `data` have standard deviations or a covariance of the frequencies."""
+        return data.sd_hz is not None or data.covariance_hz2 is not None
 
 
 @dataclass(frozen=True)
@@ -138,8 +154,16 @@ class ShapeErrors:
         """
         unit = _unit_shapes(data, "shape errors")
         size = np.ones(unit.shape) / np.sqrt(_weights(self.weights, unit.shape[1]))
-        sd = getattr(data, "shapes_sd", None) if self.sd is None else self.sd
+        sd = data.shapes_sd if self.sd is None else self.sd
         return ShapeTerm(unit, spread("shape errors", sd, self.discrepancy, size, index))
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return the number of components of all measured shapes."""
+        return 0 if data.shapes is None else np.size(data.shapes)
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say whether `data` have standard deviations of the shapes."""
+        return data.shapes_sd is not None
 
 
 @dataclass(frozen=True)
@@ -184,6 +208,22 @@ class MACErrors:
         size = 1.0 / np.sqrt(_weights(self.weights, unit.shape[1]))
         groups = groups_of(self.together, data.labels, len(unit))
         return MACTerm(unit, spread("MAC errors", self.sd, None, size, index), groups=groups)
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return the number of modes."""
+        return data.n_modes
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say no: `data` have no errors of MAC values."""
+        return False
+
+
+ERROR_MODELS: dict[str, type[ErrorModel]] = {
+    "frequencies": FrequencyErrors,
+    "shapes": ShapeErrors,
+    "mac": MACErrors,
+}
+"""By the name that ``of`` has in a problem file; its other keys are the arguments (`fmu.config.errors`)."""
 
 
 def _weights(weights: ArrayLike | None, n: int) -> FloatArray:
