@@ -2,14 +2,14 @@
 
 from . import cases as cases
 from .analysis.check import check as check
-from .analysis.convergence.comparison import compare as compare
+from .analysis.convergence.diagnosis import compare as compare
 from .analysis.convergence.diagnosis import diagnose as diagnose
 from .analysis.convergence.diagnostics import summary as summary
-from .analysis.data.identifiability import identifiability as identifiability
-from .analysis.data.prediction import expectation as expectation
-from .analysis.evidence.estimate import evidence as evidence
+from .analysis.evidence import evidence as evidence
+from .analysis.identifiability import identifiability as identifiability
 from .analysis.maxima.search import find_map as find_map
-from .analysis.modes.pairing_changes import pairing_changes as pairing_changes
+from .analysis.pairing_changes import pairing_changes as pairing_changes
+from .analysis.prediction import expectation as expectation
 from .analysis.trace.conversion import load_trace as load_trace
 from .analysis.trace.conversion import save_trace as save_trace
 from .config import load as load
@@ -40,7 +40,7 @@ from .posterior.priors.scipy_distributions import ScaledBeta as ScaledBeta
 from .posterior.priors.scipy_distributions import ScipyPrior as ScipyPrior
 from .posterior.problem import UpdatingProblem as UpdatingProblem
 from .report.export import export as export
-from .report.html import write_report as write_report
+from .report.pages import write_report as write_report
 from .runs.settings import Checkpoint as Checkpoint
 from .samplers.ensemble import Ensemble as Ensemble
 from .samplers.hmc.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo

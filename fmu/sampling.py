@@ -96,7 +96,7 @@ def sample(
     until_ess : float, optional
         Go on after `draws`, with what was learnt in warm-up, until the verdict of `fmu.diagnose` is good and the
         bulk and tail ESS of every parameter are at least this. How many draws are missing is predicted from those
-        so far (`fmu.analysis.convergence.needed.draws_to_come`). The run is bit for bit that of as many draws.
+        so far (`fmu.analysis.convergence.remedies.draws_to_come`). The run is bit for bit that of as many draws.
     max_draws : int, optional
         The most steps kept, whatever the verdict: 32 times `draws` if not given.
     maxima : Maxima, optional
@@ -122,8 +122,8 @@ def sample(
         The trace, see `fmu.analysis.trace.conversion.to_trace`; its attributes include ``after_n_solves``, the
         solves after the last draw, for predictions and what follows, and the certificate of the reduced model
         where there is one, see `fmu.analysis.certificate.certify`. Of an updating problem the groups ``modes``
-        (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.modes.pairing_changes`) and
-        ``identifiability`` (`fmu.analysis.data.identifiability`) go with it.
+        (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`) and
+        ``identifiability`` (`fmu.analysis.identifiability`) go with it.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def sample(
         If too large a share of the solves failed.
     """
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
-    from fmu.analysis.convergence.live import live_diagnostics
+    from fmu.analysis.convergence.effective import live_diagnostics
     from fmu.analysis.maxima.starts import starts
     from fmu.analysis.trace.conversion import names_of, to_trace
     from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
@@ -291,8 +291,8 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, ful
     """Keep in a trace what the problem says beside the draws."""
     from fmu.analysis.certificate import certify
     from fmu.analysis.convergence.diagnosis import with_maxima
-    from fmu.analysis.data.identifiability import with_identifiability
-    from fmu.analysis.modes.pairing_changes import with_pairing
+    from fmu.analysis.identifiability import with_identifiability
+    from fmu.analysis.pairing_changes import with_pairing
     from fmu.analysis.trace.modal_states import with_modes
 
     if maxima is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PATHS = sorted(Path(__file__).parent.parent.glob("notebooks/*.ipynb"))
-FACES = {"fmu", "fmu.paper.published.tables", "fmu.formats.modes.pyoma", "fmu.report.plots"}
+FACES = {"fmu", "fmu.paper.published", "fmu.formats.modes.pyoma", "fmu.report.plots"}
 SHOWN_AS_HTML = (
     r"by_number",
     r"trace",

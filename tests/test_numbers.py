@@ -190,10 +190,10 @@ def test_published_tables():
 
 SYNTAX = {
     "fem/frame/drawing.py": "SVG",
-    "report/svg.py": "SVG",
+    "report/document.py": "SVG",
     "analysis/convergence/diagnostics.py": "names of columns, eti90_lb",
-    "analysis/data/model_fit.py": "names of columns",
-    "paper/pages/page.py": "names of columns",
+    "analysis/prediction.py": "names of columns",
+    "paper/page.py": "names of columns",
     "config/parameters.py": "a power of ten that no float can hold",
 }
 """Where numbers are not for people."""

@@ -6,7 +6,7 @@ import pytest
 
 import fmu
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.analysis.trace.reading import parameter_draws
 
 WALKERS, STEPS, DISCARD = 32, 1200, 400
 

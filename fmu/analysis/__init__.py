@@ -1,1 +1,5 @@
-"""The diagnosis: traces, convergence, comparison of samplers, prediction."""
+"""What the draws say, and whether they can be believed.
+
+Before sampling: check, initial_modes, gradient_check, prior_prediction, identifiability, repeatability, estimate.
+After it: trace, convergence, maxima; then prediction, information, pairing_changes, evidence, certificate.
+"""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.numbers import apart, typed
 from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts

@@ -87,9 +87,8 @@ def sampled(
 
 def tell(outcome: Sampled, directory: Path) -> int:
     """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
-    from fmu.analysis.convergence.comparison import side_by_side
-    from fmu.analysis.convergence.diagnosis import diagnose_all
-    from fmu.analysis.evidence.text import found_evidences
+    from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
+    from fmu.analysis.evidence import found_evidences
 
     traces, summaries = outcome.traces, outcome.summaries
     verdicts = diagnose_all(traces, summaries=summaries)
@@ -111,7 +110,7 @@ def tell(outcome: Sampled, directory: Path) -> int:
 
 def _updated(trace: xr.DataTree) -> list[str] | None:
     """Return a column that says which parameters the data updated, None where that cannot be said."""
-    from fmu.analysis.data.information import COMBINED, DATA, PRIOR, information
+    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 
     words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
     found = information(trace)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.analysis.convergence.diagnosis import Diagnosis
-    from fmu.analysis.evidence.text import FoundEvidence
+    from fmu.analysis.evidence import FoundEvidence
 
 _FORMATS: dict[str, Callable[[float], str]] = {
     "rhat": lambda x: fixed(x, 4),

@@ -1,8 +1,8 @@
-"""How many model solves a mean costs: running errors, and the length at which a run became convincing."""
+"""The reference posterior, running errors against it, and the length at which a run passed for converged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,61 @@ from fmu.types import FloatArray, IntArray
 if TYPE_CHECKING:
     import xarray as xr
 
-    from fmu.paper.reference import Reference
+    from fmu.analysis.maxima.results import Maxima
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The best estimate of the posterior at hand.
+
+    Attributes
+    ----------
+    mean, sd, mcse : ndarray, shape (ndim,)
+        SI units; `mcse` is the standard error of `mean`.
+    origin : str
+        In words, where it comes from.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    mcse: FloatArray
+    origin: str
+
+    @property
+    def resolution(self) -> float:
+        """Root mean square over the parameters of mcse/sd: smaller errors cannot be told from none."""
+        return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
+
+
+def pooled(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
+    """Return the mean of several traces, each weighted by its effective sample size, and their sd."""
+    from fmu.analysis.convergence.diagnostics import summary
+
+    tables = [summary(trace) for trace in traces.values()]
+    mean, sd, mcse, ess = (
+        np.array([table[column].to_numpy() for table in tables])
+        for column in ("mean", "sd", "mcse_mean", "ess_bulk")
+    )
+    weight = ess / ess.sum(axis=0)
+    centre = np.sum(weight * mean, axis=0)
+    spread = np.sqrt(np.sum(weight * (sd**2 + (mean - centre) ** 2), axis=0))
+    return Reference(centre, spread, np.sqrt(np.sum((weight * mcse) ** 2, axis=0)), origin)
+
+
+def around_the_maxima(maxima: Maxima) -> Reference:
+    """Return what importance sampling around the maxima found says, each maximum weighted by its mass.
+
+    No chain is in it, so that it holds where chains stay in the mode that they fell into.
+    """
+    share = np.array([m.share for m in maxima])[:, np.newaxis]
+    mean, sd = (np.array([getattr(m, name) for m in maxima]) for name in ("mean", "sd"))
+    draws = np.array([max(m.effective_draws, 1.0) for m in maxima])[:, np.newaxis]
+    centre = np.sum(share * mean, axis=0)
+    spread = np.sqrt(np.sum(share * (sd**2 + (mean - centre) ** 2), axis=0))
+    mcse = np.sqrt(np.sum((share * sd) ** 2 / draws, axis=0))
+    return Reference(
+        centre, spread, mcse, "importance sampling around the maxima found, for want of a converged run"
+    )
 
 
 POINTS_PER_DECADE = 15
@@ -55,7 +109,7 @@ class Needed:
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
     """Follow the mean of each chain as its draws come in, at lengths that grow geometrically."""
-    from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
+    from fmu.analysis.trace.reading import parameter_draws, walkers_of
 
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
@@ -84,7 +138,7 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     The warm-up is what it was; the draws are cut off at lengths that grow by `GROWTH`. Looking from the whole run
     backwards and stopping at the first failure guards against lengths that pass by luck.
     """
-    from fmu.analysis.convergence.diagnostics import walkers_of
+    from fmu.analysis.trace.reading import walkers_of
 
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -111,7 +165,7 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
 
 def solves_by_step(trace: xr.DataTree) -> IntArray:
     """Return each chain's model solves up to every step kept, warm-up counted, shape (chains, steps)."""
-    from fmu.analysis.convergence.diagnostics import walkers_of
+    from fmu.analysis.trace.reading import walkers_of
 
     kept = trace["sample_stats"]["n_solves"].transpose("chain", "draw").to_numpy()
     kept = kept.reshape(len(kept), -1, walkers_of(trace)).sum(axis=2)

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fmu.engines import default_workers, engine
+from fmu.numbers import fixed, share
+from fmu.paper.errata import Erratum, computed_errata, errata_page, recompute, recomputed_page
 from fmu.paper.experiment import Result, compute, directory_of
 from fmu.paper.findings import Findings
 from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
-from fmu.paper.vector_beta import SAMPLER, VectorBeta, sample_weighted, side_by_side
+from fmu.paper.published import EXPERIMENTS
+from fmu.paper.summary import summary_page
+from fmu.paper.vector_beta import (
+    SAMPLER,
+    VectorBeta,
+    plot_vector_beta,
+    sample_weighted,
+    side_by_side,
+    vector_beta_page,
+)
 from fmu.progress import Report
 from fmu.report.files import OutputDirectory
+from fmu.report.plots import DPI
 
 if TYPE_CHECKING:
     import xarray as xr
+
 
 TABLES = ("parameters", "frequencies", "comparison", "maxima")
 FIGURES = ("trace", "corner", "frequencies")
@@ -47,8 +60,6 @@ def run_paper(
     ValueError
         If `out` holds files of other origin where results belong, before anything is computed.
     """
-    from fmu.paper.pages.closing import write_closing_pages
-
     plan = plan or Plan()
     directory = OutputDirectory(out)
     directory.check(file_names(plan))
@@ -89,9 +100,9 @@ def _weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
     """Write tables, figures and traces of one experiment, and a report on its long runs."""
     from fmu.analysis.trace.conversion import save_trace
-    from fmu.paper.pages.figures import write_figures
-    from fmu.paper.pages.page import experiment_page
-    from fmu.report.html import FOLDER, write_pages
+    from fmu.paper.figures import write_figures
+    from fmu.paper.page import experiment_page
+    from fmu.report.pages import FOLDER, write_pages
 
     directory, traces = stage / findings.name, stage / "traces"
     for path in (directory, traces):
@@ -129,3 +140,59 @@ def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
     for kind, traces in (("paper", result.paper), ("long", result.long)):
         for sampler, trace in traces.items():
             yield f"{result.name}-{sampler}-{kind}.nc", trace
+
+
+def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path) -> None:
+    """Write README.md, errata.md, the recomputed frequencies and the study with a vector β."""
+    from fmu import cases
+    from fmu.analysis.trace.provenance import versions
+
+    by_number, by_shape = (
+        {case: cases.load(case, pairing) for case in EXPERIMENTS} for pairing in ("index", "shape")
+    )
+    recomputed = recompute(by_number)
+    recomputed.to_csv(stage / "recomputed.csv", index=False)
+    errata = computed_errata(by_number, by_shape, plan.box_points)
+    errata += [erratum for findings in everything for erratum in separated_modes(findings)]
+    passed = int(recomputed["within"].sum()), len(recomputed)
+    pages = {
+        "recomputed.md": recomputed_page(recomputed),
+        "errata.md": errata_page(errata),
+        "README.md": summary_page(everything, passed, plan.seed, versions()),
+    }
+    for name, text in pages.items():
+        (stage / name).write_text(text, encoding="utf-8")
+    _write_vector_beta([f.weighted for f in everything if f.weighted is not None], stage)
+
+
+def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
+    """Write page, table and figure of the study with a β for every mode, if there was one."""
+    if not studies:
+        return
+    import pandas as pd
+
+    (stage / "vector-beta.md").write_text(vector_beta_page(studies), encoding="utf-8")
+    table = pd.concat({study.name: study.modes for study in studies}, names=["experiment"])
+    table.to_csv(stage / "vector-beta.csv")
+    plot_vector_beta(studies).savefig(stage / "vector-beta.png", dpi=DPI)
+
+
+def separated_modes(findings: Findings) -> Iterator[Erratum]:
+    """Say that samplers cannot be compared on a posterior whose modes they do not all find."""
+    maxima = findings.separate_maxima
+    if findings.pairing != "index" or len(maxima) < 2:
+        return
+    top = maxima["log_prob"].iloc[0]
+    heights = "; ".join(
+        f"number {row.Index} with modes {row.modes}" + (f", {fixed(top - row.log_prob, 1)} lower" if k else "")
+        for k, row in enumerate(maxima.itertuples())
+    )
+    missed = findings.never_visited
+    yield Erratum(
+        f"Section {findings.published.section}, comparison of the samplers",
+        "one posterior, sampled by all",
+        f"paired by number the posterior has {len(maxima)} separated maxima: {heights}; number 1 holds "
+        f"{share(maxima['share'].iloc[0])} of the probability",
+        f"ascents from {int(findings.maxima['starts'].sum())} points; of our {len(findings.comparison)} long "
+        f"runs, started from the prior, {len(missed)} never came near number 1",
+    )

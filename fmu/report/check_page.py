@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from fmu.analysis.check import Check
-from fmu.analysis.data.uninformed import doubts as doubts_of_information
+from fmu.analysis.information import doubts as doubts_of_information
 from fmu.fem.frame.drawing import UNCHANGED
 from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
 from fmu.report.document import (
@@ -24,11 +24,10 @@ from fmu.report.document import (
     Pictures,
     Text,
     Verdict,
+    picture,
 )
 from fmu.report.files import OutputDirectory
-from fmu.report.html import render
-from fmu.report.pages import INDEX
-from fmu.report.svg import picture
+from fmu.report.pages import INDEX, render
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -157,7 +156,7 @@ def _modes(found: Check) -> PageSection:
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
     """Return the structure deformed in each measured mode, as many as can be looked at."""
-    from fmu.report.plots.start_modes import plot_mode
+    from fmu.report.plots.modes import plot_mode
 
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []

@@ -1,11 +1,18 @@
-"""What a page of a report consists of; how it looks is the templates' business."""
+"""What a page of a report consists of, and figures as SVG inside it; the templates say how it looks."""
 
 from __future__ import annotations
 
+import base64
+import io
+import re
+import warnings
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -175,3 +182,83 @@ class Page:
     sections: tuple[PageSection, ...]
     others: tuple[Link, ...]
     footer: str
+
+
+RASTER_DPI = 110
+"""Resolution of the parts that are drawn as pixels: paths and clouds of many points."""
+_COLOURS = 32
+_CSS_PER_INCH = 96
+_TAG = re.compile(r"<[^>]*>")
+"""Matplotlib writes the angle brackets of names as entities."""
+_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+
+
+def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
+    """Return the figure of some axes as a picture on a page.
+
+    Parameters
+    ----------
+    axes : Axes or ndarray of Axes
+        Of one figure.
+    key : str
+        Letters that no other picture on the page has: its ids begin with them.
+    alt : str
+        What there is to see, in words and numbers.
+    caption : str
+        What stands below it.
+    """
+    first = axes if hasattr(axes, "figure") else axes.ravel()[0]
+    figure = first.figure
+    return Picture(inline_svg(figure, key, alt), caption, round(_CSS_PER_INCH * figure.get_figwidth()))
+
+
+def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
+    """Return a figure as an SVG element: text stays text, ids are its own, styles reach nothing else.
+
+    Raises
+    ------
+    ValueError
+        If `alt` is empty: whoever does not see the figure would learn nothing of it.
+    """
+    import matplotlib as mpl
+
+    if not alt.strip():
+        raise ValueError("alt: must describe the figure (got nothing)")
+    file = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}), warnings.catch_warnings():
+        # text stays text: a letter that Matplotlib's font has not, the reader's has
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
+        figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
+    text = file.getvalue()
+    body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
+    # A style inside an SVG would be that of the whole page.
+    body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"\s*\n\s*", " ", body)
+    used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
+    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # text stays as it is
+    width, height = (72.0 * size for size in figure.get_size_inches())
+    return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
+
+
+def _clean(tag: str, key: str, used: set[str]) -> str:
+    """Return a tag without the font's name, short, and with ids of its own: those that are referred to."""
+    tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
+    tag = re.sub(r' (?:d|x|y|transform|points)="[^"]*"', _rounded, tag)
+    tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
+    tag = re.sub(r' id="([^"]*)"', lambda match: f' id="{key}-{match[1]}"' if match[1] in used else "", tag)
+    return re.sub(r"(url\(#|href=\"#)", rf"\g<1>{key}-", tag)
+
+
+def _rounded(attribute: re.Match[str]) -> str:
+    """Write coordinates to a hundredth of a point."""
+    return re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
+
+
+def _fewer_colours(data: re.Match[str]) -> str:
+    """Write the pixels of a few lines or areas with a palette, which takes a quarter of the room."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(data[0]))) as pixels:
+        pixels.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE).save(file, "PNG", optimize=True)
+    return base64.b64encode(file.getvalue()).decode()

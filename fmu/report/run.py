@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fmu.analysis.convergence.comparison import side_by_side
-from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
-from fmu.analysis.convergence.diagnostics import parameter_names, summary, walkers_of
-from fmu.analysis.data.prediction import predict_frequencies
-from fmu.analysis.trace.conversion import check_trace
-from fmu.report.plots.style import TITLES, unit_of
-from fmu.report.units import Unit
+from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of, side_by_side
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.prediction import predict_frequencies
+from fmu.analysis.trace.reading import check_trace, parameter_names, walkers_of
+from fmu.report.plots.style import TITLES, Unit, unit_of
 
 if TYPE_CHECKING:
     import pandas as pd

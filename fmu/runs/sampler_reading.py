@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.analysis.convergence.live import live_diagnostics
+from fmu.analysis.convergence.effective import live_diagnostics
 from fmu.runs.group_reading import KeptGroup
 from fmu.samplers.loop.group import DRAWS, WARMUP
 
@@ -131,8 +131,8 @@ def of_trace(path: Path) -> Progress:
     OSError, ValueError
         If it is missing, or damaged.
     """
-    from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
     from fmu.analysis.trace.conversion import load_trace
+    from fmu.analysis.trace.reading import parameter_draws, walkers_of
 
     trace = load_trace(path)
     attrs, stats = trace.attrs, [trace[group] for group in ("warmup_sample_stats", "sample_stats")]

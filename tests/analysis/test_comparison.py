@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmu.analysis.convergence.comparison import compare
+from fmu.analysis.convergence.diagnosis import compare
 from fmu.analysis.convergence.diagnostics import convergence_failures, summary
 
 COLUMNS = [

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import fmu
-from fmu.analysis.evidence.estimate import GROUP, Evidence, evidence
+from fmu.analysis.evidence import GROUP, Evidence, evidence
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.trace.conversion import load_trace, save_trace
 

@@ -8,7 +8,7 @@ import xarray as xr
 
 import fmu
 from fmu.analysis.convergence.diagnosis import diagnose_all
-from fmu.analysis.evidence.text import found_evidences
+from fmu.analysis.evidence import found_evidences
 from tests import two_storeys
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import truncnorm
 
 import fmu
-from fmu.analysis.data.identifiability import (
+from fmu.analysis.identifiability import (
     contraction,
     identifiability,
     kept_identifiability,

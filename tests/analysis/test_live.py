@@ -6,8 +6,8 @@ from scipy.signal import lfilter
 
 import fmu
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.diagnostics import parameter_draws, walkers_of
-from fmu.analysis.convergence.live import live_diagnostics
+from fmu.analysis.convergence.effective import live_diagnostics
+from fmu.analysis.trace.reading import parameter_draws, walkers_of
 
 
 class Correlated:

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.data.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.modal_states import MEASURED
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.convergence.movement import energy_fraction, longest_stands
+from fmu.analysis.convergence.effective import energy_fraction, longest_stands
 
 
 def test_longest_stand_by_hand():

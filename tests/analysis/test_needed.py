@@ -4,8 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmu.analysis.convergence.needed import draws_to_come, growth_needed, required_ess
-from fmu.analysis.convergence.remedies import for_too_few_draws, in_two_digits
+from fmu.analysis.convergence.remedies import (
+    draws_to_come,
+    for_too_few_draws,
+    growth_needed,
+    in_two_digits,
+    required_ess,
+)
 
 
 def table(ess, rhat=1.002, mcse=0.01, tail=None):

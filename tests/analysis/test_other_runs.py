@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.maxima.other_runs import missed_places
+from fmu.analysis.maxima.missed import missed_places
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 
 COVARIANCE = np.array([[1.0, 0.9], [0.9, 1.0]])

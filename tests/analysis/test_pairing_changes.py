@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.analysis.convergence.diagnostics import parameter_draws
 from fmu.analysis.trace.conversion import save_trace
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.report.run import runs_of
 from fmu.report.sections import structure
 from tests.veering import veering_problem
@@ -104,7 +104,7 @@ def test_by_number_the_order_stays_and_the_mode_changes():
 
 
 def test_at_most_so_many_draws_are_looked_at(monkeypatch):
-    monkeypatch.setattr("fmu.analysis.modes.pairing_changes.MOST_DRAWS", 50)
+    monkeypatch.setattr("fmu.analysis.pairing_changes.MOST_DRAWS", 50)
     trace = sampled(veering_problem(), draws=100)
     kept = trace["pairing"]
     assert kept.sizes["sample"] in (50, 51)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fmu.analysis.convergence import effective
-from fmu.analysis.data.prediction import expectation, leave_one_out, predict_frequencies
+from fmu.analysis.prediction import expectation, leave_one_out, predict_frequencies
 from fmu.analysis.trace.conversion import to_trace
 
 # The model of conftest.py: f = 100 + SLOPES @ theta.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.convergence.running import lengths, running_means, running_rhat
+from fmu.analysis.convergence.effective import lengths, running_means, running_rhat
 
 
 class Correlated:
@@ -79,7 +79,7 @@ def test_rhat_is_that_of_shorter_runs(mh):
 def test_rhat_of_thinned_draws_is_near_that_of_all(mh, emcee, monkeypatch):
     whole = fmu.summary(emcee)["rhat"].to_numpy()
     np.testing.assert_allclose(running_rhat(emcee)[1][-1], whole, rtol=1e-12)
-    monkeypatch.setattr("fmu.analysis.convergence.running._RANKED", 400)
+    monkeypatch.setattr("fmu.analysis.convergence.effective._MOST_RANKED", 400)
     thinned = running_rhat(emcee)[1][-1]
     assert not np.array_equal(thinned, whole)
     np.testing.assert_allclose(thinned, whole, atol=0.02)

@@ -7,10 +7,9 @@ import pytest
 from scipy.integrate import simpson
 
 import fmu
-from fmu.analysis.maxima.curvature import hessian_at
 from fmu.analysis.maxima.mode_weights import LocalQuadratic, mode_weights
 from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map
+from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map, hessian_at
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal

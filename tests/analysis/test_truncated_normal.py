@@ -6,7 +6,7 @@ from scipy.integrate import simpson
 from scipy.special import log_ndtr, logsumexp
 from scipy.stats import kstest, truncnorm
 
-from fmu.analysis.maxima.truncated_normal import SequentialNormal, log_mass
+from fmu.analysis.maxima.mode_weights import SequentialNormal, log_mass
 
 COVARIANCE = np.array([[1.0, 0.8], [0.8, 2.0]])
 LOWER, UPPER = np.array([0.0, -1.0]), np.array([1.0, 3.0])

@@ -6,9 +6,8 @@ import pytest
 import fmu
 from fmu.analysis.check import check
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.data.identifiability import Identifiability, identifiability, with_identifiability
-from fmu.analysis.data.information import COMBINED, DATA, PRIOR, information
-from fmu.analysis.data.uninformed import doubts, left_to_prior
+from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
+from fmu.analysis.information import COMBINED, DATA, PRIOR, doubts, information, left_to_prior
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.models import FrequencyErrors

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import fmu
 from fmu.paper.plan import Plan
 from fmu.paper.run import run_experiment
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from fmu.types import FloatArray
 
 CASE, PAIRING = "cantilever-young", "shape"
@@ -98,8 +98,10 @@ def main(out: str) -> None:
         case=CASE,
         pairing=PAIRING,
         cpu=cpu,
-        paper=table(["what", "share"], [[w, f"{n / samples:.1%}"] for w, n in watch.places.most_common()]),
-        samplers=table(
+        paper=markdown_table(
+            ["what", "share"], [[w, f"{n / samples:.1%}"] for w, n in watch.places.most_common()]
+        ),
+        samplers=markdown_table(
             ["sampler", "of all time", "of which evaluations"],
             [[name, *_shares(watch.steps, name, samples)] for name in names],
         ),
@@ -136,7 +138,7 @@ def layers() -> str:
         columns.append([*np.diff(took, prepend=0.0), took[-1]])
     names = [*(name for name, _ in inside_out), "in all"]
     rows = [[name, f"{one:.1f}", f"{batch:.1f}"] for name, one, batch in zip(names, *columns, strict=True)]
-    return table(["layer", "alone", "batch of 64"], rows)
+    return markdown_table(["layer", "alone", "batch of 64"], rows)
 
 
 def _best(runs: list[Callable[[], object]], rounds: int = 40) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from threadpoolctl import threadpool_info
 
-from fmu.report import markdown
+from fmu.text_table import markdown_table
 
 HEAD = """# Benchmarks: the speed budget
 
@@ -72,7 +72,7 @@ def main(source: str, target: str, *fragments: str) -> None:
         of_section = [row for row in rows if row["section"] == name]
         if of_section:
             parts.append(budget_table(of_section))
-        parts += [markdown.table(t["head"], t["rows"]) for t in tables if t["section"] == name]
+        parts += [markdown_table(t["head"], t["rows"]) for t in tables if t["section"] == name]
     parts += [Path(fragment).read_text() for fragment in fragments]
     Path(target).parent.mkdir(parents=True, exist_ok=True)
     Path(target).write_text("\n".join(parts))
@@ -82,7 +82,7 @@ def budget_table(rows: list[dict[str, Any]]) -> str:
     """Return what was measured beside what was promised."""
     verdict = {True: "yes", False: "**no**", None: "—"}
     cells = [[row["what"], row["budget"], row["measured"], verdict[row["met"]]] for row in rows]
-    return markdown.table(["what", "budget", "measured", "met"], cells, words=range(4))
+    return markdown_table(["what", "budget", "measured", "met"], cells, words=range(4))
 
 
 def machine() -> str:

@@ -8,10 +8,9 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.analysis.data.identifiability import identifiability
-from fmu.analysis.data.uninformed import left_to_prior
-from fmu.analysis.modes.initial_modes import initial_modes
-from fmu.analysis.modes.pairing_doubts import COUNTERPARTS_GIVEN
+from fmu.analysis.identifiability import identifiability
+from fmu.analysis.information import left_to_prior
+from fmu.analysis.initial_modes import COUNTERPARTS_GIVEN, initial_modes
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame.frame import DIRECTIONS
 from fmu.fem.pairing.rules import count_rigid

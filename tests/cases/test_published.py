@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fmu import cases
-from fmu.paper.published import tables as published
-from fmu.paper.published.tables import COLUMNS, EXPERIMENTS, Printed
+from fmu.paper import published
+from fmu.paper.published import COLUMNS, EXPERIMENTS, Printed
 
 COLUMN_KEYS = [(case, column) for case in EXPERIMENTS for column in COLUMNS]
 

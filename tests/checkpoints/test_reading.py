@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.convergence.diagnostics import parameter_draws
-from fmu.analysis.convergence.live import live_diagnostics
+from fmu.analysis.convergence.effective import live_diagnostics
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.runs import Checkpoint
 from fmu.runs.lock import FILE, announce, leave, present
 from fmu.runs.status import SILENT_S, RunReader

@@ -10,7 +10,7 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.formats.modes.measured_modes import ModesError

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 
-from fmu.analysis.data.identifiability import identifiability
-from fmu.analysis.maxima.curvature import hessian_at
+from fmu.analysis.identifiability import identifiability
+from fmu.analysis.maxima.search import hessian_at
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.correlated import CorrelatedFrequencyError
 from fmu.posterior.errors.frequency import FrequencyError, frequency_error
@@ -194,8 +194,9 @@ def test_identifiability_is_the_information_of_the_covariance(linear):
 
 def test_draws_have_the_moments_of_closed_form(linear):
     from fmu import sample
-    from fmu.analysis.convergence.diagnostics import parameter_draws, summary
-    from fmu.analysis.data.prediction import leave_one_out
+    from fmu.analysis.convergence.diagnostics import summary
+    from fmu.analysis.prediction import leave_one_out
+    from fmu.analysis.trace.reading import parameter_draws
 
     problem, mean, covariance = linear
     trace = sample(problem, "hmc", draws=1000, warmup=300, chains=4, seed=3)

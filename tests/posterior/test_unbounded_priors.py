@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import fmu
-from fmu.analysis.data.identifiability import truncated_sd
+from fmu.analysis.identifiability import truncated_sd
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.train_reduced import FREQUENCY_TOLERANCE

@@ -16,7 +16,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
-from fmu.report.html import write_pages
+from fmu.report.pages import write_pages
 from tests.linear import LinearModel
 from tests.report.parsed import IMAGE, SCRIPT
 

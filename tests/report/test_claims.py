@@ -5,9 +5,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from fmu.paper.pages.page import experiment_page
-from fmu.paper.pages.summary_page import summary_page
-from fmu.paper.published.claims import SEPARATED, judge, statement
+from fmu.paper.findings import SEPARATED, judge, statement
+from fmu.paper.page import experiment_page
+from fmu.paper.summary import summary_page
 
 RATES = {"mh": 0.02, "slice": 0.01, "hmc": 0.05, "emcee": 0.03}
 

@@ -8,14 +8,16 @@ import xarray as xr
 
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.paper.convergence import (
+    Reference,
+    around_the_maxima,
     lengths_up_to,
+    pooled,
     running_error,
     shortened,
     solves_at_this_pace,
     solves_by_step,
     solves_needed,
 )
-from fmu.paper.reference import Reference, around_the_maxima, pooled
 
 REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given")
 

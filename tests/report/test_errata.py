@@ -8,11 +8,10 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.paper.pages.closing import separated_modes
-from fmu.paper.published import spectrum
-from fmu.paper.published.errata import computed_errata, errata_page
-from fmu.paper.published.recomputed import recompute, recomputed_page
-from fmu.paper.published.tables import EXPERIMENTS
+from fmu.paper import spectrum
+from fmu.paper.errata import computed_errata, errata_page, recompute, recomputed_page
+from fmu.paper.published import EXPERIMENTS
+from fmu.paper.run import separated_modes
 from tests import cantilever
 
 

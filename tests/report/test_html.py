@@ -11,8 +11,7 @@ from fmu.analysis.convergence.diagnosis import UNSEARCHED
 from fmu.analysis.trace.conversion import save_trace
 from fmu.cli import main
 from fmu.report.document import Page
-from fmu.report.html import render, write_pages
-from fmu.report.pages import file_names, sampler_page
+from fmu.report.pages import file_names, render, sampler_page, write_pages
 from fmu.report.run import runs_of
 from tests.report.parsed import IMAGE, SCRIPT, Parsed
 
@@ -221,8 +220,8 @@ def without_drawings(monkeypatch):
     def empty(title):
         return Page(title, "", (), (), (), "")
 
-    monkeypatch.setattr("fmu.report.html.sampler_page", lambda run, files, runs: empty(run.name))
-    monkeypatch.setattr("fmu.report.html.index_page", lambda runs, files: empty(", ".join(runs)))
+    monkeypatch.setattr("fmu.report.pages.sampler_page", lambda run, files, runs: empty(run.name))
+    monkeypatch.setattr("fmu.report.pages.index_page", lambda runs, files: empty(", ".join(runs)))
 
 
 @pytest.mark.usefixtures("without_drawings")
@@ -253,7 +252,7 @@ def test_a_failure_leaves_no_half_of_a_report(run_directory, monkeypatch):
     def fail(*args):
         raise OSError("no room left")
 
-    monkeypatch.setattr("fmu.report.html.index_page", fail)
+    monkeypatch.setattr("fmu.report.pages.index_page", fail)
     with pytest.raises(OSError, match="no room"):
         fmu.write_report(run_directory)
     assert not (run_directory / "report").exists()

@@ -2,22 +2,22 @@
 
 import pytest
 
-from fmu.report.markdown import table
-from fmu.report.units import shown
+from fmu.report.plots.style import shown
+from fmu.text_table import markdown_table
 
 
 def test_table():
-    text = table(("name", "a", "b"), [("x|y", "1", "2")], words=(0, -1))
+    text = markdown_table(("name", "a", "b"), [("x|y", "1", "2")], words=(0, -1))
     assert text == "| name | a | b |\n| :-- | --: | :-- |\n| x\\|y | 1 | 2 |\n"
 
 
 def test_row_of_the_wrong_length():
     with pytest.raises(ValueError, match=r"^rows: must have 2 cells \(got \['1'\]\)$"):
-        table(("a", "b"), [("1",)])
+        markdown_table(("a", "b"), [("1",)])
 
 
 def test_bars_in_names_end_no_cell():
-    assert table(("a|b",), [("<b>",)]) == "| a\\|b |\n| :-- |\n| <b> |\n"
+    assert markdown_table(("a|b",), [("<b>",)]) == "| a\\|b |\n| :-- |\n| <b> |\n"
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from fmu.paper.pages.figures import ENOUGH, frequency_series, plot_convergence
+from fmu.paper.figures import ENOUGH, frequency_series, plot_convergence
 from fmu.paper.plan import SAMPLERS
 from fmu.report.plots import COLOURS, TITLES, Frequencies, plot_corner, plot_frequency_errors, plot_traces
 

@@ -7,14 +7,14 @@ import pytest
 import xarray as xr
 
 from fmu.analysis.convergence.diagnosis import UNSEARCHED
-from fmu.analysis.data.identifiability import contraction, kept_identifiability
-from fmu.analysis.data.prediction import leave_one_out
-from fmu.analysis.modes.pairing_doubts import ALIKE
+from fmu.analysis.identifiability import contraction, kept_identifiability
+from fmu.analysis.initial_modes import ALIKE
+from fmu.analysis.prediction import leave_one_out
 from fmu.analysis.trace.modal_states import MEASURED
 from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
-from fmu.report.sections.verdicts import COVERED, SOUND, convergence, model_fit
+from fmu.report.sections.prediction import COVERED, SOUND, convergence, model_fit
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_shapes_beside_measured_ones(hmc, monkeypatch):
     assert [number(row["MAC after"]) for row in rows] == pytest.approx(np.diag(after), abs=6e-3)
     others = np.where(np.eye(len(after), dtype=bool), 0.0, after).max(axis=1)
     assert [number(row["of another mode"]) for row in rows] == pytest.approx(others, abs=6e-3)
-    monkeypatch.setattr("fmu.report.sections.verdicts.fit_warnings", lambda trace: [])
+    monkeypatch.setattr("fmu.report.sections.prediction.fit_warnings", lambda trace: [])
     assert np.diag(after).min() >= ALIKE
     least = f"Every mode matches its measured shape: MAC at least {np.diag(after).min():.2f}."
     assert least in model_fit(run).reasons

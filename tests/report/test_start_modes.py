@@ -3,7 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from fmu.report.plots.start_modes import plot_mode
+from fmu.report.plots.modes import plot_mode
 
 LINE = np.stack([np.linspace(0.0, 2.0, 5), np.zeros(5), np.zeros(5)], axis=1)
 ENDS = np.stack([np.arange(4), np.arange(1, 5)], axis=1)

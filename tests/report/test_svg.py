@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fmu.report.document import inline_svg, picture
 from fmu.report.plots.style import new_figure
-from fmu.report.svg import inline_svg, picture
 
 
 def images(svg):
@@ -78,7 +78,7 @@ def test_coordinates_are_short(figure):
 def test_pixels_have_a_palette_and_look_the_same(figure, monkeypatch):
     (pixels,) = images(inline_svg(figure, "a", "x"))
     assert pixels.mode == "P"
-    monkeypatch.setattr("fmu.report.svg._fewer_colours", lambda data: data[0])
+    monkeypatch.setattr("fmu.report.document._fewer_colours", lambda data: data[0])
     (original,) = images(inline_svg(figure, "a", "x"))
     few, all_ = (np.asarray(image.convert("RGBA"), dtype=float) for image in (pixels, original))
     assert np.abs(few - all_).mean() < 4.0

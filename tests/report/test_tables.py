@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import scipy.linalg as sl
 
-from fmu.paper.experiment import starts_in_the_posterior
-from fmu.paper.pages.page import experiment_page
-from fmu.paper.pages.tables import agreement, comparison_table
+from fmu.paper.experiment import agreement, comparison_table, starts_in_the_posterior
+from fmu.paper.page import experiment_page
 from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS
 from tests import cantilever
 

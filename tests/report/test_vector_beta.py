@@ -7,11 +7,17 @@ import numpy as np
 import pytest
 
 from fmu.analysis.convergence.diagnosis import maxima_of
-from fmu.analysis.convergence.diagnostics import parameter_draws
-from fmu.paper.pages.summary_page import summary_page
-from fmu.paper.pages.vector_beta_page import outcome, plot_vector_beta, vector_beta_page
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.paper.run import file_names
-from fmu.paper.vector_beta import relative_weights, sample_weighted, side_by_side
+from fmu.paper.summary import summary_page
+from fmu.paper.vector_beta import (
+    outcome,
+    plot_vector_beta,
+    relative_weights,
+    sample_weighted,
+    side_by_side,
+    vector_beta_page,
+)
 
 MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.data.prediction import predict_frequencies
+from fmu.analysis.prediction import predict_frequencies
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
@@ -12,10 +12,10 @@ from fmu.posterior.problem import UpdatingProblem
 from fmu.report import plots
 from fmu.report.check_page import check_page
 from fmu.report.document import Items, PageTable
-from fmu.report.html import write_pages
+from fmu.report.pages import write_pages
 from fmu.report.run import runs_of
 from fmu.report.sections import prediction, updating
-from fmu.report.sections.verdicts import model_fit, updated
+from fmu.report.sections.prediction import model_fit, updated
 from tests.linear import LinearModel
 
 N = 40

@@ -8,7 +8,7 @@ from moments import assert_right
 from scipy import stats
 
 import fmu
-from fmu.analysis.convergence.diagnostics import parameter_draws
+from fmu.analysis.trace.reading import parameter_draws
 
 SD = 0.5
 MEASURED = np.array([11.9, 11.8, 10.2])

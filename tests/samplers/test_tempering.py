@@ -9,7 +9,7 @@ from tempered_targets import Failing, FarModes, InBox, LinearGaussian
 
 import fmu
 from fmu.analysis.convergence import effective
-from fmu.analysis.evidence.estimate import evidence
+from fmu.analysis.evidence import evidence
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.scaled import ScaledDensity

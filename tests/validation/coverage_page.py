@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.numbers import significant
-from fmu.report.markdown import table
 from fmu.report.plots.style import FONT, GREY, PALE, colour, new_figure, tint
+from fmu.text_table import markdown_table
 from tests.validation import coverage, ten_storeys
 from tests.validation.bands import UniformRanks
 
@@ -71,7 +71,7 @@ def _table(study: coverage.Study) -> str:
     ]
     rows.append(["log-likelihood", "-", "-", significant(study.p_values[-1], 2), "-", "-"])
     head = ["quantity", "truths held", "coverage", "p of the ranks", "posterior sd / prior sd", "spread of truths"]
-    return table(head, rows).rstrip()
+    return markdown_table(head, rows).rstrip()
 
 
 def figure(study: coverage.Study) -> Figure:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.two_storeys import SD
 from tests.validation.evidence import AGREE, CHAINS, DRAWS, IMPORTANCE_DRAWS, WARMUP, Estimate, Row
 
@@ -44,7 +44,7 @@ def write(
             fit=_fit(list(beams.values())),
             by_shape=first["shape"] - second["shape"],
             by_number=second["index"] - first["index"],
-            errors=table(
+            errors=markdown_table(
                 ["error of a frequency", "five moduli", "two sections", "difference"],
                 [
                     [f"{100 * share:g} %", _text(one), _text(two), f"{one.log_evidence - two.log_evidence:.2f}"]
@@ -83,7 +83,7 @@ def _ways(rows: Sequence[Row]) -> str:
         + ["a bound is active" if np.isnan(row.laplace) else f"{row.laplace:.3f}"]
         for row in rows
     ]
-    return table(["log-evidence of", *names, "Laplace"], cells).rstrip()
+    return markdown_table(["log-evidence of", *names, "Laplace"], cells).rstrip()
 
 
 def _fit(rows: Sequence[Row]) -> str:
@@ -96,7 +96,7 @@ def _fit(rows: Sequence[Row]) -> str:
         ]
         for row in rows
     ]
-    return table(
+    return markdown_table(
         ["", "log-likelihood at the maximum", "log-evidence", "what is lost to the prior"], cells
     ).rstrip()
 
@@ -106,7 +106,9 @@ def _places(rows: Sequence[Row]) -> str:
         [row.region, *(f"{1e9 * x:.3f}" for x in row.theta[:2]), *(f"{1e4 * x:.3f}" for x in row.theta[2:])]
         for row in rows
     ]
-    return table(["maximum", "Ix1, 1e-9 m⁴", "Ix2, 1e-9 m⁴", "Ax1, 1e-4 m²", "Ax2, 1e-4 m²"], cells).rstrip()
+    return markdown_table(
+        ["maximum", "Ix1, 1e-9 m⁴", "Ix2, 1e-9 m⁴", "Ax1, 1e-4 m²", "Ax2, 1e-4 m²"], cells
+    ).rstrip()
 
 
 _PAIRING = {"shape": "shape", "index": "number"}

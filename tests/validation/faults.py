@@ -347,7 +347,7 @@ IN_THE_VERDICT = (
     ),
     Fault(
         "E-BFMI: upside down",
-        "fmu/analysis/convergence/movement.py",
+        "fmu/analysis/convergence/effective.py",
         "return np.sum(np.diff(energy, axis=1) ** 2, axis=1) / spread",
         "return spread / np.sum(np.diff(energy, axis=1) ** 2, axis=1)",
         ("tests/analysis/test_movement.py", *DIAGNOSTICS),

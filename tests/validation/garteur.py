@@ -19,14 +19,14 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu import cases
-from fmu.analysis.data.identifiability import contraction
+from fmu.analysis.identifiability import contraction
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.numbers import fixed, significant
-from fmu.report.markdown import table
 from fmu.report.plots.frequencies import plot_frequency_updates
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.plots.style import DPI
+from fmu.text_table import markdown_table
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _frequencies(done: Update, before: Sequence[int]) -> str:
     ]
     header = ("", "kind", "measured, Hz", "number before", "before, Hz", "error, %", "maximum, Hz", "error, %",
               "error of the mean, %", "MAC with before")  # fmt: skip
-    return table(header, rows, words=(0, 1))
+    return markdown_table(header, rows, words=(0, 1))
 
 
 def _parameters(done: Update) -> str:
@@ -185,7 +185,7 @@ def _parameters(done: Update) -> str:
         for k, parameter in enumerate(done.problem.parameters)
     ]
     header = ("parameter", "unit", "before", "maximum", "mean", "90 % interval", "contraction", "R-hat")
-    return table(header, rows, words=(0, 1))
+    return markdown_table(header, rows, words=(0, 1))
 
 
 def _bullets(sentences: Sequence[str]) -> str:

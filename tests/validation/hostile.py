@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmu.engines import default_workers
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.validation.hostile_beside import count
 from tests.validation.hostile_files import SEED
 from tests.validation.hostile_run import BAD_INPUT, MOST_MIB, SOON_S, Verdict, verdicts
@@ -85,7 +85,7 @@ def _table(found: Sequence[Verdict], title: str, kind: Callable[[Verdict], str])
             ", ".join(f"{n} {FAULTS.get(fault, fault)}" for fault, n in faults.items()) or "none",
         ])  # fmt: skip
     head = [title, "files", "refused", "checked", "slowest refusal, s", "peak, MiB", "faults"]
-    return table(head, rows, words=(0, 6))
+    return markdown_table(head, rows, words=(0, 6))
 
 
 def main(out: Path) -> int:

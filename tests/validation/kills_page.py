@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.validation.kills import KILLS, OF_THEM_WRITING, PHASES, Row
 from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES
 
@@ -41,12 +41,12 @@ def _kills(rows: Sequence[Row]) -> str:
             row.name, f"{size.warmup} + {size.draws}", f"{size.groups}", f"{row.seconds:.1f}",
             f"{sum(row.phases.values())}", *phases, f"{row.again}", f"{row.equal} of {row.runs}",
         ])  # fmt: skip
-    return table(head, cells)
+    return markdown_table(head, cells)
 
 
 def _losses(rows: Sequence[Row]) -> str:
     head = ["sampler", "most steps lost", "allowed", "longest time lost, s", "allowed, s"]
-    return table(
+    return markdown_table(
         head,
         [
             [row.name, f"{row.steps}", f"{LOSS_STEPS}", f"{row.lost_s:.2f}", f"{LOSS_S:g} and a step"]

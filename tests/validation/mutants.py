@@ -16,7 +16,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.validation.faults import FAULTS, Fault
 
 PROJECT = Path(__file__).parents[2]
@@ -126,7 +126,7 @@ def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
         caught=caught,
         faults=len(rows),
         minutes=processor_s / 60.0,
-        rows=table(["fault", "in", "caught by"], rows, (0, 1, 2)),
+        rows=markdown_table(["fault", "in", "caught by"], rows, (0, 1, 2)),
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu.numbers import significant
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.validation.bands import UniformRanks
 from tests.validation.calibration import DRAWS, QUANTITIES, Calibration
 from tests.validation.effective_size import BIAS, Ratio, limits
@@ -103,7 +103,7 @@ def _calibration_table(study: Study) -> str:
         cells = [f"{len(found.ranks)}", f"{median:.0f}", f"{least:.0f}", f"{np.mean(found.draws):.0f}"]
         rows.append([title, *cells, *(significant(p, 2) for p in study.p_values[title])])
     head = ["sampler", "replicates", "median ESS", "smallest ESS", "draws a run"]
-    return table([*head, *(f"p, {quantity}" for quantity in QUANTITIES)], rows)
+    return markdown_table([*head, *(f"p, {quantity}" for quantity in QUANTITIES)], rows)
 
 
 def _ratio_table(study: Study) -> str:
@@ -117,7 +117,7 @@ def _ratio_table(study: Study) -> str:
                 ", ".join(f"{ratio.value:.2f}" for ratio in of_kind), f"{lowest:.2f} – {highest:.2f}",
             ])  # fmt: skip
     head = ["sampler", "target", "ESS", "runs", "median ESS, by coordinate", "ratio, by coordinate", "gate"]
-    return table(head, rows, words=(0, 1, 2))
+    return markdown_table(head, rows, words=(0, 1, 2))
 
 
 PAGE = """# Validation of the samplers

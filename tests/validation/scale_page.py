@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from fmu.fem.reduced.training import affordable
 from fmu.numbers import MISSING, fixed, significant, whole
-from fmu.report.markdown import table
 from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, new_figure
+from fmu.text_table import markdown_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,7 +93,7 @@ def _demand(rows: Rows) -> str:
         f"{first['chains']}. The tolerance is that of the frequencies over the whole box, at fresh points, "
         "corners and faces; what the log-probability may be off follows from it "
         "(`fmu.posterior.train_reduced.Tolerance`).\n\n"
-        + table(header, lines)
+        + markdown_table(header, lines)
         + ("\n\nWhat training says:\n\n" + "\n".join(said) if said else "\n\nTraining reached every tolerance.")
         + "\n\n![Basis and time against the tolerance](scale/tolerance.png)"
     )
@@ -126,7 +126,8 @@ def _whole_run(rows: Rows) -> str:
             f"## The whole run: HMC, {row['chains']} chains × ({row['steps']} + {row['steps']}) draws, "
             f"`reduction={_power(row)}`\n\n"
             f"Four leapfrog steps a draw, step size and metric learnt. The certificate, of 64 draws solved again, "
-            f"{'keeps' if kept else 'does not keep'} its promise.\n\n" + table(("quantity", "found"), lines)
+            f"{'keeps' if kept else 'does not keep'} its promise.\n\n"
+            + markdown_table(("quantity", "found"), lines)
         )
     return "\n\n".join(parts)
 
@@ -167,7 +168,7 @@ def _by_dof(rows: Rows) -> str:
     return (
         f"## Degrees of freedom\n\n{base['parameters']} parameters, `reduction={_power(base)}`, batches of "
         f"{base['chains']}.\n\n"
-        + table(header, lines, words=())
+        + markdown_table(header, lines, words=())
         + said
         + "\n\n![Growth with degrees of freedom, parameters and chains](scale/growth.png)"
     )
@@ -203,7 +204,7 @@ def _by_parameters(rows: Rows) -> str:
         f"pays up to {affordable(size)} vectors. Training ends there and says what "
         "was reached, and what to do: a looser `reduction`, narrower bounds or priors, or the full model "
         "(`reduction=False`); fewer groups, where the data cannot tell them apart, do too.\n\n"
-        + table(header, lines, words=(0, -1))
+        + markdown_table(header, lines, words=(0, -1))
         + ("\n\n" + "\n".join(said) if said else "")
     )
 
@@ -224,7 +225,7 @@ def _by_chains(rows: Rows) -> str:
     return (
         f"## Chains\n\n{whole(n_dof(first))} DOF, {first['parameters']} parameters, "
         f"`reduction={_power(first)}`: a basis of {first['basis']} vectors, from the cache. All chains are "
-        "solved as one batch.\n\n" + table(header, lines, words=())
+        "solved as one batch.\n\n" + markdown_table(header, lines, words=())
     )
 
 

@@ -20,13 +20,12 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.certificate import CertificateWarning
-from fmu.analysis.convergence.diagnostics import STANDING_LIMIT, parameter_draws
-from fmu.analysis.convergence.effective import by_walker
-from fmu.analysis.convergence.movement import longest_stands
+from fmu.analysis.convergence.diagnostics import STANDING_LIMIT
+from fmu.analysis.convergence.effective import by_walker, longest_stands
 from fmu.analysis.maxima.missed import NEGLIGIBLE, draws_of_maxima
-from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.maxima.text import share_of_mass
-from fmu.report.markdown import table
+from fmu.analysis.maxima.results import Maxima, share_of_mass
+from fmu.analysis.trace.reading import parameter_draws
+from fmu.text_table import markdown_table
 from fmu.types import FloatArray
 from tests.four_storeys import SD, TRUTH, four_storeys
 
@@ -122,7 +121,7 @@ def write(rows: list[Row], directory: Path, processor_s: float) -> None:
     if failures:
         verdict = "**Chains that are stuck:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
     shares = {row.name: row.shares for row in rows}
-    maxima = table(
+    maxima = markdown_table(
         ["", "maxima", "their shares of the probability"],
         [[name, str(len(s)), ", ".join(share_of_mass(x) for x in s)] for name, s in shares.items()],
     )
@@ -136,7 +135,7 @@ def write(rows: list[Row], directory: Path, processor_s: float) -> None:
             sd=100 * SD,
             still=100 * STANDING_LIMIT,
             maxima=maxima.rstrip(),
-            runs=table(HEAD, [_cells(row) for row in rows]).rstrip(),
+            runs=markdown_table(HEAD, [_cells(row) for row in rows]).rstrip(),
         ),
         encoding="utf-8",
     )

@@ -21,7 +21,7 @@ import numpy as np
 import fmu
 from fmu.engines import default_workers, engine
 from fmu.engines.base import Engine
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.validation.scale_model import Size, scale_problem
 
 PAIRS = 3
@@ -123,7 +123,7 @@ Written by `python -m tests.validation.workers results` on {default_workers()} c
 {PAIRS} runs, one and two workers in turn, the workers already started (which takes some two seconds, once). Equal
 draws: runs whose draws and statistics are those of the first in every bit, one of them with {MANY} workers.
 
-{table(header, rows, words=(0, 4, 6))}
+{markdown_table(header, rows, words=(0, 4, 6))}
 
 - frame: 1008 degrees of freedom, 20 parameters, `reduction=1e-3`; HMC, {CHAINS} chains in {GROUPS} groups,
   {STEPS} + {STEPS} steps.

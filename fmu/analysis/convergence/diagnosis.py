@@ -1,4 +1,4 @@
-"""The verdict on a run: converged or not, and why; and, apart from it, whether the model fits."""
+"""The verdict on a run: converged or not, and why; whether the model fits; and samplers side by side."""
 
 from __future__ import annotations
 
@@ -6,31 +6,31 @@ import html
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
-    parameter_names,
     rhat_over_walkers,
     summary,
-    walkers_of,
 )
-from fmu.analysis.convergence.needed import draws_to_come, required_ess
-from fmu.analysis.data.information import information_warnings
-from fmu.analysis.data.model_fit import bound_warnings, fit_warnings, search_warnings, shape_warnings
-from fmu.analysis.data.repeatability import repeatability_warnings
-from fmu.analysis.maxima.missed import compared
-from fmu.analysis.maxima.other_runs import missed_places
+from fmu.analysis.convergence.remedies import draws_to_come, required_ess
+from fmu.analysis.information import information_warnings
+from fmu.analysis.maxima.missed import compared, missed_places
 from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.modes.pairing_changes import jump_warnings
-from fmu.analysis.trace.conversion import check_trace
+from fmu.analysis.pairing_changes import jump_warnings
+from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.repeatability import repeatability_warnings
+from fmu.analysis.trace.reading import check_trace, parameter_names, walkers_of
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
     from fmu.posterior.problem import UpdatingProblem
+
 
 CONVERGED = "converged"
 UNSEARCHED = (
@@ -246,3 +246,82 @@ def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
     kept = trace.copy()
     kept[GROUP] = xr.DataTree(maxima.to_dataset())
     return kept
+
+
+def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
+    """Compare the traces of several samplers on one problem.
+
+    What a sampler costs is what its user waits for: ``n_solves``, ``n_gradients`` and ``wall_s`` count the warm-up
+    in, and so do ``ess_per_solve`` and ``ess_per_s``. The counts without it are attributes of each trace.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        Traces under the names that the rows shall have.
+    problem : UpdatingProblem, optional
+        What was sampled. Its maxima are searched for, and a run that left out one that matters has not converged.
+        Maxima that a trace keeps, and what the other runs on the same posterior found, count without it too.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a sampler:
+
+        - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
+        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if one is NaN;
+        - ``mcse_over_sd_max``: largest standard error of a posterior mean over the posterior's sd;
+        - ``accept_rate``: share of the retained draws that left the previous position;
+        - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
+        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included;
+        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of that cost.
+
+    Raises
+    ------
+    ValueError
+        If `traces` is empty or holds something else than traces.
+    """
+    if not isinstance(traces, Mapping) or not traces:
+        raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
+    for name, trace in traces.items():
+        check_trace(trace, f"traces.{name}")
+    summaries = {name: summary(trace) for name, trace in traces.items()}
+    return side_by_side(traces, summaries, diagnose_all(traces, problem, summaries))
+
+
+def side_by_side(
+    traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
+) -> pd.DataFrame:
+    """Return the table of `compare`, where summaries and verdicts are at hand."""
+    import pandas as pd
+
+    rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
+    table = pd.DataFrame(rows, index=pd.Index(list(traces), name="sampler"))
+    table["divergences"] = table["divergences"].astype("Int64")
+    return table
+
+
+def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return one row of the comparison."""
+    import pandas as pd
+
+    stats = trace["sample_stats"]
+    # to_numpy(), because pandas skips NaN where a NaN must win.
+    ess = float(np.min(table["ess_bulk"].to_numpy()))
+    solves, gradients = (
+        int(trace.attrs[name]) + int(trace.attrs[f"warmup_{name}"]) for name in ("n_solves", "n_gradients")
+    )
+    wall_s = float(trace.attrs["wall_s"])
+    return {
+        "verdict": diagnosis.verdict,
+        "rhat_max": float(np.max(table["rhat"].to_numpy())),
+        "ess_bulk_min": ess,
+        "ess_tail_min": float(np.min(table["ess_tail"].to_numpy())),
+        "mcse_over_sd_max": float(np.max((table["mcse_mean"] / table["sd"]).to_numpy())),
+        "accept_rate": float(stats["accepted"].mean()),
+        "divergences": int(stats["diverging"].sum()) if "diverging" in stats else pd.NA,
+        "n_solves": solves,
+        "n_gradients": gradients,
+        "wall_s": wall_s,
+        "ess_per_solve": ess / solves if solves else np.nan,
+        "ess_per_s": ess / wall_s if wall_s > 0 else np.nan,
+    }

@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.movement import energy_fraction, longest_stands
-from fmu.analysis.convergence.needed import ESS_LIMIT as ESS_LIMIT
-from fmu.analysis.convergence.needed import (
+from fmu.analysis.convergence.effective import energy_fraction, longest_stands
+from fmu.analysis.convergence.remedies import ESS_LIMIT as ESS_LIMIT
+from fmu.analysis.convergence.remedies import (
     MCSE_LIMIT,
     MIN_AUTOCORRELATION_TIMES,
     WALKER_RHAT_LIMIT,
+    for_chains_apart,
+    for_too_few_draws,
     required_ess,
 )
-from fmu.analysis.convergence.needed import RHAT_LIMIT as RHAT_LIMIT
-from fmu.analysis.convergence.remedies import for_chains_apart, for_too_few_draws
-from fmu.analysis.trace.conversion import check_trace
+from fmu.analysis.convergence.remedies import RHAT_LIMIT as RHAT_LIMIT
+from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names, walkers_of
 from fmu.numbers import apart, given
 from fmu.types import FloatArray
 
@@ -32,24 +33,6 @@ MIN_ENSEMBLES = 4
 DIVERGING_LIMIT = 1e-3
 ENERGY_LIMIT = 0.3
 STANDING_LIMIT, STANDING_DRAWS = 0.2, 20
-
-
-def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the names of the sampled parameters, in the order of theta."""
-    return tuple(str(name) for name in trace["posterior"].data_vars)
-
-
-def parameter_draws(trace: xr.DataTree) -> FloatArray:
-    """Return the retained draws, shape (chains, draws, ndim), SI units."""
-    posterior = trace["posterior"]
-    return np.stack(
-        [posterior[name].transpose("chain", "draw").to_numpy() for name in parameter_names(trace)], axis=-1
-    )
-
-
-def walkers_of(trace: xr.DataTree) -> int:
-    """Return the number of walkers a chain of the trace consists of."""
-    return int(trace.attrs["walkers"])
 
 
 def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:

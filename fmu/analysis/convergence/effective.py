@@ -12,11 +12,17 @@ everyone who asks for a verdict.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.types import FloatArray
+from fmu.analysis.trace.reading import parameter_draws, walkers_of
+from fmu.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
 
 TAIL = (0.05, 0.95)
 """The quantiles whose estimates the tail ESS is about (Vehtari et al. 2021, section 4.3)."""
@@ -58,7 +64,7 @@ def ess_tail(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     below = [x <= quantile for quantile in np.quantile(x, TAIL)]
     if any(indicator.all() for indicator in below):
-        # More than 5 % of the draws repeat the largest value. ArviZ counts every draw of a constant as effective.
+        # More than 5 % of the draws repeat the largest value. ArviZ counts every draw of a constant as
         return np.nan
     if walkers > 1:
         return float(np.min([_ensemble_ess(indicator, walkers) for indicator in below]))
@@ -148,3 +154,179 @@ def _ensemble_ess(x: NDArray[np.generic], walkers: int) -> float:
 def _is_degenerate(x: FloatArray) -> bool:
     """Say whether the draws are too few, not finite, or all the same."""
     return x.shape[1] < _MIN_DRAWS or not np.all(np.isfinite(x)) or bool(np.ptp(x) == 0)
+
+
+def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
+    """Return the greatest number of draws in a row that are one and the same, shape (chains, walkers).
+
+    Parameters
+    ----------
+    position : ndarray, shape (chains, steps · walkers, ndim)
+        Step-major.
+    walkers : int
+    """
+    path = by_walker(position, walkers)
+    step = np.arange(path.shape[2])
+    moved = np.ones(path.shape[:3], dtype=bool)
+    moved[:, :, 1:] = np.any(path[:, :, 1:] != path[:, :, :-1], axis=-1)
+    arrived = np.maximum.accumulate(np.where(moved, step, 0), axis=2)
+    return np.max(step - arrived, axis=2) + 1
+
+
+def energy_fraction(energy: FloatArray) -> FloatArray:
+    """Return the Bayesian fraction of missing information of each chain, shape (chains,).
+
+    E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695): small where the momenta drawn
+    afresh change the energy by little of what it varies, so that the chain wanders through the energies. NaN where
+    the energy never changes.
+
+    Parameters
+    ----------
+    energy : ndarray, shape (chains, draws)
+    """
+    spread = np.sum((energy - energy.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.sum(np.diff(energy, axis=1) ** 2, axis=1) / spread
+
+
+MOST_RANKED = 2000
+"""Draws a chain that R-hat is made of."""
+MOST_BATCHES = 2000
+"""Batches a chain whose means the effective sample size is made of."""
+MOST_STEPS = 20_000
+"""Steps a chain that go into the batches."""
+
+
+def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
+    """Return the worst R-hat and the worst bulk effective sample size among the parameters, so far.
+
+    The rules are those of `fmu.summary`: rank-normalised split R-hat, over ensembles for an ensemble sampler; bulk
+    ESS, for ensembles by the autocorrelation time of their steps. Up to 2000 draws a chain they are its numbers.
+
+    Parameters
+    ----------
+    draws : ndarray, shape (chains, draws, ndim) or (chains, steps, walkers, ndim)
+        In the first, the draws of an ensemble are step-major.
+    walkers : int
+        Of an ensemble, in the first.
+
+    Returns
+    -------
+    dict of str to float
+        ``rhat`` and ``ess``. NaN where one parameter has none: R-hat of one chain, fewer than four draws, a
+        parameter that has not moved yet, a draw that is not finite.
+
+    Notes
+    -----
+    Of longer runs R-hat is that of every k-th draw, 2000 a chain, which moves it by less than it is known to. The
+    ESS is that of the mean of all draws, from means of consecutive ones: batching changes no variance of the mean,
+    as thinning would. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Of more than 20 000 steps a
+    chain every k-th is taken, so that the ESS of draws that hardly depend on each other is a lower bound, of about
+    20 000 a chain.
+    """
+    if draws.ndim == 4:
+        draws, walkers = draws.reshape(len(draws), -1, draws.shape[3]), draws.shape[2]
+    parameters = [np.ascontiguousarray(x) for x in np.moveaxis(draws, -1, 0)]
+    return {
+        "rhat": float(np.max([_live_rhat(x, walkers) for x in parameters])),
+        "ess": float(np.min([_live_ess(x, walkers) for x in parameters])),
+    }
+
+
+def _live_rhat(x: FloatArray, walkers: int) -> float:
+    if not np.all(np.isfinite(x)):  # also of the draws that are left out
+        return np.nan
+    return rhat(x[:, :: apart(x.shape[1], MOST_RANKED, walkers)])
+
+
+def _live_ess(x: FloatArray, walkers: int) -> float:
+    """Return the bulk ESS of one parameter, draws (chains, steps · walkers)."""
+    steps = x.shape[1] // walkers
+    if steps <= MOST_BATCHES or not np.all(np.isfinite(x)) or np.ptp(x) == 0:
+        return ess_bulk(x, walkers)
+    paths = x.reshape(len(x), steps, walkers)[:, :: -(-steps // MOST_STEPS)]
+    if walkers == 1:
+        paths = _rank_normalised(paths)
+    steps = paths.shape[1]
+    k = -(-steps // MOST_BATCHES)
+    paths = paths[:, steps % k :]  # the first few steps, rather than the latest
+    batches = paths.reshape(len(x), -1, k, walkers).mean(axis=2)
+    # about the mean of each ensemble, as its autocorrelation is
+    axes = (1, 2) if walkers > 1 else (0, 1, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of an ensemble that stands still it is NaN
+        ratio = np.var(paths, axis=axes) / np.var(batches, axis=axes)
+    flat = batches.reshape(len(x), -1)
+    if walkers == 1:
+        return float(min(ess_mean(flat) * ratio, paths.size * np.log10(paths.size)))
+    each = flat.shape[1] / autocorrelation_times(flat, walkers) * ratio
+    return float(np.sum(np.minimum(each, paths[0].size * np.log10(paths[0].size))))
+
+
+def _rank_normalised(x: FloatArray) -> FloatArray:
+    """Return the normal scores (Blom) of draws among every k-th of them, of the shape of `x`."""
+    from scipy.special import ndtri
+
+    among = np.sort(x[:, :: -(-x.shape[1] // MOST_RANKED)], axis=None)
+    # twice the number of draws below, ties counted half
+    place = np.searchsorted(among, x, "left") + np.searchsorted(among, x, "right")
+    scores = ndtri((0.5 * np.arange(2 * len(among) + 1) + 0.125) / (len(among) + 0.25))
+    return np.asarray(scores[place])
+
+
+LENGTHS = 20
+_FEWEST = 20
+_MOST_RANKED = 1500
+
+
+def lengths(steps: int, n: int = LENGTHS) -> IntArray:
+    """Return at most `n` growing numbers of steps, evenly apart on a logarithmic scale, the last one `steps`."""
+    return np.unique(np.geomspace(min(_FEWEST, steps), steps, n).round().astype(np.int64))
+
+
+def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntArray, FloatArray]:
+    """Return the mean of every chain's first draws.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    at : ndarray of int, shape (n,), optional
+        Numbers of steps: `lengths` of the run if not given.
+
+    Returns
+    -------
+    at : ndarray, shape (n,)
+    means : ndarray, shape (n, chains, ndim), SI units
+        Over all walkers of an ensemble.
+    """
+    walkers = walkers_of(trace)
+    draws = parameter_draws(trace)
+    at = lengths(draws.shape[1] // walkers) if at is None else np.asarray(at)
+    sums = np.cumsum(draws, axis=1)[:, at * walkers - 1]
+    return at, np.moveaxis(sums / (at * walkers)[None, :, None], 1, 0)
+
+
+def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
+    """Return the R-hat that a run would have had if it had been shorter.
+
+    Of long runs every k-th draw is ranked, at most 1500 a chain, which moves R-hat by less than it is known to.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+
+    Returns
+    -------
+    at : ndarray, shape (n,)
+        Numbers of steps.
+    rhat : ndarray, shape (n, ndim)
+        Between ensembles for an ensemble sampler; NaN of one chain.
+    """
+    walkers = walkers_of(trace)
+    draws = parameter_draws(trace)
+    at = lengths(draws.shape[1] // walkers)
+    values = np.empty((len(at), draws.shape[2]))
+    for row, steps in zip(values, at, strict=True):
+        distance = apart(steps * walkers, _MOST_RANKED, walkers)
+        first = draws[:, : steps * walkers : distance]
+        row[:] = [rhat(x) for x in np.moveaxis(first, -1, 0)]
+    return at, values

@@ -1,4 +1,4 @@
-"""What to do about a run that has not converged, in one sentence each."""
+"""How many draws a run needs by the rule of convergence, and what to do about one that has not converged."""
 
 from __future__ import annotations
 
@@ -7,13 +7,98 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.convergence.needed import RHAT_LIMIT, WALKER_RHAT_LIMIT, growth_needed
 from fmu.numbers import typed
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+
+RHAT_LIMIT = 1.01
+ESS_PER_CHAIN = 100
+ESS_LIMIT = 400
+MIN_AUTOCORRELATION_TIMES = 50
+WALKER_RHAT_LIMIT = 1.05
+MCSE_LIMIT = 0.1
+
+RELIABLE_ESS = 50.0
+"""Below this an effective sample size is too uncertain to predict from: it errs by a third and more."""
+_SLACK, _LEAST, _MOST_BLIND, _MOST = 1.02, 1.05, 2.0, 4.0
+_FIRST_PART = 0.8
+_MOST_FOR_RHAT = 1.15
+
+
+def required_ess(chains: int) -> int:
+    """Return the bulk and tail ESS that every parameter must have."""
+    return max(ESS_LIMIT, ESS_PER_CHAIN * chains)
+
+
+def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
+    """Return the factor by which the draws must grow until effective sample sizes and standard errors suffice.
+
+    An effective sample size grows in proportion to the draws, a squared standard error falls so.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        ``fmu.summary(trace)``.
+    required : float
+        Bulk and tail ESS that every parameter must have.
+    lengths : ndarray, shape (ndim,), optional
+        Of ensembles, the run's length in autocorrelation times.
+
+    Returns
+    -------
+    float
+        At most 1 if they suffice; NaN if one of them does not exist.
+    """
+    ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
+    errors = (table["mcse_mean"] / table["sd"]).to_numpy() / MCSE_LIMIT
+    factors = [required / ess, float(np.max(errors)) ** 2]
+    if lengths is not None:
+        factors.append(MIN_AUTOCORRELATION_TIMES / float(np.min(lengths)))
+    return float(np.max(factors))
+
+
+def draws_to_come(
+    draws: int, table: pd.DataFrame, required: float, lengths: FloatArray | None, walker_rhat: FloatArray | None
+) -> int:
+    """Return how many steps to draw before a run that is not good enough is looked at again.
+
+    As many as are missing by `growth_needed`, and 2 % more. Where that more than doubles the run, four fifths of
+    the way at first, and no further than four times the run: the effective sample size is known better from there.
+    An ESS below 50 is too uncertain to predict from, and the run is doubled. Where only R-hat is too high, which
+    scatters too much for a prediction, the run grows by 5 to 15 %. Where nothing of this is the reason why the
+    verdict is not good, the run is doubled.
+
+    Parameters
+    ----------
+    draws : int
+        Steps drawn so far.
+    table : pandas.DataFrame
+        ``fmu.summary(trace)``.
+    required : float
+        Bulk and tail ESS that every parameter must have.
+    lengths, walker_rhat : ndarray, shape (ndim,), or None
+        Of ensembles, the run's length in autocorrelation times, and R-hat over walkers.
+    """
+    growth = growth_needed(table, required, lengths)
+    ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
+    excess = [np.max(table["rhat"].to_numpy() - 1.0) / (RHAT_LIMIT - 1.0)]
+    if walker_rhat is not None:
+        excess.append(np.max(walker_rhat - 1.0) / (WALKER_RHAT_LIMIT - 1.0))
+    if not (np.isfinite(growth) and ess >= RELIABLE_ESS):
+        factor = _MOST_BLIND
+    elif growth > 1.0:
+        factor = _SLACK * growth
+        if factor > _MOST_BLIND:
+            factor = min(max(_MOST_BLIND, _FIRST_PART * factor), _MOST)
+    elif np.max(excess) >= 1.0:
+        factor = min(float(np.max(excess)), _MOST_FOR_RHAT)
+    else:  # no number of draws is known to help, or R-hat is NaN
+        factor = _MOST_BLIND
+    return math.ceil((max(factor, _LEAST) - 1.0) * draws)
 
 
 APART = 1.2

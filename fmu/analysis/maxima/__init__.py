@@ -1,4 +1,4 @@
 """The maxima of the posterior with their probability, and the runs that missed one.
 
-Reading order: results, search, curvature, mass, missed, starts.
+Reading order: results, search, mode_weights, missed, starts.
 """

@@ -3,22 +3,47 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
-from fmu.analysis.maxima.text import MOST_SHOWN, NEGLIGIBLE, in_words, share_of_mass
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, given, hertz, rounded, written_digits
+from fmu.numbers import apart, given, hertz, rounded, share, written_digits
 from fmu.text_table import distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+
+MOST_SHOWN = 6
+"""Maxima that are shown side by side."""
+NEGLIGIBLE = 0.01
+"""Share of the probability that may be left out."""
+RELIABLE = 20.0
+"""Effective draws that the mass of a maximum must rest on."""
+
+
+def share_of_mass(part: float) -> str:
+    """Return the share of a maximum: it is above 0, even where it is too small for a number."""
+    return share(max(part, np.finfo(float).tiny))
+
+
+def mass_in_words(part: float) -> str:
+    """Say what part of the probability there is: ``"about 3 %"``, ``"less than 0.01 %"``."""
+    text = share_of_mass(part)
+    return text.replace("< ", "less than ").replace("> ", "more than ") if text[0] in "<>" else f"about {text}"
+
+
+def in_words(names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None) -> str:
+    """Name a parameter vector: ``"Ix1 = 3.904e-9 m⁴, Ax1 = 0.0009 m²"``, with the digits that `sd` leaves."""
+    spread = np.full(len(theta), np.nan) if sd is None else sd
+    parts = zip(names, theta, spread, units, strict=True)
+    return ", ".join(f"{name} = {rounded(float(x), float(s))} {unit}".rstrip() for name, x, s, unit in parts)
 
 
 _FEWEST_DIGITS = 4

@@ -9,7 +9,7 @@ from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
-from fmu.analysis.maxima.text import NEGLIGIBLE
+from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray, IntArray

@@ -1,4 +1,4 @@
 """From a run's result to an ArviZ trace, with what is needed to understand it later.
 
-Reading order: conversion, provenance, description, modal_states.
+Reading order: conversion, reading, provenance, modal_states, failure_ledger.
 """

@@ -8,25 +8,30 @@ of walkers is in the trace's attributes.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.evidence.estimate import tempering_group
 from fmu.analysis.trace.provenance import attributes
-from fmu.analysis.trace.replay import DistinctDraws
+from fmu.analysis.trace.reading import check_trace
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.posterior.errors.correlated import CorrelatedFrequencyError
+from fmu.progress.phases import by_parts
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
+from fmu.samplers.tempering.ladder import first_ladder, rejections
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.samplers.loop.run import Draws, RunResult
     from fmu.types import LogDensity
+
 
 GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
@@ -65,7 +70,7 @@ def to_trace(
         (``frequency``, and ``tests``, a row a test, where it is their mean) and ``constant_data`` (``lower``,
         ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel
         tempering ``tempering``
-        (`fmu.analysis.evidence.estimate.tempering_group`). The attributes say how the draws came about.
+        (`tempering_group`). The attributes say how the draws came about.
     """
     import xarray as xr
 
@@ -150,15 +155,6 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
         raise ValueError(f"path: must be a trace written by fmu (not a readable netCDF file: {path})") from error
     check_trace(trace, str(path))
     return trace
-
-
-def check_trace(trace: Any, origin: str = "trace") -> None:
-    """Raise ValueError unless `trace` has what the analysis relies on; `origin` names it in the message."""
-    needed = ("posterior", "sample_stats")
-    missing = [group for group in needed if group not in getattr(trace, "children", {})]
-    missing += [name for name in ("sampler", "walkers", "wall_s") if name not in getattr(trace, "attrs", {})]
-    if missing:
-        raise ValueError(f"{origin}: must be a trace written by fmu (it has no {', '.join(missing)})")
 
 
 def names_of(density: LogDensity) -> tuple[str, ...]:
@@ -249,3 +245,87 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
         "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
     }
+
+
+BATCH = 4096
+"""Draws handed to the model at a time: bounds the memory that one batched eigenvalue call takes."""
+
+
+@dataclass(frozen=True)
+class DistinctDraws:
+    """The draws of a run without the repetitions that rejections leave.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n, ndim)
+        Draws that differ from their predecessor in the same chain (in the same walker of an ensemble).
+    inverse : ndarray of int, shape (chains, draws)
+        Row of `theta` that each draw equals.
+    """
+
+    theta: FloatArray
+    inverse: IntArray
+
+    @classmethod
+    def of(cls, position: FloatArray, walkers: int = 1) -> DistinctDraws:
+        """Drop consecutive repetitions.
+
+        Parameters
+        ----------
+        position : ndarray, shape (chains, steps * walkers, ndim)
+            Step-major: a walker's next draw lies `walkers` rows further on.
+        walkers : int
+        """
+        chains, draws, ndim = position.shape
+        paths = position.reshape(chains, draws // walkers, walkers, ndim).swapaxes(1, 2)
+        moved = np.ones(paths.shape[:3], dtype=bool)
+        moved[:, :, 1:] = np.any(paths[:, :, 1:] != paths[:, :, :-1], axis=-1)
+        inverse = np.cumsum(moved).reshape(moved.shape) - 1
+        return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
+
+    def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int = BATCH) -> FloatArray:
+        """Return ``function(theta)`` for every draw, shape (chains, draws, ...): the phase "predictions" of a run.
+
+        Parameters
+        ----------
+        function : callable
+            Maps (n, ndim) to (n, ...); called with at most `batch` rows, once for each distinct draw.
+        batch : int
+        """
+        return np.concatenate(by_parts("predictions", function, self.theta, batch))[self.inverse]
+
+
+def tempering_group(result: RunResult) -> xr.Dataset:
+    """Return what the rungs saw in a run of parallel tempering.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
+        ``rejection`` (of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ; ``round_trips`` of
+        replicas from the posterior to the prior and back, and ``round_trip_rate``, a draw and chain;
+        ``round_trip_limit``, (2 + 2Λ)⁻¹, which it has where replicas forget where they were in every step
+        (Syed et al. 2022, section 3.4).
+    """
+    import xarray as xr
+
+    draws = result.posterior.stats[LOG_LIKELIHOOD]
+    given = result.learnt.get("temperatures") or result.settings["temperatures"]
+    t = first_ladder(result.settings["rungs"]) if given is None else np.asarray(given)
+    rejection = rejections(draws, t).mean(axis=0)
+    barrier, trips = float(rejection.sum()), int(result.posterior.stats["round_trips"].sum())
+    chains, steps, rungs = draws.shape
+    return xr.Dataset(
+        {
+            "log_likelihood": (("chain", "draw", "rung"), draws),
+            "inverse_temperature": ("rung", t),
+            "rejection": ("rung", np.append(rejection, np.nan)),
+        },
+        coords={"chain": np.arange(chains), "draw": np.arange(steps), "rung": np.arange(rungs)},
+        attrs={
+            "barrier": barrier,
+            "round_trips": trips,
+            "round_trip_rate": trips / (chains * steps),
+            "round_trip_limit": 1.0 / (2.0 + 2.0 * barrier),
+        },
+    )

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.analysis.convergence.diagnostics import parameter_draws
 from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.modes.modal import mac
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray

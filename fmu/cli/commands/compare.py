@@ -16,8 +16,7 @@ def command(directory: Path) -> None:
     paths = sorted(directory.glob("*.nc"))
     if not paths:
         raise click.BadParameter(f"{directory} contains no traces (*.nc).", param_hint="'DIRECTORY'")
-    from fmu.analysis.convergence.comparison import side_by_side
-    from fmu.analysis.convergence.diagnosis import diagnose_all
+    from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.trace.conversion import load_trace
 

@@ -11,6 +11,6 @@ import click
 @click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
 def command(directory: Path) -> None:
     """Write an HTML report on the run in DIRECTORY: report/index.html and one page per sampler."""
-    from fmu.report.html import write_report
+    from fmu.report.pages import write_report
 
     click.echo(f"Written to {write_report(directory)}")

@@ -167,7 +167,7 @@ def _told(outcome: Sampled, running: RunDirectory, reports: bool, progress: str)
     try:
         code = tell(outcome, running.path)
         if reports:
-            from fmu.report.html import publish
+            from fmu.report.pages import publish
 
             with _reporting(progress) as report, told_to(report, running.note):
                 index = publish(outcome.traces, running.path)

@@ -4,21 +4,21 @@ Functions take traces and draw on a matplotlib Figure of their own or one that i
 and touch no global state of matplotlib.
 """
 
+from fmu.report.plots.chains import plot_autocorrelation as plot_autocorrelation
+from fmu.report.plots.chains import plot_energy as plot_energy
+from fmu.report.plots.chains import plot_ranks as plot_ranks
+from fmu.report.plots.chains import plot_running_means as plot_running_means
+from fmu.report.plots.chains import plot_running_rhat as plot_running_rhat
+from fmu.report.plots.chains import plot_traces as plot_traces
 from fmu.report.plots.corner import plot_corner as plot_corner
 from fmu.report.plots.frequencies import Frequencies as Frequencies
 from fmu.report.plots.frequencies import plot_frequency_errors as plot_frequency_errors
 from fmu.report.plots.frequencies import plot_frequency_updates as plot_frequency_updates
 from fmu.report.plots.frequencies import plot_predictive_check as plot_predictive_check
-from fmu.report.plots.mixing import plot_autocorrelation as plot_autocorrelation
-from fmu.report.plots.mixing import plot_energy as plot_energy
-from fmu.report.plots.mixing import plot_ranks as plot_ranks
 from fmu.report.plots.modes import plot_mac as plot_mac
 from fmu.report.plots.modes import plot_mode_shapes as plot_mode_shapes
+from fmu.report.plots.parameters import plot_efficiency as plot_efficiency
 from fmu.report.plots.parameters import plot_parameter_updates as plot_parameter_updates
-from fmu.report.plots.paths import plot_traces as plot_traces
-from fmu.report.plots.running import plot_running_means as plot_running_means
-from fmu.report.plots.running import plot_running_rhat as plot_running_rhat
-from fmu.report.plots.samplers import plot_efficiency as plot_efficiency
 from fmu.report.plots.style import BLACK as BLACK
 from fmu.report.plots.style import COLOURS as COLOURS
 from fmu.report.plots.style import DPI as DPI

@@ -49,7 +49,7 @@ def plot_corner(
     """
     import corner
 
-    from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
+    from fmu.analysis.trace.reading import parameter_draws, parameter_names
 
     known = parameter_names(trace)
     names = known if names is None else tuple(names)

@@ -121,7 +121,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     -------
     Axes
     """
-    from fmu.analysis.data.prediction import measured_tests, measurement_in_words, predict_frequencies
+    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 
     table, tests = predict_frequencies(trace), measured_tests(trace)
     series = []
@@ -176,7 +176,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     ValueError
         If the trace has no predictive distribution of measurements.
     """
-    from fmu.analysis.data.prediction import measured_tests, measurement_in_words, predict_frequencies
+    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:

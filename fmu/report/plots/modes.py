@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fmu.numbers import fixed, hertz
 from fmu.report.plots.style import (
     BLACK,
+    COLOURS,
     FONT,
     GREY,
     NARROW,
@@ -211,3 +212,52 @@ def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:
         points.append(nodes[second])
         last = second
     return np.array(points)
+
+
+_ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0, 1.0]])
+
+
+def plot_mode(
+    coordinates: FloatArray, ends: NDArray[np.int64], displacement: FloatArray, figure: Figure | None = None
+) -> Axes:
+    """Draw a structure and its deformed shape.
+
+    Along a line: the largest displacement over the position. In a plane that the mode stays in: face on. Else in
+    isometric projection.
+
+    Parameters
+    ----------
+    coordinates : ndarray, shape (n_nodes, 3), m
+    ends : ndarray of int, shape (n_elements, 2)
+    displacement : ndarray, shape (n_nodes, 3)
+        The largest being 1.
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
+    """
+    figure = figure or new_figure(NARROW, 2.3)
+    axes = figure.subplots()
+    extent = np.ptp(coordinates, axis=0)
+    wide = np.flatnonzero(extent > _FLAT * extent.max())
+    swing = _SWING * float(extent.max())
+    if len(wide) == 1:
+        across = int(np.argmax(np.sum(displacement**2, axis=0)))
+        x, u = coordinates[:, wide[0]], displacement[:, across]
+        undeformed, deformed = np.stack([x, 0.0 * x], axis=1), np.stack([x, u / np.max(np.abs(u))], axis=1)
+        axes.set_ylim(-1.15, 1.15)
+        axes.set_xlabel(f"{'xyz'[wide[0]]} / m", fontsize=FONT)
+        axes.set_ylabel(f"{'xyz'[across]} displacement\n/ largest", fontsize=FONT)
+    else:
+        in_plane = len(wide) == 2 and np.sum(displacement[:, wide] ** 2) > 0.5 * np.sum(displacement**2)
+        project = np.eye(3)[:, wide] if in_plane else _ISOMETRIC
+        undeformed, deformed = coordinates @ project, (coordinates + swing * displacement) @ project
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+    for points, shade, width in ((undeformed, GREY, 0.9), (deformed, COLOURS["hmc"], 2.0)):
+        pieces = np.full((len(ends), 3, 2), np.nan)  # a gap after every element
+        pieces[:, :2] = points[ends]
+        axes.plot(*pieces.reshape(-1, 2).T, color=shade, linewidth=width, solid_capstyle="round")
+    finish(axes)
+    return axes

@@ -6,17 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from fmu.analysis.convergence.diagnostics import RHAT_LIMIT, parameter_draws
-from fmu.analysis.convergence.movement import energy_fraction
+from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
+from fmu.analysis.convergence.effective import energy_fraction
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.numbers import decimals, fixed, given, significant, span
-from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text
+from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
+from fmu.report.plots.chains import (
+    plot_autocorrelation,
+    plot_energy,
+    plot_ranks,
+    plot_running_means,
+    plot_running_rhat,
+    plot_traces,
+)
 from fmu.report.plots.corner import plot_corner
-from fmu.report.plots.mixing import plot_autocorrelation, plot_energy, plot_ranks
-from fmu.report.plots.paths import plot_traces
-from fmu.report.plots.running import plot_running_means, plot_running_rhat
 from fmu.report.plots.style import NARROW, new_figure
 from fmu.report.run import ReportedRun
-from fmu.report.svg import picture
 
 _MOST_PAIRS, _FEWEST = 8, 50
 TOO_FEW = "there are too few draws"

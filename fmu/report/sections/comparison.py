@@ -9,11 +9,9 @@ import numpy as np
 import pandas as pd
 
 from fmu.numbers import decimals, fixed, significant, span, whole
-from fmu.report.document import Items, Link, PageSection, PageTable, Pictures, Text
-from fmu.report.plots.parameters import plot_parameter_updates
-from fmu.report.plots.samplers import plot_efficiency
+from fmu.report.document import Items, Link, PageSection, PageTable, Pictures, Text, picture
+from fmu.report.plots.parameters import plot_efficiency, plot_parameter_updates
 from fmu.report.run import ReportedRun
-from fmu.report.svg import picture
 
 CLOSE = 4.0
 """Differences of means of converged runs below so many standard errors are chance: 1 in 16 000 goes beyond."""

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.data.identifiability import Identifiability, contraction, kept_identifiability
-from fmu.analysis.data.model_fit import measured_mac
-from fmu.analysis.modes.pairing_changes import pairing_changes
+from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
+from fmu.analysis.pairing_changes import pairing_changes
+from fmu.analysis.prediction import measured_mac
 from fmu.analysis.trace.modal_states import GROUP, MEAN, START
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
-from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text
+from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import ReportedRun
-from fmu.report.svg import picture
 
 NO_SHAPES = "the trace has no mode shapes: the model gives none, or an older version of fmu sampled it"
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}

@@ -1,21 +1,21 @@
-"""What updating changed: parameters, frequencies, and the maxima of the posterior."""
+"""What updating changed: parameters, frequencies, the maxima of the posterior and the evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from fmu.analysis.data.information import COMBINED, DATA, PRIOR, information
-from fmu.analysis.data.prediction import measured_tests, measurement_in_words
-from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.maxima.text import MOST_SHOWN, share_of_mass
+from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences, is_pseudo
+from fmu.analysis.information import COMBINED, DATA, PRIOR, information
+from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
+from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, rounded, share, span
-from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text
+from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
-from fmu.report.plots.style import constant
+from fmu.report.plots.style import constant, shown
 from fmu.report.run import ReportedRun
-from fmu.report.svg import picture
-from fmu.report.units import shown
 
 _RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, for a combination"}
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
@@ -146,3 +146,24 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     return PageTable(
         "Model at the start, at the maxima and at the posterior mean", header, tuple(rows), words=(1,)
     )
+
+
+def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
+    """Return every log-evidence that there is, with its error, what it rests on and whether it is reliable."""
+    title = "Evidence"
+    first = next(iter(runs.values()))
+    known = [run.maxima for run in runs.values() if run.maxima is not None]
+    maxima = max(known, key=lambda found: found.log_evidence, default=None)
+    found = found_evidences(
+        {name: run.trace for name, run in runs.items()},
+        {name: run.diagnosis for name, run in runs.items()},
+        maxima,
+    )
+    if not found:
+        nothing = "no maxima are known, and there is no run of parallel tempering"
+        return Omitted(title, PSEUDO if is_pseudo(first.trace) else nothing)
+    rows = tuple((f"{one.basis[0].upper()}{one.basis[1:]}", one.value, one.is_reliable) for one in found)
+    table = PageTable(
+        "Natural logarithm, ± its standard error", ("from", "log-evidence", "reliable"), rows, words=(2,)
+    )
+    return PageSection("evidence", title, (Text(WHAT), table))

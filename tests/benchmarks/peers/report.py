@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.report.markdown import table
+from fmu.text_table import markdown_table
 from tests.benchmarks.peers.figure import draw, short
 from tests.benchmarks.peers.outcome import Cost, Figures
 
@@ -166,7 +166,9 @@ def budget(rows: list[Row]) -> str:
             faster("emcee, default moves", "SciPy, weak plane"),
         ),
     ]
-    return table(["HMC on cantilever-young", "budget", "after warm-up", "warm-up counted", "met"], lines, (0, 4))
+    return markdown_table(
+        ["HMC on cantilever-young", "budget", "after warm-up", "warm-up counted", "met"], lines, (0, 4)
+    )
 
 
 def comparison(rows: list[Row]) -> str:
@@ -187,7 +189,7 @@ def comparison(rows: list[Row]) -> str:
         checks = ["", ""] if row.is_product else [f"{row.rhat:.3f}", away]
         lines.append([name, row.unit, *figures, *checks])
     head = ["sampler", "evaluation", "ESS per evaluation", "warm-up counted", "ESS per s", "warm-up counted"]
-    return table([*head, "largest R-hat", "means, se"], lines, (0, 1))
+    return markdown_table([*head, "largest R-hat", "means, se"], lines, (0, 1))
 
 
 def deviation(row: Row, rows: list[Row]) -> float:

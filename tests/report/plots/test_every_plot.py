@@ -7,9 +7,9 @@ import pytest
 from matplotlib.colors import to_hex
 
 from fmu.report import plots
+from fmu.report.document import inline_svg
 from fmu.report.plots import COLOURS, plot_corner
 from fmu.report.plots.style import new_figure
-from fmu.report.svg import inline_svg
 
 GPA = tuple(f"E{k} / GPa" for k in range(1, 6))
 Y_LABELS = {

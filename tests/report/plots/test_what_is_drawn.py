@@ -8,9 +8,8 @@ import xarray as xr
 from matplotlib.colors import to_hex
 
 import fmu
-from fmu.analysis.convergence.effective import autocorrelation
-from fmu.analysis.convergence.running import running_means, running_rhat
-from fmu.analysis.data.prediction import predict_frequencies
+from fmu.analysis.convergence.effective import autocorrelation, running_means, running_rhat
+from fmu.analysis.prediction import predict_frequencies
 from fmu.numbers import hertz
 from fmu.report import plots
 from fmu.report.plots import COLOURS

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.analysis.data.prediction import measured_tests
+from fmu.analysis.prediction import measured_tests
 from fmu.numbers import fixed, share, significant, whole
 from fmu.posterior.data.repeated import RepeatedTests
 from fmu.types import BoolArray, FloatArray

@@ -1,8 +1,9 @@
-"""The evidence of a problem, from what parallel tempering meets between prior and posterior."""
+"""The evidence of a model, with its error and what it rests on."""
 
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,16 +11,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from fmu.analysis.convergence import effective
+from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
 from fmu.numbers import apart, given, significant, with_sd
-from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
-from fmu.samplers.tempering.ladder import first_ladder, rejections
+from fmu.samplers.tempering.ladder import rejections
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from fmu.samplers.loop.draws import RunResult
+    from fmu.analysis.convergence.diagnosis import Diagnosis
+    from fmu.analysis.maxima.results import Maxima
 
 
 GROUP = "tempering"
@@ -135,43 +137,7 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
     within = effective.mcse_mean(whole.influence)
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     error = float(np.fmax(within, between))
-    return Evidence(whole.value, error, method, within, between, _table(draws, t))
-
-
-def tempering_group(result: RunResult) -> xr.Dataset:
-    """Return what the rungs saw in a run of parallel tempering.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
-        ``rejection`` (of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ; ``round_trips`` of
-        replicas from the posterior to the prior and back, and ``round_trip_rate``, a draw and chain;
-        ``round_trip_limit``, (2 + 2Λ)⁻¹, which it has where replicas forget where they were in every step
-        (Syed et al. 2022, section 3.4).
-    """
-    import xarray as xr
-
-    draws = result.posterior.stats[LOG_LIKELIHOOD]
-    given = result.learnt.get("temperatures") or result.settings["temperatures"]
-    t = first_ladder(result.settings["rungs"]) if given is None else np.asarray(given)
-    rejection = rejections(draws, t).mean(axis=0)
-    barrier, trips = float(rejection.sum()), int(result.posterior.stats["round_trips"].sum())
-    chains, steps, rungs = draws.shape
-    return xr.Dataset(
-        {
-            "log_likelihood": (("chain", "draw", "rung"), draws),
-            "inverse_temperature": ("rung", t),
-            "rejection": ("rung", np.append(rejection, np.nan)),
-        },
-        coords={"chain": np.arange(chains), "draw": np.arange(steps), "rung": np.arange(rungs)},
-        attrs={
-            "barrier": barrier,
-            "round_trips": trips,
-            "round_trip_rate": trips / (chains * steps),
-            "round_trip_limit": 1.0 / (2.0 + 2.0 * barrier),
-        },
-    )
+    return Evidence(whole.value, error, method, within, between, _rung_table(draws, t))
 
 
 def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
@@ -213,7 +179,7 @@ def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     return _Estimate(float(value), moved @ (1.0 / share))
 
 
-def _table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
+def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
     """Return the table of `Evidence`."""
     import pandas as pd
 
@@ -230,3 +196,129 @@ def _table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
         },
         index=pd.RangeIndex(len(t), name="rung"),
     )
+
+
+_APART = 4.0
+PSEUDO = "the modal residual is a pseudo-likelihood and has no evidence"
+WHAT = (
+    "The evidence is the probability density of the data under the model and its prior. Of several models "
+    "with the same measured data and errors of the same kind, the one with the largest evidence is the most "
+    "probable."
+)
+
+
+@dataclass(frozen=True)
+class FoundEvidence:
+    """A log-evidence with where it comes from.
+
+    Attributes
+    ----------
+    log_evidence, error : float
+        Natural logarithm, and its standard error; NaN where it is not known.
+    basis : str
+        What it rests on.
+    doubts : tuple of str
+        Why it is not reliable, half a sentence each; empty if it is.
+    """
+
+    log_evidence: float
+    error: float
+    basis: str
+    doubts: tuple[str, ...]
+
+    @property
+    def value(self) -> str:
+        """The log-evidence with its error."""
+        return with_sd(self.log_evidence, self.error)
+
+    @property
+    def is_reliable(self) -> str:
+        """Whether it is, in a word, and if not, why."""
+        return f"not reliable: {'; '.join(self.doubts)}" if self.doubts else "reliable"
+
+    def __str__(self) -> str:
+        return f"log-evidence {self.value}, from {self.basis}: {self.is_reliable}"
+
+
+def found_evidences(
+    traces: Mapping[str, xr.DataTree], verdicts: Mapping[str, Diagnosis], maxima: Maxima | None
+) -> list[FoundEvidence]:
+    """Return the evidences that runs of parallel tempering and the masses of the maxima give.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        Of one problem.
+    verdicts : mapping of str to Diagnosis
+        On each of them.
+    maxima : Maxima or None
+
+    Returns
+    -------
+    list of FoundEvidence
+        Empty for a pseudo-likelihood, and where there is neither a run of parallel tempering nor a maximum.
+    """
+    if any(is_pseudo(trace) for trace in traces.values()):
+        return []
+    found = [
+        _of_tempering(name, trace, verdicts[name]) for name, trace in traces.items() if GROUP in trace.children
+    ]
+    if maxima is not None:
+        reached = max(float(trace["sample_stats"]["lp"].max()) for trace in traces.values())
+        found.append(_of_maxima(maxima, reached))
+    return _compared(found)
+
+
+def is_pseudo(trace: xr.DataTree) -> bool:
+    """Say whether a trace is of the modal residual, whose pseudo-likelihood is no density of the data."""
+    return "log_likelihood" in trace.children and "residual" in trace["log_likelihood"]
+
+
+def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvidence:
+    found = evidence(trace)
+    doubts = list(found.warnings)
+    if not verdict.converged:
+        doubts.append("the run has not converged")
+    basis = f"parallel tempering over {len(found.table)} rungs" + ("" if name == "tempering" else f" ({name})")
+    return FoundEvidence(found.log_evidence, found.error, basis, tuple(doubts))
+
+
+def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
+    """Return the sum of the masses of the maxima, and what speaks against it."""
+    matter = [m for m in maxima if m.share > NEGLIGIBLE]
+    fewest = min(m.effective_draws for m in matter)
+    count = "one maximum" if len(maxima) == 1 else f"{len(maxima)} maxima"
+    doubts = []
+    if fewest == 0.0:
+        basis = f"the Laplace approximation at {count}"
+        doubts.append("the posterior may not be Gaussian around them, and no draws have checked it")
+    else:
+        basis = f"importance sampling around {count}, worth {significant(_worth(maxima))} independent draws"
+        if fewest < RELIABLE:
+            doubts.append(
+                f"around one of them it is worth {significant(fewest, 2)} draws; {significant(RELIABLE)} are "
+                f"needed"
+            )
+    if reached > max(m.log_prob for m in maxima) + 1e-3:
+        doubts.append("a draw lies above all maxima, so one was missed")
+    return FoundEvidence(maxima.log_evidence, maxima.log_evidence_error, basis, tuple(doubts))
+
+
+def _worth(maxima: Maxima) -> float:
+    """Return how many independent draws the sum of the masses is worth."""
+    return 1.0 / maxima.log_evidence_error**2
+
+
+def _compared(found: list[FoundEvidence]) -> list[FoundEvidence]:
+    """Return the evidences, each with the doubt that another, reliable one casts on it."""
+    reliable = [one for one in found if not one.doubts]
+    compared = []
+    for one in found:
+        doubts = [
+            f"it disagrees with {other.value} from {other.basis}"
+            for other in reliable
+            if other is not one
+            and not abs(one.log_evidence - other.log_evidence) <= _APART * np.hypot(one.error, other.error)
+        ]
+        compared.append(FoundEvidence(one.log_evidence, one.error, one.basis, (*one.doubts, *doubts)))
+    return compared

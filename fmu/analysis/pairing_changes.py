@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.convergence.diagnostics import parameter_draws
-from fmu.analysis.trace.conversion import check_trace
 from fmu.analysis.trace.modal_states import GROUP as MODES
 from fmu.analysis.trace.modal_states import START
+from fmu.analysis.trace.reading import check_trace, parameter_draws
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.pairing.rules import RankPairing
 from fmu.numbers import share, significant

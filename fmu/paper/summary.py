@@ -6,14 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from fmu.numbers import about, fixed, share, significant, whole, with_interval
 from fmu.paper.experiment import PAIRED_BY
-from fmu.paper.findings import Findings
-from fmu.paper.pages.page import ENDS
-from fmu.paper.pages.run_sections import WOULD_NEED
-from fmu.paper.pages.vector_beta_page import outcome
-from fmu.paper.published.claims import judge, statement
-from fmu.paper.vector_beta import RELATIVE, VectorBeta
-from fmu.report.markdown import table
+from fmu.paper.findings import Findings, judge, statement
+from fmu.paper.page import ENDS, WOULD_NEED
+from fmu.paper.vector_beta import RELATIVE, VectorBeta, outcome
 from fmu.report.plots import TITLES
+from fmu.text_table import markdown_table
 
 FILES = {
     "errata.md": "what in the paper is not so, from its tables and the model",
@@ -64,7 +61,7 @@ def summary_page(
     studies = [findings.weighted for findings in everything if findings.weighted is not None]
     if studies:
         parts += ["## A β for every mode\n", _remark(studies)]
-    parts += ["## Files\n", table(("file", "what it is"), FILES.items(), words=(0, 1))]
+    parts += ["## Files\n", markdown_table(("file", "what it is"), FILES.items(), words=(0, 1))]
     parts += ["## How it was made\n", _how(seed, versions)]
     return "\n".join(parts)
 
@@ -102,7 +99,7 @@ def _means(findings: Findings) -> str:
     if not any(map(findings.is_converged, findings.comparison.index)):
         rows.append(row(f"*{findings.origin}*", "reference_mean"))
     header = ["", *(f"{n}, {u[1]}" for n, u in zip(names, units, strict=True))]
-    return f"### Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}\n\n" + table(
+    return f"### Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}\n\n" + markdown_table(
         header, rows
     )
 
@@ -127,7 +124,7 @@ def _costs(everything: Sequence[Findings]) -> str:
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
         "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
         f"differences there, as the paper does, and exact gradients in the long runs. {WOULD_NEED}\n\n"
-        + table(header, rows, words=(0, 1, 2))
+        + markdown_table(header, rows, words=(0, 1, 2))
     )
 
 
@@ -138,7 +135,7 @@ def _claims(everything: Sequence[Findings]) -> str:
         for j in judge(findings)
     ]
     return (
-        table(("experiment", "the paper", "this run", "why"), rows, words=range(4))
+        markdown_table(("experiment", "the paper", "this run", "why"), rows, words=range(4))
         + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
         "posterior have one mean: where their tables differ by more than Monte-Carlo error, a run was too "
         "short, or sat in another mode.\n"

@@ -1,15 +1,138 @@
-"""The parts of an experiment's page that are about the runs: convergence, cost, maxima, fit and settings."""
+"""The page of one experiment: the paper's tables beside ours."""
 
 from __future__ import annotations
 
 import json
 from typing import Any
 
-from fmu.numbers import MISSING, about, fixed, share, significant, whole
-from fmu.paper.findings import Findings
-from fmu.paper.published.claims import SEPARATED, judge
-from fmu.report.markdown import table
+from fmu.numbers import MISSING, about, fixed, given, share, significant, whole, with_interval
+from fmu.paper.experiment import CI_PROB, PAIRED_BY, rows_of
+from fmu.paper.findings import SEPARATED, Findings, judge, statement
+from fmu.paper.plan import PAPER_SAMPLERS
 from fmu.report.plots import TITLES
+from fmu.text_table import markdown_table
+
+ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
+
+
+def experiment_page(findings: Findings) -> str:
+    """Return tables.md."""
+    published = findings.published
+    parts = [
+        f"# Section {published.section} of the paper, modes paired {PAIRED_BY[findings.pairing]}\n",
+        _how_to_read(findings),
+        "## Before updating, and by optimisation\n",
+        _initial(findings),
+    ]
+    for name in PAPER_SAMPLERS:
+        parts += [f"## {TITLES[name]}\n", _parameters(findings, name), _frequencies(findings, name)]
+    parts += ["## Convergence and cost\n", reached_and_cost(findings), statement(findings).strip() + "\n"]
+    parts += ["## What the paper says on its samplers\n", claims(findings)]
+    parts += ["## Where the posterior has its maxima\n", maxima(findings), places(findings)]
+    parts += ["## Whether the model fits\n", fit(findings)]
+    parts += ["## Settings\n", settings(findings)]
+    return "\n".join(parts)
+
+
+def _how_to_read(findings: Findings) -> str:
+    tables = f"Tables {findings.published.parameter_table} and {findings.published.frequency_table}"
+    by_shape = (
+        " The paper pairs by number; recomputed with shapes, its fourth frequency is another one."
+        if findings.pairing == "shape"
+        else ""
+    )
+    return (
+        f"*Published*: {tables}. *Recomputed*: the model at the published parameters.{by_shape} *The paper's "
+        "protocol, ours*: 1000 samples of one chain from the paper's start vector, all of them kept, settings "
+        "fixed by hand. *Long run*: several chains from draws of the prior, after a warm-up; mean of the "
+        f"parameters with the {share(CI_PROB)} equal-tailed interval. Frequencies are those of the model at the "
+        "parameters' mean, and errors |f − f_m|/f_m, as in the paper; *predicted* is the posterior predictive "
+        f"mean with its {share(CI_PROB)} interval for a new measurement, eq. (10).\n\n"
+        "Files: `parameters.csv`, `frequencies.csv` and `comparison.csv` hold the same numbers in SI units and "
+        "in full; `trace-*.png`, `corner-*.png`, `frequencies-*.png` and `convergence.png` show them. A report on "
+        "the long runs, to open in a browser: [report/index.html](report/index.html).\n"
+    )
+
+
+def _mean_and_interval(findings: Findings, parameter: str, sampler: str) -> str:
+    columns = (f"long_{sampler}_mean", *(f"long_{sampler}_{end}" for end in ENDS))
+    mean, low, high = findings.in_paper_units(parameter, *columns)
+    return with_interval(mean, low, high, 3)
+
+
+def _initial(findings: Findings) -> str:
+    column = findings.published.columns["initial"]
+    cells = []
+    for j, name in enumerate(findings.parameters.index):
+        text = f"{name} = {column.parameters[j]}"
+        cells.append(
+            text + (f" (must be {significant(column.theta[j], 3)})" if j in column.corrected_parameters else "")
+        )
+    rows = [
+        (
+            mode, given(row.measured_hz), given(row.published_initial_hz), given(row.published_initial_error),
+            fixed(row.recomputed_initial_hz, 2), fixed(row.recomputed_initial_error, 2),
+            fixed(row.maximum_hz, 2), fixed(row.maximum_error, 2),
+        )
+        for mode, row in rows_of(findings.frequencies)
+    ]  # fmt: skip
+    header = (
+        "mode", "measured, Hz", "published, Hz", "error, %", "recomputed, Hz", "error, %",
+        "at the maximum, Hz", "error, %",
+    )  # fmt: skip
+    return (
+        f"Start vector: {', '.join(cells)}. *At the maximum*: the one vector that deterministic updating gives, "
+        "where the posterior is highest.\n\n" + markdown_table(header, rows)
+    )
+
+
+def _parameters(findings: Findings, sampler: str) -> str:
+    rows = []
+    for name in findings.parameters.index:
+        _, unit = findings.unit_of_paper(name)
+        published, protocol, maximum = findings.in_paper_units(
+            name, f"published_{sampler}", f"paper_{sampler}", "maximum"
+        )
+        rows.append((
+            name, unit, given(published), fixed(protocol, 3), _mean_and_interval(findings, name, sampler),
+            _mean_and_interval(findings, name, "emcee"), fixed(maximum, 3),
+        ))  # fmt: skip
+    header = (
+        "parameter", "unit", "published", "the paper's protocol, ours", _long(findings, sampler),
+        _long(findings, "emcee"), "maximum",
+    )  # fmt: skip
+    return markdown_table(header, rows, words=(0, 1))
+
+
+def _frequencies(findings: Findings, sampler: str) -> str:
+    header = ["mode", "measured, Hz"]
+    sources = {
+        f"published_{sampler}": "published",
+        f"recomputed_{sampler}": "recomputed",
+        f"paper_{sampler}": "the paper's protocol, ours",
+        f"long_{sampler}": _long(findings, sampler),
+        "long_emcee": _long(findings, "emcee"),
+    }
+    for source, words in sources.items():
+        header += [f"{words}, Hz", "error, %"] + (["predicted, Hz"] if source.startswith("long_") else [])
+    rows = []
+    for mode, row in rows_of(findings.frequencies):
+        cells = [mode, given(row.measured_hz)]
+        for source in sources:
+            hz, error = getattr(row, f"{source}_hz"), getattr(row, f"{source}_error")
+            printed = source.startswith("published_")
+            cells += [given(hz), given(error)] if printed else [fixed(hz, 2), fixed(error, 2)]
+            if source.startswith("long_"):
+                low, high = (getattr(row, f"{source}_predictive_{end}") for end in ENDS)
+                cells.append(with_interval(getattr(row, f"{source}_predictive"), low, high, 1))
+        rows.append(cells)
+    return markdown_table(header, rows)
+
+
+def _long(findings: Findings, sampler: str) -> str:
+    words = "emcee, long run" if sampler == "emcee" else "long run"
+    return words + ("" if findings.is_converged(sampler) else " (not converged)")
+
 
 WOULD_NEED = (
     "*Would need*: solves that the paper's settings take for an effective sample size of 400, at the pace of "
@@ -49,14 +172,14 @@ def reached_and_cost(findings: Findings) -> str:
     ]
     return (
         "The long runs; of every statistic the worst parameter's.\n\n"
-        + table(_REACHED, reached, words=(0, 1))
+        + markdown_table(_REACHED, reached, words=(0, 1))
         + ("\n" if failed else "")
         + "".join(failed)
         + "\nWhat they cost, all chains and the warm-up counted, and the paper's protocol beside them. An "
         "exact gradient is one solve. *To converge*: after how many solves the long run passed for converged, "
         f"and did at every greater length looked at; {MISSING} if it never did, and an ESS then means nothing. "
         f"{WOULD_NEED} *Off*: distance of the worst parameter's mean from the reference, in posterior standard "
-        f"deviations. Reference: {findings.origin}.\n\n" + table(_COST, cost)
+        f"deviations. Reference: {findings.origin}.\n\n" + markdown_table(_COST, cost)
     )
 
 
@@ -70,7 +193,7 @@ def _efficiency(findings: Findings, sampler: str) -> list[str]:
 def claims(findings: Findings) -> str:
     """Return the paper's statements on its samplers and what became of them."""
     rows = [(j.statement, j.outcome, j.evidence) for j in judge(findings)]
-    return table(("the paper", "this run", "why"), rows, words=range(3))
+    return markdown_table(("the paper", "this run", "why"), rows, words=range(3))
 
 
 def maxima(findings: Findings) -> str:
@@ -89,7 +212,9 @@ def maxima(findings: Findings) -> str:
     text = (
         "At each maximum, and in brackets mean and sd of the part of the posterior around it (importance "
         "sampling, no chain). *Lower*: in log-probability than number 1.\n\n"
-        + table([*header, "lower", "share of the probability", "modes paired", "climbs"], rows, words=(0, -2))
+        + markdown_table(
+            [*header, "lower", "share of the probability", "modes paired", "climbs"], rows, words=(0, -2)
+        )
     )
     if len(findings.separate_maxima) > 1:
         text += f"\n{SEPARATED}"
@@ -119,7 +244,7 @@ def places(findings: Findings) -> str:
     return (
         "\nWhich modes are compared with the measured ones, along the long runs (W: weak plane, S: strong "
         "plane, "
-        "T: torsion, A: axial):\n\n" + table(("sampler", "share of the draws"), rows, words=(0, 1))
+        "T: torsion, A: axial):\n\n" + markdown_table(("sampler", "share of the draws"), rows, words=(0, 1))
     )
 
 
@@ -146,7 +271,9 @@ def settings(findings: Findings) -> str:
         "1); those that are null were learnt in warm-up. Frequency and log-probability: the largest error of "
         "the reduced model, relative and absolute, against the full one at draws of the run; far below the "
         "maximum, where the paper's protocol starts, only the frequency matters.\n\n"
-        + table(("run", "steps", "frequency", "log-probability", "learnt", "settings"), rows, words=(0, 1, 4, 5))
+        + markdown_table(
+            ("run", "steps", "frequency", "log-probability", "learnt", "settings"), rows, words=(0, 1, 4, 5)
+        )
     )
 
 
@@ -158,8 +285,3 @@ def _brief(name: str, value: Any) -> list[str]:
         shape = f"{len(value)} × {len(value[0])}" if value and isinstance(value[0], list) else str(len(value))
         return [f"{name}: {shape} numbers"]
     return [f"{name} {significant(value, 3)}"] if isinstance(value, int | float) else []
-
-
-def rows_of(frame: Any) -> list[tuple[Any, Any]]:
-    """Return index and row of a table, the row's cells by attribute."""
-    return [(row.Index, row) for row in frame.itertuples()]

@@ -266,8 +266,7 @@ def contraction(trace: xr.DataTree) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from fmu.analysis.convergence.diagnostics import parameter_draws, parameter_names
-    from fmu.analysis.trace.conversion import check_trace
+    from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
 
     check_trace(trace)
     if "prior" not in trace.children:

@@ -9,8 +9,7 @@ import numpy as np
 
 from fmu.numbers import share
 from fmu.paper.convergence import Curve
-from fmu.paper.experiment import PAIRED_BY, Result
-from fmu.paper.pages.tables import CI_PROB, posterior_mean
+from fmu.paper.experiment import CI_PROB, PAIRED_BY, Result, posterior_mean
 from fmu.report.plots import (
     BLACK,
     COLOURS,

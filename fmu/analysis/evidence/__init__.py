@@ -1,4 +1,0 @@
-"""The evidence of a model, with its error and what it rests on.
-
-Reading order: estimate, text.
-"""

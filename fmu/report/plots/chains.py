@@ -1,0 +1,350 @@
+"""The chains: their paths, ranks, autocorrelation and energies, and estimates while the run grows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.numbers import given
+from fmu.report.plots.style import (
+    BLACK,
+    FONT,
+    GREY,
+    NARROW,
+    PALE,
+    chain_colours,
+    colour,
+    constant,
+    finish,
+    legend_below,
+    literal,
+    new_figure,
+    stacked,
+    unit_of,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_MAX_POINTS = 1500
+
+
+def plot_traces(
+    traces: Mapping[str, xr.DataTree], published: ArrayLike | None = None, figure: Figure | None = None
+) -> NDArray[Any]:
+    """Draw the paths of the chains, one row a parameter and one column a trace, warm-up shaded.
+
+    Of an ensemble one walker is shown. The frames fit the draws kept: what precedes them may leave the frame.
+    Dashed lines are bounds.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        By the title of the column.
+    published : array_like, shape (parameters,), optional
+        Values to compare the first trace with, SI units.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (parameters, traces)
+    """
+    from fmu.analysis.trace.reading import parameter_names
+
+    names = parameter_names(next(iter(traces.values())))
+    figure = figure or new_figure(5.2 * len(traces) + 0.4, 1.55 * len(names) + 0.8)
+    axes = figure.subplots(len(names), len(traces), sharex="col", squeeze=False)
+    for j, (title, trace) in enumerate(traces.items()):
+        walkers = int(trace.attrs["walkers"])
+        for i, name in enumerate(names):
+            _plot_path(axes[i, j], trace, name)
+        if trace["warmup_posterior"].sizes["draw"]:
+            _say_above(axes[0, j], 0.5 * trace["warmup_posterior"].sizes["draw"] / walkers, "warm-up")
+        axes[0, j].set_title(literal(title), fontsize=FONT + 1)
+        axes[-1, j].set_xlabel("step" if walkers == 1 else "step (one walker of each ensemble)", fontsize=FONT)
+    if published is not None:
+        for axis, name, value in zip(axes[:, 0], names, np.asarray(published, dtype=float), strict=True):
+            _compare(axis, value / unit_of(next(iter(traces.values())), name).factor)
+        _say_above(axes[0, 0], axes[0, 0].get_xlim()[1], "dotted: published", "right")
+    figure.align_ylabels(axes)
+    return axes
+
+
+def _say_above(axes: Axes, x: float, words: str, side: Literal["center", "right"] = "center") -> None:
+    """Write small words on top of the frame."""
+    axes.text(x, 1.0, words, transform=axes.get_xaxis_transform(), ha=side, va="bottom", fontsize=FONT - 2,
+              color=GREY)  # fmt: skip
+
+
+def _compare(axes: Axes, value: float) -> None:
+    """Draw a value to compare with, making room for it."""
+    low, high = axes.get_ylim()
+    axes.axhline(value, color=BLACK, linestyle=":", linewidth=1.3)
+    axes.set_ylim(min(low, value - 0.05 * (high - low)), max(high, value + 0.05 * (high - low)))
+
+
+def _plot_path(axes: Axes, trace: xr.DataTree, name: str) -> None:
+    """Draw the paths of all chains in one parameter."""
+    unit = unit_of(trace, name)
+    walkers = int(trace.attrs["walkers"])
+    warm, kept = (
+        trace[group][name].transpose("chain", "draw").to_numpy()[:, ::walkers] / unit.factor
+        for group in ("warmup_posterior", "posterior")
+    )
+    paths = np.concatenate([warm, kept], axis=1)
+    every = max(1, paths.shape[1] // _MAX_POINTS)
+    steps = np.arange(1, paths.shape[1] + 1)[::every]
+    for path, shade in reversed(list(zip(paths, chain_colours(trace), strict=True))):
+        axes.plot(steps, path[::every], color=shade, linewidth=0.7, rasterized=True)
+    if warm.shape[1]:
+        axes.axvspan(0, warm.shape[1], color=PALE, zorder=0, linewidth=0)
+    low, high = kept.min(), kept.max()
+    margin = 0.08 * (high - low) or 0.01 * abs(high)
+    axes.set_ylim(low - margin, high + margin)
+    axes.set_xlim(0, paths.shape[1])
+    for bound in ("lower", "upper"):
+        value = constant(trace, bound, name) / unit.factor
+        if low - margin < value < high + margin:
+            axes.axhline(value, color=BLACK, linestyle="--", linewidth=0.8)
+    axes.set_ylabel(literal(unit.label(name)), fontsize=FONT)
+    finish(axes)
+
+
+_RANKED = (20, 500)
+_LAGS = 100
+
+
+def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+    """Draw ArviZ's rank plots, one row a parameter: chains of one distribution stay near zero.
+
+    The difference between the distribution of a chain's ranks among all draws, and the uniform one. The p-value is
+    that of a multi-chain test of uniformity; where it is below 1 % the ranks at fault are marked. The test takes
+    draws for independent: every k-th is ranked, so many as are effective, at least 20 and at most 500 a chain.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        Of at least two chains.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (parameters,)
+
+    Raises
+    ------
+    ValueError
+        If there is one chain only: it has nothing to be ranked among.
+    """
+    import xarray as xr
+    from arviz_plots import plot_rank
+    from arviz_plots.plot_collection import PlotCollection
+
+    from fmu.analysis.convergence.effective import apart
+    from fmu.analysis.trace.reading import parameter_names, walkers_of
+
+    names, walkers = parameter_names(trace), walkers_of(trace)
+    posterior = trace["posterior"].to_dataset()
+    if posterior.sizes["chain"] < 2:
+        raise ValueError("trace: must have at least two chains to rank (got 1)")
+    axes = stacked(len(names), figure)
+    ranked = _independent(trace) / posterior.sizes["chain"]
+    most = int(np.clip(ranked, *_RANKED)) if np.isfinite(ranked) else _RANKED[1]
+    thinned = posterior.isel(draw=slice(None, None, apart(posterior.sizes["draw"], most, walkers)))
+    panels = {name: xr.DataArray(np.array(axis, dtype=object)) for name, axis in zip(names, axes, strict=True)}
+    drawn_on = {"figure": xr.DataArray(np.array(axes[0].figure, dtype=object))}
+    collection = PlotCollection(
+        thinned,
+        xr.DataTree.from_dict({"/": xr.Dataset(drawn_on), "plot": xr.Dataset(panels)}),
+        aes={"color": ["chain"], "overlay": ["chain"]},
+        backend="matplotlib",
+        color=chain_colours(trace),
+    )
+    visuals: Any = {"xlabel": False, "title": False, "remove_axis": False}
+    plot_rank(thinned, envelope_prob=0.99, plot_collection=collection, visuals=visuals)
+    for name, axis in zip(names, axes, strict=True):
+        for path in (*axis.lines, *axis.collections):
+            path.set_rasterized(True)
+        axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
+        axis.set_ylabel(f"Δ ECDF of\n{literal(name)}", fontsize=FONT)
+        finish(axis)
+    axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
+    axes[0].figure.align_ylabels(axes)
+    return axes
+
+
+def _independent(trace: xr.DataTree) -> float:
+    """Return the smallest effective sample size of a parameter, NaN where one has none."""
+    from fmu.analysis.convergence.effective import ess_bulk
+    from fmu.analysis.trace.reading import parameter_draws, walkers_of
+
+    return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
+
+
+def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+    """Draw the autocorrelation of each chain, one row a parameter, out to a hundred steps.
+
+    Of an ensemble the average over its walkers, about their common mean, from which its effective sample size is
+    estimated.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (parameters,)
+    """
+    from fmu.analysis.convergence.effective import autocorrelation
+    from fmu.analysis.trace.reading import parameter_draws, parameter_names, walkers_of
+
+    names, walkers = parameter_names(trace), walkers_of(trace)
+    draws = parameter_draws(trace)
+    axes = stacked(len(names), figure, sharey=True)
+    for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        for values, shade in zip(autocorrelation(draws[..., i], walkers), chain_colours(trace), strict=True):
+            axis.plot(values[: _LAGS + 1], color=shade, linewidth=1.2)
+        axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
+        axis.set_ylabel(f"autocorrelation\nof {literal(name)}", fontsize=FONT)
+        finish(axis)
+    axes[-1].set_xlabel("lag / steps", fontsize=FONT)
+    axes[-1].set_xlim(0, min(_LAGS, draws.shape[1] // walkers - 1) or 1)
+    return axes
+
+
+def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
+    """Draw the energies of Hamiltonian trajectories and their changes from one to the next, both about zero.
+
+    Where the changes are much narrower than the energies themselves, new momenta cannot carry the chain through
+    the posterior (Betancourt 2016, arXiv:1604.00695, section 2).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With ``energy`` in its sample_stats.
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    ValueError
+        If the sampler has no energies.
+    """
+    if "energy" not in trace["sample_stats"]:
+        raise ValueError(f"trace: must have energies (the sampler {trace.attrs['sampler']} has none)")
+    energy = trace["sample_stats"]["energy"].transpose("chain", "draw").to_numpy()
+    figure = figure or new_figure(NARROW, 3.0)
+    axes = figure.subplots()
+    about, changes = (energy - energy.mean()).ravel(), np.diff(energy, axis=1).ravel()
+    ends = np.quantile(np.concatenate([about, changes]), [0.0005, 0.9995])
+    bins = np.linspace(ends[0], ends[1], 50).tolist()
+    axes.hist(
+        about, bins, density=True, color=colour(str(trace.attrs["sampler"])), alpha=0.45, label="energy − mean"
+    )
+    axes.hist(changes, bins, density=True, histtype="step", color=BLACK, linewidth=1.3,
+              label="change from draw to draw")  # fmt: skip
+    axes.set_xlabel("energy (−log-probability + kinetic), nats", fontsize=FONT)
+    axes.set_ylabel("density / nat⁻¹", fontsize=FONT)
+    finish(axes)
+    legend_below(axes)
+    return axes
+
+
+_DASHES = ("-", "--", "-.", ":")
+_FLOOR = 1e-3
+"""What is nearer to 1 than this, or below, tells nothing apart."""
+
+
+def plot_running_means(
+    trace: xr.DataTree, table: pd.DataFrame | None = None, figure: Figure | None = None
+) -> NDArray[Any]:
+    """Draw the mean of each chain's first draws, one row a parameter.
+
+    The band is the mean of all draws with twice its standard error.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    table : pandas.DataFrame, optional
+        ``fmu.summary(trace)``, where it is at hand.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (parameters,)
+    """
+    from fmu.analysis.convergence.diagnostics import summary
+    from fmu.analysis.convergence.effective import lengths, running_means
+    from fmu.analysis.trace.reading import parameter_names, walkers_of
+
+    names = parameter_names(trace)
+    table = summary(trace) if table is None else table
+    axes = stacked(len(names), figure)
+    steps = trace["posterior"].sizes["draw"] // walkers_of(trace)
+    at, means = running_means(trace, lengths(steps, 60))
+    for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        unit = unit_of(trace, name)
+        mean, error = (float(table[column][name]) / unit.factor for column in ("mean", "mcse_mean"))
+        if np.isfinite(error):
+            axis.axhspan(mean - 2 * error, mean + 2 * error, color=PALE, linewidth=0, zorder=0)
+        axis.axhline(mean, color=GREY, linewidth=0.8, zorder=1)
+        for chain, shade in enumerate(chain_colours(trace)):
+            axis.plot(at, means[:, chain, i] / unit.factor, color=shade, linewidth=1.2)
+        axis.set_xscale("log")
+        axis.minorticks_off()
+        axis.set_ylabel(literal(unit.label(name)), fontsize=FONT)
+        finish(axis)
+    axes[-1].set_xlabel("steps kept", fontsize=FONT)
+    axes[0].figure.align_ylabels(axes)
+    return axes
+
+
+def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
+    """Draw R-hat of each parameter while the run grows, with the limit that the verdict uses.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
+    """
+    from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
+    from fmu.analysis.convergence.effective import running_rhat
+    from fmu.analysis.trace.reading import parameter_names
+
+    figure = figure or new_figure(NARROW, 3.4)
+    axes = figure.subplots()
+    at, rhat = running_rhat(trace)
+    shades = chain_colours(trace)
+    base = colour(str(trace.attrs["sampler"]))
+    for i, name in enumerate(parameter_names(trace)):
+        dashes = _DASHES[i % len(_DASHES)]
+        shade = base if i < len(_DASHES) else shades[-1]
+        above = np.maximum(rhat[:, i] - 1.0, _FLOOR)
+        axes.plot(at, above, label=literal(name), color=shade, linestyle=dashes, linewidth=1.6)
+    axes.plot(at[[0, -1]], [RHAT_LIMIT - 1.0] * 2, color=BLACK, linewidth=1.0)
+    axes.annotate(f"limit {given(RHAT_LIMIT)}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
+                  ha="right", fontsize=FONT - 2)  # fmt: skip
+    finite = rhat[np.isfinite(rhat)] - 1.0
+    axes.set_ylim(_FLOOR, max(3.0 * (RHAT_LIMIT - 1.0), 1.3 * finite.max(initial=0.0)))
+    axes.set(xscale="log", yscale="log")
+    axes.minorticks_off()
+    axes.set_xlabel("steps kept", fontsize=FONT)
+    axes.set_ylabel(f"R-hat − 1 (at least {given(_FLOOR)})", fontsize=FONT)
+    finish(axes)
+    legend_below(axes)
+    return axes
