@@ -55,8 +55,9 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
         If an error is above its tolerance, 1e-6 (frequency, relative) and 1e-3 (log-probability) unless the
         problem was given another one, or a pairing changed.
     """
-    structure: Any = getattr(problem, "model", None)
-    if getattr(structure, "reduced", None) is None:
+    model = getattr(problem, "model", None)
+    structure = None if model is None else model.as_structure()
+    if structure is None or structure.reduced is None:
         return {}
     draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))

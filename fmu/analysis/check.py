@@ -19,10 +19,7 @@ from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.fem.frame.drawing import changed_elements, drawing, parameter_colours
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.rules import IndexPairing
-from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import fixed, given, listed, significant, with_sd
 from fmu.text_table import text_table, wrapped
 
@@ -40,10 +37,9 @@ _TRANSLATIONS = ("x", "y", "z")
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
     """Say what a problem's model is: its size, its decoupled parts, its mass, what answers for it."""
-    model = problem.model
-    if not isinstance(model, PairedStructure):
-        name = model.black_box.name if isinstance(model, PairedBlackBox) else type(model).__name__
-        return [f"The model is the function {name}, treated as a black box."]
+    model = problem.model.as_structure()
+    if model is None:
+        return [f"The model is the function {problem.model.name}, treated as a black box."]
     structure = model.structure
     sizes = [str(len(block)) for block in structure.blocks]
     parts = "in one block" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"
@@ -52,13 +48,11 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
     said += _masses(problem, structure)
     said.append(_pairing(problem, model))
-    if model.reduced is not None:
-        reduced = [str(block.size) for block in model.reduced.blocks if isinstance(block, ReducedBlock)]
-        if reduced:
-            said.append(
-                f"Within the bounds a reduced model with {' + '.join(reduced)} unknowns replaces it, "
-                f"certified against the full model."
-            )
+    if model.reduced_sizes:
+        said.append(
+            f"Within the bounds a reduced model with {' + '.join(map(str, model.reduced_sizes))} unknowns "
+            f"replaces it, certified against the full model."
+        )
     else:
         said.append("The full model is used everywhere; there is no reduced model.")
     return said
@@ -68,10 +62,10 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return one row a parameter: unit, start, bounds (SI units), prior in words, what it changes if known."""
     import pandas as pd
 
-    structure = getattr(problem.model, "structure", None)
+    structure = problem.model.structure
     rows = []
     for j, parameter in enumerate(problem.parameters):
-        changes = _changes(structure, j) if isinstance(structure, SeparableModel) else ""
+        changes = "" if structure is None else _changes(structure, j)
         if j >= problem.model.n_parameters:
             changes = "measurement errors"
         rows.append(
@@ -99,8 +93,8 @@ def prior_in_words(settings: dict[str, Any]) -> str:
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     """Return the structure as SVG and the colour of what each parameter changes; empty and None if not drawn."""
-    structure = getattr(problem.model, "structure", None)
-    if not isinstance(structure, SeparableModel) or not _is_drawable(structure):
+    structure = problem.model.structure
+    if structure is None or not _is_drawable(structure):
         return "", [None] * problem.ndim
     others = [None] * (problem.ndim - structure.n_parameters)
     return drawing(structure, problem.data.sensors), [*parameter_colours(structure), *others]
@@ -134,8 +128,8 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 
 
 def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:
-    if isinstance(model.rule, IndexPairing):
-        return f"Modes are paired by number in the sorted spectrum: {', '.join(map(str, model.rule.numbers))}."
+    if not model.by_shape:
+        return f"Modes are paired by number in the sorted spectrum: {', '.join(map(str, problem.data.numbers))}."
     if problem.data.shapes is not None:
         return (
             f"Modes are paired by shape: by MAC with the shapes measured at {len(problem.data.sensors)} sensors."

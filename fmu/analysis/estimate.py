@@ -58,7 +58,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     from fmu.samplers import named
 
     per_gradient = problem.solves_per_gradient
-    is_function = hasattr(problem.model, "black_box")
+    is_function = problem.model.black_box is not None
     one_s = _seconds_of_one(problem)
     is_slow = is_function or one_s > _SLOW_S
     found = []
@@ -84,8 +84,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         if is_slow and not is_function:
             predicted = lines * orders["draws"] * distinct
             found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
-    if getattr(problem.model, "reduced", None) is not None:
-        full_s = _timed(lambda: problem.model.full_modes(problem.start[None, : problem.n_structural]))  # type: ignore[attr-defined]
+    if problem.model.reduced_sizes:
+        full_s = _timed(lambda: problem.model.full_frequencies(problem.start[None, : problem.n_structural]))
         of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
         found += [of_each] * len(orders["samplers"])
     if sum(part.seconds for part in found) < 1.0:
@@ -101,9 +101,9 @@ def in_words(parts: list[Estimate]) -> str:
 
 def _seconds_of_one(problem: UpdatingProblem) -> float:
     """Return how long a solve takes: of a function, one call."""
-    model: Any = problem.model
-    if hasattr(model, "black_box"):
-        return _timed(lambda: model.black_box.at(problem.start[: problem.n_structural]))
+    function = problem.model.black_box
+    if function is not None:
+        return _timed(lambda: function.at(problem.start[: problem.n_structural]))
     return _timed(lambda: problem.log_prob(problem.start))
 
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import frequency_hz, is_rigid, mac
 from fmu.fem.modes.separable import selection
 from fmu.fem.modes.threads import single_thread
-from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.rules import IndexPairing, assign
+from fmu.fem.pairing.rules import assign
 from fmu.numbers import MISSING, apart, change, fixed, given, hertz, share
 from fmu.types import BoolArray, FloatArray
 
@@ -225,10 +225,11 @@ def initial_modes(problem: UpdatingProblem, theta: ArrayLike | None = None) -> I
     labels = tuple(map(str, problem.data.labels))
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
     structural = point[: problem.model.n_parameters]  # behind them, what is uncertain of the errors
-    if isinstance(problem.model, PairedStructure):
-        return _of_structure(problem, problem.model, structural, labels, measured)
-    if isinstance(problem.model, PairedBlackBox):
-        return _of_function(problem.model, structural, labels, measured)
+    structure, function = problem.model.as_structure(), problem.model.black_box
+    if structure is not None:
+        return _of_structure(problem, structure, structural, labels, measured)
+    if function is not None:
+        return _of_function(problem, function, structural, labels, measured)
     frequencies = problem.frequencies(point)
     found = tuple(ComputedMode(None, float(frequencies[k]), int(k)) for k in range(len(frequencies)))
     note = "The model itself pairs its modes with the measured ones."
@@ -256,7 +257,7 @@ def _of_structure(
     alike = None
     if problem.data.shapes is not None and observation is not None:
         alike = mac(observation @ shapes, np.asarray(problem.data.shapes))
-    by_number = isinstance(model.rule, IndexPairing)
+    by_number = not model.by_shape
     doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, by_number)]
     given = bool(problem.data.counterparts) and not by_number
     doubts += [] if given else disordered(labels, paired, measured)
@@ -266,16 +267,20 @@ def _of_structure(
 
 
 def _of_function(
-    model: PairedBlackBox, point: FloatArray, labels: tuple[str, ...], measured: FloatArray
+    problem: UpdatingProblem,
+    function: BlackBoxModel,
+    point: FloatArray,
+    labels: tuple[str, ...],
+    measured: FloatArray,
 ) -> InitialModes:
     """Return all modes that a function gives, in its order, and those that answer to the measured ones."""
-    answer = model.black_box.at(point)
+    answer = function.at(point)
     alike = None
-    if model.reference is not None and answer.shapes is not None:
-        alike = mac(answer.shapes, model.reference)
+    if problem.model.by_shape and answer.shapes is not None:
+        alike = mac(answer.shapes, np.asarray(problem.data.shapes))
         paired = [int(column) for column in assign(alike[None])[0]]
     else:
-        paired = [number - 1 for number in model.numbers]
+        paired = [number - 1 for number in problem.data.numbers]
     answers = {number: k for k, number in enumerate(paired)}
     frequencies = answer.frequencies[: max(paired) + 1 + _BEYOND]
     found = tuple(ComputedMode(i + 1, float(f), answers.get(i)) for i, f in enumerate(frequencies))

@@ -12,7 +12,6 @@ from fmu.analysis.trace.modal_states import GROUP as MODES
 from fmu.analysis.trace.modal_states import START
 from fmu.analysis.trace.reading import check_trace, parameter_draws
 from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.pairing.rules import RankPairing
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
 from fmu.types import FloatArray, IntArray
@@ -213,13 +212,13 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     """
     import xarray as xr
 
-    structure: Any = problem.model
-    if not hasattr(structure, "candidates"):
+    structure = problem.model.as_structure()
+    if structure is None:
         return trace
     draws = parameter_draws(trace)[..., : problem.n_structural]
     theta = draws.reshape(-1, draws.shape[-1])
     highest = int(np.argmax(trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy()))
-    constant = isinstance(structure.pairing, RankPairing) and bool(structure.within(theta).all())
+    constant = structure.pairing.is_constant and bool(structure.within(theta).all())
     picked = np.unique(np.linspace(0, len(theta) - 1, min(len(theta), MOST_DRAWS)).astype(int))
     picked = np.array([highest]) if constant else np.union1d(picked, highest)
     distinct, inverse = np.unique(theta[picked], axis=0, return_inverse=True)

@@ -211,10 +211,10 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
     asked for; and then the chains advance in this process.
     """
     from fmu.engines.base import InProcess
-    from fmu.fem.pairing.paired_black_box import PairedBlackBox
 
-    if engine.workers > 1 and groups is None and isinstance(problem.model, PairedBlackBox):
-        with problem.model.black_box.spread_over(engine):
+    function = problem.model.black_box
+    if engine.workers > 1 and groups is None and function is not None:
+        with function.spread_over(engine):
             yield InProcess()
     else:
         yield engine
@@ -257,5 +257,5 @@ def _explained(problem: UpdatingProblem) -> Iterator[None]:
 
 def _why(problem: UpdatingProblem) -> str:
     """Return the first reason why the function of a black-box model failed; empty if it never did."""
-    reasons = getattr(problem.model, "reasons", ())
+    reasons = problem.model.reasons
     return f"; the function first failed at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""

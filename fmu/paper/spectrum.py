@@ -22,11 +22,10 @@ _BATCH = 4096
 
 def structure_of(problem: UpdatingProblem) -> PairedStructure:
     """Return the structure behind a problem; ValueError if it has none."""
-    from fmu.fem.pairing.paired_model import PairedStructure
-
-    if not isinstance(problem.model, PairedStructure):
-        raise ValueError(f"problem: must have a structure of beam elements (got {type(problem.model).__name__})")
-    return problem.model
+    structure = problem.model.as_structure()
+    if structure is None:
+        raise ValueError(f"problem: must have a structure of beam elements (got {problem.model.name})")
+    return structure
 
 
 def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:

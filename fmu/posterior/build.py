@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.candidates import SOFTNESS, SoftPairing
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
-from fmu.fem.pairing.paired_model import SOFT, PairedStructure
+from fmu.fem.pairing.paired_model import SOFT, ModalModel, PairedStructure, as_modal_model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.frequency import FrequencyLikelihood, frequency_error
 from fmu.posterior.errors.joint import JointLikelihood
@@ -72,7 +71,7 @@ def paired_model(
         raise ValueError(f"parameters: the model takes {model.n_parameters} (got {n})")
     start = np.array([p.start for p in parameters], dtype=float)
     shapes = None if data.shapes is None else np.asarray(data.shapes)
-    paired: Any = model
+    paired: Any = None
     if isinstance(model, BlackBoxModel):
         paired = PairedBlackBox(
             model,
@@ -98,6 +97,8 @@ def paired_model(
             counterparts=data.counterparts,
             softness=softness,
         )
+    else:
+        paired = as_modal_model(model)
     if paired.n_modes != data.n_modes:
         raise ValueError(f"data: the model pairs {paired.n_modes} modes (got {data.n_modes})")
     return paired

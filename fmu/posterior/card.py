@@ -37,7 +37,7 @@ def _is_drawable(structure: SeparableModel) -> bool:
 def _in_words(problem: Problem) -> str:
     model = problem.model
     if not isinstance(model, PairedStructure):
-        return f"Model: {type(model).__name__}, {model.n_modes} modes."
+        return f"Model: {model.name}, {model.n_modes} modes."
     pairing = "number in the spectrum" if isinstance(model.rule, IndexPairing) else "shape (MAC)"
     blocks = len(model.structure.blocks)
     reduced = ""

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fmu.fem.black_box import Failure as Failure
-from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.pairing.failed_solves import why_no_frequencies
+from fmu.fem.pairing.paired_model import ModalModel
 from fmu.posterior.errors.frequency import FrequencyLikelihood
 from fmu.posterior.errors.joint import JointLikelihood
 from fmu.posterior.errors.mixture import SoftLikelihood

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.posterior.build import Likelihood, check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.joint import JointLikelihood

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from numpy.typing import ArrayLike
 
-from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.pairing.paired_model import ModalModel
 from fmu.posterior.build import Likelihood
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter

@@ -5,7 +5,7 @@ import pytest
 
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.failed_solves import why_no_frequencies
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_model import PairedStructure, as_modal_model
 
 EYE = np.eye(3)
 COUPLED = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
@@ -76,7 +76,7 @@ def test_a_solver_that_gives_up(monkeypatch):
 
 
 class Own:
-    """A user's own ModalModel."""
+    """A model of the user's own."""
 
     n_parameters, n_modes = 1, 2
 
@@ -85,5 +85,6 @@ class Own:
 
 
 def test_any_model_is_looked_at_again():
-    assert why_no_frequencies(Own(), np.array([-1.0])) == "frequencies are not finite (nan, 1 Hz)"
-    assert why_no_frequencies(Own(), np.array([1.0])) is None
+    model = as_modal_model(Own())
+    assert why_no_frequencies(model, np.array([-1.0])) == "frequencies are not finite (nan, 1 Hz)"
+    assert why_no_frequencies(model, np.array([1.0])) is None

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 
 import fmu
-from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.terms import Term
+from fmu.fem.pairing.paired_model import ModalModel
 from fmu.posterior.priors.base import Normal
 from fmu.types import FloatArray
 

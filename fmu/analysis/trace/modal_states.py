@@ -17,6 +17,8 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.fem.modes.separable import SeparableModel
+    from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -81,18 +83,19 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         "theta": (("state", "parameter"), theta),
         "frequency": (("state", "mode"), problem.frequencies(theta), {"units": "Hz"}),
     }
-    if hasattr(problem.model, "full_shapes"):
-        shapes = _aligned(np.array([_shapes(problem, point) for point in theta[:, : problem.n_structural]]))
-        variables |= _shape_variables(problem, shapes)
+    model = problem.model.as_structure()
+    if model is not None:
+        shapes = _aligned(np.array([_shapes(model, point) for point in theta[:, : problem.n_structural]]))
+        variables |= _shape_variables(problem, model.structure, shapes)
     return xr.Dataset(
         variables,
         coords={"state": list(states), "parameter": list(problem.names), "mode": labels, "reference_mode": labels},
     )
 
 
-def _shapes(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
     """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
-    shapes: FloatArray = problem.model.full_shapes(theta)  # type: ignore[attr-defined]
+    shapes = model.full_shapes(theta)
     advanced()
     return shapes
 
@@ -103,8 +106,7 @@ def _aligned(shapes: FloatArray) -> FloatArray:
     return np.asarray(shapes * sign[:, None, :])
 
 
-def _shape_variables(problem: UpdatingProblem, shapes: FloatArray) -> dict[str, Any]:
-    structure = problem.model.structure  # type: ignore[attr-defined]
+def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes: FloatArray) -> dict[str, Any]:
     if problem.data.shapes is None:
         seen, name = shapes[:, structure.translations], "modes before updating, at all translations"
         reference = seen[0]

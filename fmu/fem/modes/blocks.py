@@ -1,10 +1,10 @@
-"""What the posterior asks of a structural model, and the block-wise view that pairing works on."""
+"""A structure as its decoupled blocks, full or reduced: the view that pairing works on."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,30 +13,25 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.types import FloatArray, IntArray
 
 
-@runtime_checkable
-class ModalModel(Protocol):
-    """A map from parameters to the frequencies of the measured modes.
+class Block(Protocol):
+    """One decoupled part of a structure: an exact, independent eigenproblem.
 
     Attributes
     ----------
-    n_parameters, n_modes : int
+    dofs : ndarray of int, shape (n,)
+        Its degrees of freedom in the model.
+    size : int
+        Unknowns of the eigenproblem.
+    n_modes, n_trained : int
+        How many modes have a finite frequency, and how many of the lowest ones it gives.
+    is_reduced : bool
+        Whether it is a reduced model of its degrees of freedom.
+    massless : bool
+        Whether degrees of freedom of the full block have no mass.
     """
 
-    n_parameters: int
-    n_modes: int
-
-    def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
-        ...
-
-    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
-        ...
-
-
-class Block(Protocol):
-    """One decoupled part of a structure: an exact, independent eigenproblem."""
-
+    is_reduced: bool
+    massless: bool
     dofs: IntArray
     size: int
     n_modes: int

@@ -110,6 +110,8 @@ class FullBlock:
         How many modes have a finite frequency: fewer than `size` where degrees of freedom have no mass.
     """
 
+    is_reduced = False
+
     def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
         self.dofs = dofs
         self.n_parameters = model.n_parameters
@@ -119,6 +121,7 @@ class FullBlock:
         self._M_map = CoefficientMap(self.M_terms)
         self.size = len(dofs)
         self.n_modes = self.n_trained = _finite_modes(self.M_terms)
+        self.massless = self.n_modes < self.size
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is prepared when needed."""

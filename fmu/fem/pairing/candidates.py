@@ -36,6 +36,7 @@ class SoftPairing(ShapePairing):
 
     softness: float = SOFTNESS
     name: ClassVar[str] = "soft"
+    is_soft: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.softness) and self.softness > 0.0):

@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import NEGATIVE, FullBlock
 from fmu.fem.modes.null_space import SingularMassError
 from fmu.fem.modes.terms import coefficients, weighted_sum
 from fmu.fem.modes.threads import single_thread
-from fmu.fem.pairing.paired_black_box import PairedBlackBox
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.numbers import significant, typed
 from fmu.types import FloatArray
 
@@ -28,17 +26,18 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
     Parameters
     ----------
-    model : PairedStructure, PairedBlackBox or ModalModel
+    model : ModalModel
         A function of the user's own is not called again: it may be slow, or fail another way.
     theta : ndarray, shape (n_parameters,)
         Where it failed a moment ago.
     """
-    if isinstance(model, PairedBlackBox):
+    if model.black_box is not None:
         return model.black_box.reason_at(theta)
     with np.errstate(all="ignore"):
-        if isinstance(model, PairedStructure):
+        structure = model.as_structure()
+        if structure is not None:
             with single_thread():
-                found = _of_structure(model, theta)
+                found = _of_structure(structure, theta)
             if found is not None:
                 return found
         frequencies = model.frequencies(theta[None])[0]

@@ -10,13 +10,13 @@ import numpy as np
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
 from fmu.fem.modes.memory import Memory
 from fmu.fem.modes.modal import mac
-from fmu.fem.pairing.paired_model import PAIRINGS
+from fmu.fem.pairing.paired_model import PAIRINGS, ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import assign
 from fmu.types import FloatArray, IntArray
 
 
-class PairedBlackBox:
+class PairedBlackBox(ModalModel):
     """The frequencies of a black-box model's modes that answer to the measured ones.
 
     Parameters
@@ -38,6 +38,8 @@ class PairedBlackBox:
     ----------
     by_shape : bool
         Whether modes are paired by MAC.
+    gives_shapes : bool
+        Whether the function gives shapes, at as many sensors as were measured.
     solves_per_gradient : int
         What a gradient with its frequencies costs: 1, or 2 n_parameters + 1 by central differences.
 
@@ -61,7 +63,8 @@ class PairedBlackBox:
     ) -> None:
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
-        self.black_box = black_box
+        self.black_box: BlackBoxModel = black_box
+        self.name = black_box.name
         self.n_parameters = black_box.n_parameters
         self.n_modes = len(numbers)
         self.numbers = numbers
@@ -73,19 +76,16 @@ class PairedBlackBox:
             self._columns(answer)
             has_shapes = answer.shapes is not None and shapes is not None and len(answer.shapes) == len(shapes)
             self._n_sensors = len(shapes) if has_shapes else None  # type: ignore[arg-type]
+            self.by_shape, self.gives_shapes = self.reference is not None, has_shapes
         except AnswerError as error:
             raise ValueError(f"model.function: {error} at the start {start.tolist()}") from error
         except ValueError as error:
             raise ValueError(f"model.function: {error}") from error
-        self.solves_per_gradient = 1 if answer.gradient is not None else 2 * self.n_parameters + 1
+        self.solves_per_shape_gradient = 2 * self.n_parameters + 1
+        self.solves_per_gradient = 1 if answer.gradient is not None else self.solves_per_shape_gradient
 
     def __repr__(self) -> str:
         return f"PairedBlackBox({self.black_box!r}, by {'MAC' if self.by_shape else 'number'})"
-
-    @property
-    def by_shape(self) -> bool:
-        """Whether modes are paired by MAC, rather than by number."""
-        return self.reference is not None
 
     @property
     def reasons(self) -> list[Failure]:
@@ -109,11 +109,6 @@ class PairedBlackBox:
                 theta[missing], frequencies[missing], lambda points, _: self.frequencies(points)
             )
         return frequencies, gradient
-
-    @property
-    def gives_shapes(self) -> bool:
-        """Whether the function gives shapes, at as many sensors as were measured."""
-        return self._n_sensors is not None
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.

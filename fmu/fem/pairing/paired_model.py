@@ -1,14 +1,15 @@
-"""A structure whose computed modes are paired with the measured ones, behind a certified reduced model."""
+"""Models paired with the measured modes: what each can do, and the structure behind a certified reduced model."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from fmu.engines.base import Engine
+from fmu.fem.black_box import BlackBoxModel, Failure
 from fmu.fem.modes.blocks import BlockModel, ModalSolution
 from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.modes.separable import SeparableModel, selection
@@ -16,7 +17,6 @@ from fmu.fem.modes.threads import single_thread
 from fmu.fem.pairing.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
 from fmu.fem.pairing.prediction import ModalPrediction, SensorView, with_rows
 from fmu.fem.pairing.rules import SPARE, IndexPairing, Pairing, ShapePairing, count_rigid, reference_modes
-from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.training import Trained, Training
 from fmu.progress.phases import solved
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -27,7 +27,150 @@ SOFT = "soft"
 _MOST_NUMBERS = 2**24
 
 
-class PairedStructure:
+class FrequencyMap(Protocol):
+    """What a model of the user's own has to be: a map from parameters to the frequencies of the measured modes.
+
+    ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and ``reasons`` are used as
+    `ModalModel` describes them, where it has them.
+
+    Attributes
+    ----------
+    n_parameters, n_modes : int
+    """
+
+    n_parameters: int
+    n_modes: int
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
+        ...
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
+        ...
+
+
+class ModalModel:
+    """A model paired with the measured modes, and what it can do beside giving their frequencies.
+
+    The defaults are those of a model that gives frequencies with exact gradients, and nothing else.
+
+    Attributes
+    ----------
+    n_parameters, n_modes : int
+    name : str
+        What to call it where a problem is described.
+    structure : SeparableModel or None
+        Its matrices, if it has them.
+    black_box : BlackBoxModel or None
+        The user's function that answers, if it is one.
+    gives_shapes : bool
+        Whether `observed` tells what the sensors see.
+    is_soft : bool
+        Whether all candidates answer to every measured mode, with weights (`fmu.fem.pairing.candidates`).
+    by_shape : bool
+        Whether modes are paired by MAC, not by number.
+    solves_per_gradient, solves_per_shape_gradient : int
+        What `frequencies_and_gradient` and `observed` with derivatives cost at one theta, in solves: 1 where
+        derivatives are exact.
+    full_solves : int
+        How often the full model had to answer where there is a reduced one.
+    """
+
+    n_parameters: int
+    n_modes: int
+    name = "model"
+    structure: SeparableModel | None = None
+    black_box: BlackBoxModel | None = None
+    gives_shapes = False
+    is_soft = False
+    by_shape = False
+    solves_per_gradient = 1
+    solves_per_shape_gradient = 1
+    full_solves = 0
+
+    @property
+    def reduced_sizes(self) -> tuple[int, ...]:
+        """Unknowns of each block of the reduced model; empty if there is none."""
+        return ()
+
+    @property
+    def reasons(self) -> Sequence[Failure]:
+        """The first points at which a user's function failed, and why."""
+        return ()
+
+    def as_structure(self) -> PairedStructure | None:
+        """Return the model with what only a structure given by its matrices can do, None if it is not one."""
+        return None
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
+        raise NotImplementedError
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
+        raise NotImplementedError
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        raise NotImplementedError
+
+    def full_frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return `frequencies` by the full model, where a reduced one answers otherwise."""
+        return self.frequencies(theta)
+
+    def full_observed(self, theta: FloatArray) -> ModalPrediction:
+        """Return `observed` by the full model, where a reduced one answers otherwise."""
+        return self.observed(theta)
+
+    def configuration(self) -> Any:
+        """Return what identifies the model, in plain Python types."""
+        raise NotImplementedError
+
+
+class GivenModel(ModalModel):
+    """A user's own `FrequencyMap` as a `ModalModel`: what it does not say has its default."""
+
+    def __init__(self, given: Any) -> None:
+        self.given = given
+        self.n_parameters, self.n_modes = given.n_parameters, given.n_modes
+        self.name = type(given).__name__
+        self.gives_shapes = hasattr(given, "observed") and getattr(given, "gives_shapes", True)
+        self.solves_per_gradient = int(getattr(given, "solves_per_gradient", 1))
+        self.solves_per_shape_gradient = self.solves_per_gradient
+
+    def __repr__(self) -> str:
+        return repr(self.given)
+
+    @property
+    def reasons(self) -> Sequence[Failure]:
+        """What the user's model says of where it failed."""
+        return getattr(self.given, "reasons", ())
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return the user's frequencies."""
+        return self.given.frequencies(theta)
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the user's frequencies and gradients."""
+        return self.given.frequencies_and_gradient(theta)
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return what the user's model says that sensors see."""
+        return self.given.observed(theta, gradient)
+
+    def configuration(self) -> Any:
+        """Return the user's description, else the name of the class."""
+        describe = getattr(self.given, "configuration", None)
+        return describe() if callable(describe) else f"{type(self.given).__module__}.{self.name}"
+
+
+def as_modal_model(given: Any) -> ModalModel:
+    """Return a model that is paired already as a `ModalModel`: itself, or a user's own wrapped."""
+    return given if isinstance(given, ModalModel) else GivenModel(given)
+
+
+class PairedStructure(ModalModel):
     """The frequencies of a SeparableModel's modes that answer to the measured ones.
 
     Parameters
@@ -82,7 +225,8 @@ class PairedStructure:
     ) -> None:
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
-        self.structure = model
+        self.structure: SeparableModel = model
+        self.gives_shapes = True
         self.n_parameters = model.n_parameters
         self.n_modes = len(numbers)
         self.full = BlockModel.full(model)
@@ -113,6 +257,7 @@ class PairedStructure:
         if pairing == SOFT and isinstance(self.rule, ShapePairing):
             self.rule = SoftPairing(self.rule.rows, self.rule.shapes, self.rule.margin, softness)
         self.softness = softness
+        self.by_shape, self.is_soft = self.rule.by_shape, self.rule.is_soft
         self.pairing: Pairing = self.rule
         self._solve_full = self.rule.bind(self.full)
         self._sensors = model.observation(sensors)
@@ -123,11 +268,18 @@ class PairedStructure:
             self._full_candidates = self._reduced_candidates = self._candidates_of(self.full, self.rule)
 
     def __repr__(self) -> str:
-        reduced = "not reduced"
-        if self.reduced is not None:
-            sizes = [block.size for block in self.reduced.blocks if isinstance(block, ReducedBlock)]
-            reduced = f"reduced to {sizes}"
+        reduced = "not reduced" if self.reduced is None else f"reduced to {list(self.reduced_sizes)}"
         return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__}, {reduced})"
+
+    @property
+    def reduced_sizes(self) -> tuple[int, ...]:
+        """Unknowns of each block of the reduced model; empty if there is none."""
+        blocks = () if self.reduced is None else self.reduced.blocks
+        return tuple(block.size for block in blocks if block.is_reduced)
+
+    def as_structure(self) -> PairedStructure:
+        """Return the model itself."""
+        return self
 
     def train(
         self,
@@ -229,6 +381,10 @@ class PairedStructure:
         with single_thread():
             return self._solve_full(theta)
 
+    def full_frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return `frequencies` by the full model."""
+        return frequency_hz(self.full_modes(theta).eigenvalues)
+
     def full_shapes(self, theta: FloatArray) -> FloatArray:
         """Return the paired modes' shapes by the full model, shape (n_dof, n_modes), at theta (n_parameters,).
 
@@ -305,7 +461,7 @@ class PairedStructure:
 
     def _install(self, trained: Trained) -> None:
         self.reduced, self.pairing, self.confirmed = trained.model, trained.pairing, trained.confirmed
-        largest = max((b.size for b in trained.model.blocks if isinstance(b, ReducedBlock)), default=1)
+        largest = max(self.reduced_sizes, default=1)
         self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]

@@ -35,7 +35,15 @@ class PairedSolve(Protocol):
 
 
 class Pairing(Protocol):
-    """A rule that picks one computed mode for each measured one."""
+    """A rule that picks one computed mode for each measured one.
+
+    Attributes
+    ----------
+    is_constant : bool
+        Whether it picks the same mode of the same block at every theta.
+    """
+
+    is_constant: ClassVar[bool]
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver that pairs the modes of `model`."""
@@ -48,6 +56,9 @@ class IndexPairing:
 
     numbers: tuple[int, ...]
     name: ClassVar[str] = "index"
+    by_shape: ClassVar[bool] = False
+    is_soft: ClassVar[bool] = False
+    is_constant: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
@@ -72,6 +83,7 @@ class RankPairing:
 
     block: tuple[int, ...]
     rank: tuple[int, ...]
+    is_constant: ClassVar[bool] = True
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
@@ -136,6 +148,9 @@ class ShapePairing:
     shapes: FloatArray
     margin: int = SPARE
     name: ClassVar[str] = "shape"
+    by_shape: ClassVar[bool] = True
+    is_soft: ClassVar[bool] = False
+    is_constant: ClassVar[bool] = False
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""

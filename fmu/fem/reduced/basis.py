@@ -59,6 +59,8 @@ class ReducedBlock:
     theta, so that a result does not depend, in any bit, on what else is in the batch.
     """
 
+    is_reduced = True
+
     def __init__(self, block: FullBlock, basis: FloatArray, n_trained: int) -> None:
         self.dofs = block.dofs
         self.basis = basis

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.fem.modes.blocks import ModalModel
 from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.pairing.paired_model import ModalModel
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.correlated import CorrelatedFrequencyError
 from fmu.types import FloatArray

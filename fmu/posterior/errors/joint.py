@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fmu.fem.modes.blocks import ModalModel
+from fmu.fem.pairing.paired_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.models import ErrorModel
@@ -62,9 +62,7 @@ class JointLikelihood:
         self.noise = tuple(noise)
         sees = hasattr(model, "observed") and getattr(model, "gives_shapes", True)
         if any(term.needs_shapes for term in self.terms_of) and not sees:
-            raise ValueError(
-                f"error: errors of shapes need a model that gives shapes (got {type(model).__name__})"
-            )
+            raise ValueError(f"error: errors of shapes need a model that gives shapes (got {model.name})")
 
     @property
     def needs_shapes(self) -> bool:
@@ -149,7 +147,7 @@ class JointLikelihood:
 
     def full_terms(self, theta: FloatArray) -> FloatArray:
         """Return `terms` by the full model, where a reduced one answers otherwise."""
-        return self.terms_of_observed(self.model.full_observed(theta[:, : self.n_structural]), theta)  # type: ignore[attr-defined]
+        return self.terms_of_observed(self.model.full_observed(theta[:, : self.n_structural]), theta)
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
@@ -181,7 +179,7 @@ class JointLikelihood:
     def _observed(self, theta: FloatArray, gradient: bool) -> ModalPrediction:
         structural = theta[:, : self.n_structural]
         if self.needs_shapes:
-            observed: ModalPrediction = self.model.observed(structural, gradient)  # type: ignore[attr-defined]
+            observed: ModalPrediction = self.model.observed(structural, gradient)
             return observed
         nothing = np.empty((len(theta), 0, self.model.n_modes))
         if gradient:
