@@ -1,16 +1,34 @@
-"""Types that annotations share: arrays by the kind of their entries, and a log-density."""
+"""Types that annotations share: arrays by the kind of their entries, numbers in a range, and a log-density."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
+from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 StrArray = NDArray[np.str_]
+
+Positive = Annotated[float, Gt(0.0)]
+NotNegative = Annotated[float, Ge(0.0)]
+Vector = tuple[float, float, float]
+"""x, y, z in global axes."""
+
+
+def require_positive(name: str, value: float) -> None:
+    """Raise ValueError unless a number is positive and finite."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: must be positive and finite (got {value})")
+
+
+def require_finite(name: str, value: float) -> None:
+    """Raise ValueError unless a number is finite."""
+    if not np.isfinite(value):
+        raise ValueError(f"{name}: must be finite (got {value})")
 
 
 @runtime_checkable

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from fmu.config.fields import FileName, TomlTable
 from fmu.config.mistakes import BrokenError, Mistake
+from fmu.config.tables import FileName, TomlTable
 from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes, ModesError
 from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes
 from fmu.formats.modes.uff import read_uff

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from pydantic import ValidationError
 
@@ -13,6 +14,7 @@ _NAME = r"[^\W\d]\w*"
 FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
 """The pattern of ``module:function``."""
 LONGEST_KEY = 40
+_KEY_FIRST = re.compile(r"(?:(\w+(?:\.\w+)*): )?(.*)", re.DOTALL)
 _PATTERNS = {
     r"^[^/\x00-\x1f]+$": "must have no slash, line break or other control character",
     r"^[^\x00-\x1f]+$": "must have no line break or other control character",
@@ -30,6 +32,12 @@ class Mistake(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.where}: {self.rule}" if self.where else self.rule
+
+    @classmethod
+    def of(cls, where: str, error: object) -> Self:
+        """Return what the library says of a table's values, ``key: rule (got value)``, at the place of the key."""
+        key, rule = _KEY_FIRST.fullmatch(str(error)).groups("")  # type: ignore[union-attr]
+        return cls(".".join(part for part in (where, key) if part), rule)
 
 
 class BrokenError(Exception):
@@ -89,7 +97,7 @@ def _of_one(error: dict[str, Any]) -> Mistake:
     if kind == "string_pattern_mismatch":
         return Mistake(where, got(_PATTERNS.get(error["ctx"]["pattern"], _as_rule(error["msg"])), value))
     if kind == "value_error":
-        return Mistake(where, str(error["ctx"]["error"]))
+        return Mistake.of(where, error["ctx"]["error"])
     if kind == "kind":
         return Mistake(where, got(error["msg"], value))
     return Mistake(where, got(_as_rule(error["msg"]), value))

@@ -1,21 +1,40 @@
-"""``[[parameters]]``: what is uncertain, and what was known of it."""
+"""``[[parameters]]`` and ``[[noise]]``: what is uncertain, and what was known of it."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
-from fmu.config.fields import ParameterName
+import numpy as np
+from pydantic import Field
+
 from fmu.config.mistakes import Mistake, got
-from fmu.config.model.targets import Target
-from fmu.config.priors import PriorTable, UniformTable
+from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import PRIORS
 
 LEAST_LOG_MASS = -200.0
 """Of a prior between the bounds: a Gaussian that ends twenty standard deviations off is a slip of the pen."""
+Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
 
 
-class ParameterTable(Target):
-    """A parameter; in a frame, what it is the value of, in which groups."""
+class Target(TomlTable):
+    """What a parameter is the value of, or the factor that multiplies its value in the file.
+
+    Of a frame: a ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``, of the last two
+    in some ``directions`` if not in all that they have.
+    """
+
+    property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None
+    groups: list[Name] | Literal["all"] = []
+    masses: list[Name] = []
+    springs: list[Name] = []
+    directions: list[Direction] = []
+    scaling: Literal["absolute", "factor"] = "absolute"
+
+
+class Uncertain(TomlTable):
+    """A number with bounds and a prior."""
 
     name: ParameterName
     """For tables and figures."""
@@ -27,7 +46,9 @@ class ParameterTable(Target):
     """Bounds cut the prior off; a uniform prior needs both."""
     unit: str = ""
     """For labels; values are in SI units."""
-    prior: PriorTable = UniformTable(distribution="uniform")
+    prior: Annotated[Declared, OneOf("distribution", PRIORS)] = Field(
+        {"distribution": "uniform"}, validate_default=True
+    )
     """What was known before the measurement."""
 
     def build(self) -> Parameter:
@@ -38,15 +59,20 @@ class ParameterTable(Target):
         ValueError
             If bounds, start and prior do not fit each other.
         """
-        if self.prior.distribution == "truncated-normal" and self.lower is None and self.upper is None:
+        if self.prior.called == "truncated-normal" and self.lower is None and self.upper is None:
             raise ValueError("prior: a truncated normal needs lower or upper")
         lower = -np.inf if self.lower is None else self.lower
         upper = np.inf if self.upper is None else self.upper
         parameter = Parameter(self.name, self.start, lower, upper, self.prior.build(), self.unit)
         log_mass = parameter.prior.log_mass(lower, upper)
         if log_mass < LEAST_LOG_MASS:
-            raise ValueError(f"prior: must have probability between the bounds (got {_power_of_ten(log_mass)})")
+            power = f"1e{log_mass / np.log(10.0):.0f}"
+            raise ValueError(f"prior: must have probability between the bounds (got {power})")
         return parameter
+
+
+class ParameterTable(Uncertain, Target):
+    """A parameter; in a frame, what it is the value of, in which groups."""
 
     def is_positive(self) -> bool:
         """Say whether all values that the parameter can have are positive, by its bounds or by its prior."""
@@ -56,21 +82,35 @@ class ParameterTable(Target):
             return self.lower is not None and self.lower > 0.0
 
 
-def built(tables: list[ParameterTable]) -> tuple[list[Parameter], list[Mistake]]:
-    """Return the parameters in the order of the file, and what is wrong with them."""
-    parameters, found = [], []
-    names = [table.name for table in tables]
+class NoiseTable(Uncertain):
+    """A standard deviation to be inferred, which error models refer to by its name."""
+
+    start: Positive
+    lower: NotNegative = 0.0
+    upper: Positive | None = None
+
+
+def built(
+    key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
+) -> tuple[dict[str, Parameter], list[Mistake]]:
+    """Return the parameters of tables by name, in the order of the file, and what is wrong with the tables.
+
+    Parameters
+    ----------
+    key : str
+        Where the tables are in the file.
+    tables : sequence of Uncertain
+    taken : sequence of str
+        Names of other parameters.
+    """
+    parameters: dict[str, Parameter] = {}
+    found, names = [], list(taken)
     for i, table in enumerate(tables):
-        if table.name in names[:i]:
-            found.append(
-                Mistake(f"parameters.{i}.name", got("must not be the name of another parameter", table.name))
-            )
+        if table.name in names:
+            found.append(Mistake(f"{key}.{i}.name", got("must not be the name of another parameter", table.name)))
+        names.append(table.name)
         try:
-            parameters.append(table.build())
+            parameters[table.name] = table.build()
         except ValueError as error:
-            found.append(Mistake(f"parameters.{i}", str(error).removeprefix(f"{table.name}.")))
+            found.append(Mistake.of(f"{key}.{i}", str(error).removeprefix(f"{table.name}.")))
     return parameters, found
-
-
-def _power_of_ten(log_value: float) -> str:
-    return f"1e{log_value / np.log(10.0):.0f}"

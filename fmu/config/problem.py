@@ -8,16 +8,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from fmu.config import parameters as given
-from fmu.config.errors import ErrorTable, NoiseTable, beside_tests, built_noise, vanishing
-from fmu.config.fields import Name, Positive, TomlTable, by_kind
+from fmu.config.errors import ErrorTable, beside_tests, built_errors, vanishing
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.model.frame import FrameTable
 from fmu.config.model.matrices import MatricesTable
 from fmu.config.model.python import PythonTable
 from fmu.config.model.table import Built
-from fmu.config.parameters import ParameterTable
+from fmu.config.parameters import NoiseTable, ParameterTable, built
+from fmu.config.tables import Name, Positive, TomlTable, by_kind
 from fmu.engines.base import Engine
 from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
@@ -87,29 +86,30 @@ class ProblemFile(TomlTable):
         ConfigurationError
             With every mistake, if there is one.
         """
-        parameters, found = given.built(self.parameters)
+        parameters, found = built("parameters", self.parameters)
         found += self.model.mistakes(self.parameters)
-        errors = [] if isinstance(self.error, str) else self.error
-        noise, wrong = built_noise(self.noise, errors, [table.name for table in self.parameters])
-        found += wrong + self.measurement.mistakes(needs_trust=not errors)
+        noise, wrong = built("noise", self.noise, [table.name for table in self.parameters])
+        tables = [] if isinstance(self.error, str) else self.error
+        errors, unnamed = built_errors(tables, noise, [table.name for table in self.noise])
+        found += wrong + unnamed + self.measurement.mistakes(needs_trust=not errors)
         if found:
             raise ConfigurationError(source, found)
         try:
-            built = self.model.build(folder, self.parameters)
-            data = self._data(folder, built, beta)
-            wrong = beside_tests(errors, data) or vanishing(noise, errors, data, len(parameters))
+            structure = self.model.build(folder, self.parameters)
+            data = self._data(folder, structure, beta)
+            wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(wrong)
             trust = self.measurement.beta if beta is None else beta
             return UpdatingProblem(
-                built.model,
+                structure.model,
                 data,
-                parameters,
+                list(parameters.values()),
                 pairing=pairing or self.pairing,
                 softness=self.softness,
                 reduction=self.reduction,
                 beta=None if errors else trust,
-                error=[table.build(noise) for table in errors] if errors else self.error,  # type: ignore[arg-type]
+                error=errors or self.error,  # type: ignore[arg-type]
                 name=f"{self.name}, by {pairing or self.pairing}",
                 engine=engine,
             )

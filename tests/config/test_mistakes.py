@@ -89,13 +89,17 @@ FRAME = [
         "parameters.1.name: must not be the name of another parameter (got 'E legs')",
     ),
     ('name = "rho beam"', 'name = "rho/beam"', "parameters.1.name: must have no slash, line break"),
-    ("upper = 2.5e11", "upper = 1.4e11", "parameters.0: upper: must exceed lower 1.5e+11 (got 1.4e+11)"),
-    ("start = 7850.0", "start = 9850.0", "parameters.1: start: must be finite and within [5000, 9000] (got 9850)"),
+    ("upper = 2.5e11", "upper = 1.4e11", "parameters.0.upper: must exceed lower 1.5e+11 (got 1.4e+11)"),
+    ("start = 7850.0", "start = 9850.0", "parameters.1.start: must be finite and within [5000, 9000] (got 9850)"),
     ("lower = 5000.0", "lower = 0.0", "parameters.1.lower: must be positive, as the property is (got 0.0)"),
     ("lower = 5000.0\n", "", "parameters.1.lower: must be positive, as the property is (got None)"),
-    ("upper = 2.5e11\n", "", "parameters.0: prior: a uniform prior needs finite bounds"),
+    ("upper = 2.5e11\n", "", "parameters.0.prior: a uniform prior needs finite bounds"),
     ("sd = 500.0", "sd = 0.0", "parameters.1.prior.sd: must be greater than 0 (got 0.0)"),
-    ('distribution = "normal", mean', 'distribution = "beta", mean', "parameters.1.prior.low: is missing"),
+    (
+        'distribution = "normal", mean',
+        'distribution = "beta", mean',
+        "parameters.1.prior.mean: must lie between low 0 and high 1 (got 7850)",
+    ),
     ('groups = ["beam"]', 'groups = ["roof"]', "parameters.1.groups: must be among beam, legs (got 'roof')"),
     ('groups = ["beam"]\n', "", "parameters.1.groups: must name a group"),
     ('property = "rho"\n', "", "parameters.1.property: is missing: one of E, rho, A, Iy, Iz, J"),
@@ -153,7 +157,7 @@ MATRICES = [
     (
         'name = "k2"',
         'prior = { distribution = "normal", mean = 9e7, sd = 1e6 }\nname = "k2"',
-        "parameters.1: prior: must have probability between the bounds (got 1e-",
+        "parameters.1.prior: must have probability between the bounds (got 1e-",
     ),
 ]
 
@@ -207,7 +211,7 @@ def test_mistakes_between_tables_come_together_too(frame_text, tmp_path):
     text = frame_text.replace('to = "right"', 'to = "wrong"').replace("start = 7850.0", "start = 1.0")
     found = complaint(tmp_path, text)
     assert "model.members.1.to" in found
-    assert "parameters.1: start" in found
+    assert "parameters.1.start" in found
 
 
 def test_too_many_parameters(frame_text, tmp_path):

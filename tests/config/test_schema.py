@@ -5,7 +5,7 @@ import tomllib
 import pytest
 
 from fmu import cases
-from fmu.config.model.targets import Target
+from fmu.config.parameters import Target
 from fmu.config.schema import DIALECT, schema
 from fmu.config.template import KINDS, template
 

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from fmu.config.fields import Name, TomlTable, Vector
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.model.joints import Direction, MassTable, OffsetTable, SpringTable
+from fmu.config.model.joints import MassTable, OffsetTable, SpringTable
 from fmu.config.model.sections import MaterialTable, SectionTable
 from fmu.config.model.table import Built
-from fmu.config.model.targets import Target as Target
-from fmu.config.model.targets import target_mistakes
+from fmu.config.model.targets import target_mistakes, things
+from fmu.config.parameters import Direction, ParameterTable, Target
+from fmu.config.tables import Name, TomlTable, Vector
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.separable import RigidArm
 from fmu.formats.shown import names_shown
-
-if TYPE_CHECKING:
-    from fmu.config.parameters import ParameterTable
 
 MOST_ELEMENTS = 10_000
 """60 000 degrees of freedom, a second a solve: a larger structure comes condensed, as matrices."""
@@ -176,10 +173,10 @@ class _Mesh:
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
         """Return what a parameter stands for, as `Frame.separable` has it."""
-        things = table.things(self.table.groups)
+        named = things(table, self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
-            things = [part for group in things for part in self.parts[group]]
-        names = [(str(table.property), thing) for thing in things]
+            named = [part for group in named for part in self.parts[group]]
+        names = [(str(table.property), thing) for thing in named]
         targets = [(*name, direction) for name in names for direction in table.directions] or names
         return Factor(targets) if table.scaling == "factor" else list(targets)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from fmu.config.fields import Name, NotNegative, Positive, TomlTable, Vector
 from fmu.config.mistakes import got
-
-Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
+from fmu.config.parameters import Direction
+from fmu.config.tables import Name, NotNegative, Positive, TomlTable, Vector
 
 
 class MassTable(TomlTable):

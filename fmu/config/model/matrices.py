@@ -7,15 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import scipy.sparse as sp
 from pydantic import Field, model_validator
 
-from fmu.config.fields import FileName, Name, SensorTable, TomlTable
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.model.table import Built, without_targets
+from fmu.config.parameters import ParameterTable
+from fmu.config.tables import FileName, Name, SensorTable, TomlTable
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.terms import Term
@@ -24,9 +25,6 @@ from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
 from fmu.formats.shown import names_shown
 from fmu.numbers import typed
-
-if TYPE_CHECKING:
-    from fmu.config.parameters import ParameterTable
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -12,19 +12,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from fmu.config.fields import TomlTable
 from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
 from fmu.config.model.table import Built, without_targets
+from fmu.config.parameters import ParameterTable
+from fmu.config.tables import TomlTable
 from fmu.fem.black_box import BlackBoxModel
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import in_words
-
-if TYPE_CHECKING:
-    from fmu.config.parameters import ParameterTable
 
 WHERE = "model.function"
 LARGEST_MODULE = 2**24

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from fmu.config.fields import Positive, TomlTable
+from fmu.config.tables import Positive, TomlTable
 from fmu.fem.frame.section import Section
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from fmu.config.mistakes import Mistake
-from fmu.config.model.targets import Target
+from fmu.config.parameters import ParameterTable, Target
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-
-if TYPE_CHECKING:
-    from fmu.config.parameters import ParameterTable
 
 
 class Built(NamedTuple):

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Literal
 
-from fmu.config.fields import Name, TomlTable
 from fmu.config.mistakes import Mistake, got
-from fmu.config.model.joints import Direction, MassTable, SpringTable
+from fmu.config.model.joints import MassTable, SpringTable
+from fmu.config.parameters import Target
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import names_shown
 
@@ -15,26 +14,12 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 """Which key names the things that have a property."""
 
 
-class Target(TomlTable):
-    """What a parameter is the value of, or the factor that multiplies its value in the file.
-
-    Of a frame: a ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``, of the last two
-    in some ``directions`` if not in all that they have.
-    """
-
-    property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None
-    groups: list[Name] | Literal["all"] = []
-    masses: list[Name] = []
-    springs: list[Name] = []
-    directions: list[Direction] = []
-    scaling: Literal["absolute", "factor"] = "absolute"
-
-    def things(self, groups: Sequence[str]) -> list[str]:
-        """Return the names of the groups, masses or springs that it is about."""
-        if self.property is None:
-            return []
-        named = getattr(self, KEYS[self.property])
-        return list(groups) if named == "all" else list(named)
+def things(table: Target, groups: Sequence[str]) -> list[str]:
+    """Return the names of the groups, masses or springs that a parameter is about."""
+    if table.property is None:
+        return []
+    named = getattr(table, KEYS[table.property])
+    return list(groups) if named == "all" else list(named)
 
 
 def target_mistakes(
@@ -59,7 +44,7 @@ def target_mistakes(
         found += _out_of_place(f"parameters.{i}", table, key)
         if not getattr(table, key):
             found.append(Mistake(f"parameters.{i}.{key}", f"must name a {_SINGULAR[key]}"))
-        for name in table.things(groups):
+        for name in things(table, groups):
             where = f"parameters.{i}.{key}"
             if name not in known[key]:
                 found.append(Mistake(where, got(f"must be among {names_shown(known[key])}", name)))

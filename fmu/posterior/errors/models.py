@@ -25,6 +25,11 @@ Kind = Literal["absolute", "relative", "eigenvalue"]
 class ErrorModel(Protocol):
     """Settings of an error model."""
 
+    @property
+    def sd(self) -> ArrayLike | Parameter | None:
+        """Standard deviation of the errors, known or to be inferred; None for that of the data."""
+        ...
+
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the model of the errors of `data`."""
         ...

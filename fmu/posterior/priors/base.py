@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri_exp
 
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Positive, require_finite, require_positive
 
 UNBOUNDED = (-np.inf, np.inf)
 _CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
@@ -67,17 +67,17 @@ class Normal:
         The paper's centre is 0.
     """
 
-    sd: float
+    sd: Positive
     mean: float = 0.0
 
     def __post_init__(self) -> None:
-        positive("sd", self.sd)
-        finite("mean", self.mean)
+        require_positive("sd", self.sd)
+        require_finite("mean", self.mean)
 
     @classmethod
     def from_alpha(cls, alpha: float, mean: float = 0.0) -> Normal:
         """Return the prior with the paper's coefficient α = 1/sd²."""
-        positive("alpha", alpha)
+        require_positive("alpha", alpha)
         return cls(sd=float(alpha) ** -0.5, mean=mean)
 
     @property
@@ -205,15 +205,3 @@ class QuantilePrior:
         dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)
         left, right = np.where(dense, bounds, inner).tolist()
         return left, right
-
-
-def positive(name: str, value: float) -> None:
-    """Raise ValueError unless a setting is positive and finite."""
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: must be positive and finite (got {value})")
-
-
-def finite(name: str, value: float) -> None:
-    """Raise ValueError unless a setting is finite."""
-    if not np.isfinite(value):
-        raise ValueError(f"{name}: must be finite (got {value})")

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.posterior.priors.base import Normal, QuantilePrior, finite, positive
-from fmu.types import FloatArray
+from fmu.posterior.priors.base import Normal, QuantilePrior
+from fmu.types import FloatArray, Positive, require_finite, require_positive
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class HalfNormal(QuantilePrior):
         If `sd` is not positive and finite, or `at` not finite.
     """
 
-    sd: float
+    sd: Positive
     at: float = 0.0
 
     def __post_init__(self) -> None:
-        positive("sd", self.sd)
-        finite("at", self.at)
+        require_positive("sd", self.sd)
+        require_finite("at", self.at)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -87,31 +87,31 @@ class LogNormal(QuantilePrior):
         If one of them is not positive and finite.
     """
 
-    median: float
-    sigma: float
+    median: Positive
+    sigma: Positive
 
     def __post_init__(self) -> None:
-        positive("median", self.median)
-        positive("sigma", self.sigma)
+        require_positive("median", self.median)
+        require_positive("sigma", self.sigma)
 
     @classmethod
-    def from_mean(cls, mean: float, sd: float) -> LogNormal:
+    def from_mean(cls, mean: Positive, sd: Positive) -> LogNormal:
         """Return the prior with a mean and a standard deviation, in the parameter's unit."""
-        positive("mean", mean)
-        positive("sd", sd)
+        require_positive("mean", mean)
+        require_positive("sd", sd)
         variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
         return cls(float(mean * np.exp(-0.5 * variance)), float(np.sqrt(variance)))
 
     @classmethod
-    def from_mode(cls, mode: float, sd: float) -> LogNormal:
+    def from_mode(cls, mode: Positive, sd: Positive) -> LogNormal:
         """Return the prior that is densest at `mode` and has the standard deviation `sd` (Beck & Au 2002).
 
         With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³, which has one positive root, sought in log v.
         """
         from scipy.optimize import brentq
 
-        positive("mode", mode)
-        positive("sd", sd)
+        require_positive("mode", mode)
+        require_positive("sd", sd)
         log_ratio = 2.0 * (np.log(sd) - np.log(mode))
         highest = min(log_ratio, log_ratio / 4.0)  # as 1 + v is more than both 1 and v
         log_v = brentq(

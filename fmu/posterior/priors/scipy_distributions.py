@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
 from fmu.numbers import significant, typed
-from fmu.posterior.priors.base import QuantilePrior, finite, positive
-from fmu.types import FloatArray
+from fmu.posterior.priors.base import QuantilePrior
+from fmu.types import FloatArray, Positive, require_finite, require_positive
 
 _STEP, _EDGE = 1e-3, 1e-6
 
@@ -77,18 +77,18 @@ class ScaledBeta(InvertedPrior):
         If a shape is not positive and finite, or the ends are not finite and in order.
     """
 
-    a: float
-    b: float
+    a: Positive
+    b: Positive
     low: float = 0.0
     high: float = 1.0
 
     def __post_init__(self) -> None:
-        positive("a", self.a)
-        positive("b", self.b)
+        require_positive("a", self.a)
+        require_positive("b", self.b)
         _ordered(self.low, self.high)
 
     @classmethod
-    def from_mean(cls, mean: float, sd: float, low: float = 0.0, high: float = 1.0) -> ScaledBeta:
+    def from_mean(cls, mean: float, sd: Positive, low: float = 0.0, high: float = 1.0) -> ScaledBeta:
         """Return the prior on [low, high] with a mean and a standard deviation, all in the parameter's unit.
 
         Raises
@@ -97,7 +97,7 @@ class ScaledBeta(InvertedPrior):
             If the mean is not between the ends, or the standard deviation is so large that no beta has it.
         """
         _ordered(low, high)
-        positive("sd", sd)
+        require_positive("sd", sd)
         if not low < mean < high:
             raise ValueError(f"mean: must lie between low {typed(low)} and high {typed(high)} (got {typed(mean)})")
         m, largest = (mean - low) / (high - low), np.sqrt((mean - low) * (high - mean))
@@ -260,8 +260,8 @@ class ScipyPrior(InvertedPrior):
 
 
 def _ordered(low: float, high: float) -> None:
-    finite("low", low)
-    finite("high", high)
+    require_finite("low", low)
+    require_finite("high", high)
     if not low < high:
         raise ValueError(f"high: must exceed low {typed(low)} (got {typed(high)})")
 

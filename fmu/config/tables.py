@@ -1,0 +1,218 @@
+"""What the tables of a problem file have in common, and tables that a constructor declares."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    StringConstraints,
+    Tag,
+    create_model,
+    model_validator,
+)
+
+from fmu.config.mistakes import got
+from fmu.posterior.parameters import require_name
+from fmu.types import NotNegative as NotNegative
+from fmu.types import Positive as Positive
+
+Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
+"""No slash: traces keep names as paths."""
+
+
+def _of_parameter(name: str) -> str:
+    try:
+        require_name(name)
+    except ValueError as error:  # it ends with the value received
+        raise ValueError(str(error).removeprefix("name: ")) from None
+    return name
+
+
+ParameterName = Annotated[Name, AfterValidator(_of_parameter)]
+"""Not a name that means something else in a trace."""
+FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, pattern=r"^[^\x00-\x1f]+$")]
+"""From the folder of the TOML file."""
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+def kind_of(value: Any) -> str | None:
+    """Return the kind of a value, where a key takes several; kinds are in angle brackets, unlike keys."""
+    if isinstance(value, list):
+        return "<rows>" if value and isinstance(value[0], list) else "<list>"
+    if isinstance(value, str):
+        return "<text>"
+    if isinstance(value, bool):
+        return "<switch>"
+    return "<number>" if isinstance(value, int | float) else None
+
+
+def by_kind(words: str) -> Discriminator:
+    """Return what picks the type of a value by its kind; `words` say which kinds there are."""
+    return Discriminator(kind_of, custom_error_type="kind", custom_error_message=f"must be {words}")
+
+
+Number = Annotated[Positive, Tag("<number>")]
+Numbers = Annotated[list[Positive], Tag("<list>")]
+NumberOrNumbers = Annotated[Number | Numbers, by_kind("a number or a list of numbers")]
+SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
+"""A place and a direction."""
+
+
+class TomlTable(BaseModel):
+    """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted.
+
+    The string below a key describes it in the schema that editors show (`fmu.config.schema`).
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class Declared(TomlTable):
+    """A table whose keys are the arguments of a constructor, or of one of several; see `declared`."""
+
+    makes: ClassVar[tuple[Callable[..., Any], ...]] = ()
+    tag: ClassVar[str] = ""
+    is_complete: ClassVar[bool] = True
+    """Whether all arguments are in the table, and none elsewhere in the file."""
+
+    @property
+    def called(self) -> str:
+        """The value of the key that says what kind of table it is."""
+        return str(getattr(self, self.tag))
+
+    def given(self) -> dict[str, Any]:
+        """Return the arguments that the file gives."""
+        return {key: getattr(self, key) for key in self.model_fields_set if key != self.tag}
+
+    def build(self, **others: Any) -> Any:
+        """Return what the constructor makes of the arguments in the file, and of `others` in their place.
+
+        Raises
+        ------
+        ValueError
+            If the keys are not the arguments of one of the constructors, or it refuses their values.
+        """
+        given = self.given()
+        for make in self.makes:
+            names, required = _arguments(make)
+            if required <= given.keys() <= names.keys():
+                return make(**given | others)
+        raise ValueError(got(f"must have either {_ways(self.makes)}", list(given)))
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> Self:
+        if self.is_complete:
+            self.build()
+        return self
+
+
+def declared(
+    name: str,
+    *makes: Callable[..., Any],
+    tag: str = "",
+    in_a_file: Callable[[Any], Any] | None = None,
+) -> type[Declared]:
+    """Return the table of a constructor: its keys, their types, ranges, defaults and descriptions are its own.
+
+    Parameters
+    ----------
+    name : str
+        Of the table in the schema; the value of `tag`.
+    *makes : callable
+        A class or a function with annotations and a docstring. Of several, the file gives the arguments of one.
+    tag : str
+        A further key, which says what kind of table it is.
+    in_a_file : callable, optional
+        What stands in a file for an annotation that is no type of TOML, such as the name of another table.
+    """
+    described = {key: text for make in makes for key, text in _descriptions(make).items()}
+    every = [_arguments(make) for make in makes]
+    fields: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
+    for names, _ in every:
+        for key, (annotation, default) in names.items():
+            required = all(key in needed for _, needed in every)
+            if not required and default is inspect.Parameter.empty:
+                annotation, default = annotation | None, None
+            field = Field(... if required else default, description=described.get(key))
+            fields[key] = ((in_a_file or _listed)(annotation), field)
+    about = (inspect.getdoc(getattr(makes[0], "__self__", makes[0])) or "").partition("\n\n")[0]
+    if len(makes) > 1:
+        about += f" Give either {_ways(makes)}."
+    table = create_model(name, __base__=Declared, __doc__=about, **fields)
+    table.makes, table.tag, table.is_complete = makes, tag, in_a_file is None
+    return table
+
+
+class OneOf:
+    """The tables of several kinds, which a key tells apart: ``Annotated[Declared, OneOf("distribution", …)]``.
+
+    Parameters
+    ----------
+    tag : str
+        The key.
+    kinds : mapping of str to constructor, or to a tuple of several
+    in_a_file : callable, optional
+        See `declared`.
+    """
+
+    def __init__(self, tag: str, kinds: Mapping[str, Any], in_a_file: Callable[[Any], Any] | None = None) -> None:
+        self._tag = tag
+        self._tables = tuple(
+            declared(name, *(makes if isinstance(makes, tuple) else (makes,)), tag=tag, in_a_file=in_a_file)
+            for name, makes in kinds.items()
+        )
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        return handler(Annotated[Union[self._tables], Field(discriminator=self._tag)])  # noqa: UP007
+
+
+class Of:
+    """The table of one constructor: ``Annotated[Declared, Of("material", Material)]``."""
+
+    def __init__(self, name: str, *makes: Callable[..., Any]) -> None:
+        self._table = declared(name, *makes)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+        return handler(self._table)
+
+
+def _arguments(make: Callable[..., Any]) -> tuple[dict[str, tuple[Any, Any]], set[str]]:
+    """Return annotation and default of each argument, and the names of those that must be given."""
+    function: Any = make.__init__ if inspect.isclass(make) else make
+    hints = get_type_hints(function, include_extras=True)
+    signature = inspect.signature(make).parameters
+    names = {key: (hints[key], argument.default) for key, argument in signature.items()}
+    return names, {key for key, (_, default) in names.items() if default is inspect.Parameter.empty}
+
+
+def _ways(makes: tuple[Callable[..., Any], ...]) -> str:
+    """Return which arguments the constructors have that are not common to all."""
+    every = [_arguments(make)[0] for make in makes]
+    ways = [[key for key in names if any(key not in other for other in every)] for names in every]
+    return ", or ".join(f"{', '.join(way[:-1])} and {way[-1]}" if len(way) > 1 else way[0] for way in ways)
+
+
+def _descriptions(make: Callable[..., Any]) -> dict[str, str]:
+    """Return what the docstring says of each argument, in its section of attributes or parameters."""
+    text = inspect.getdoc(make) or ""
+    section = re.search(r"(?:Attributes|Parameters)\n-+\n(.*?)(?:\n\n|\Z)", text, re.DOTALL)
+    entries = re.findall(r"^([\w, ]+?) : .*\n((?:    .*\n?)*)", section[1] if section else "", re.MULTILINE)
+    return {key: " ".join(about.split()) for keys, about in entries for key in keys.split(", ") if about.strip()}
+
+
+def _listed(annotation: Any) -> Any:
+    """Return a list of as many items where an annotation is a tuple, which TOML has not."""
+    if get_origin(annotation) is not tuple:
+        return annotation
+    item, n = get_args(annotation)[0], len(get_args(annotation))
+    return Annotated[list[item], Field(min_length=n, max_length=n), AfterValidator(tuple)]  # type: ignore[valid-type]
