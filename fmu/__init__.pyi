@@ -41,7 +41,7 @@ from .posterior.priors.scipy_distributions import ScipyPrior as ScipyPrior
 from .posterior.problem import UpdatingProblem as UpdatingProblem
 from .report.export import export as export
 from .report.pages import write_report as write_report
-from .runs.settings import Checkpoint as Checkpoint
+from .runs import Checkpoint as Checkpoint
 from .samplers.ensemble import Ensemble as Ensemble
 from .samplers.hmc.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .samplers.metropolis import MetropolisHastings as MetropolisHastings

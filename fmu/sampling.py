@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -227,6 +228,10 @@ def sample(
         trace = _with_structure(as_trace(result), problem, maxima, full_solves)
         trace.attrs["after_n_solves"] = solves() - solved_before
     return trace
+
+
+DEFAULTS: Mapping[str, Any] = sample.__kwdefaults__ or {}
+"""The keyword arguments of `sample` and their default values, which are those of ``fmu run``, too."""
 
 
 def _check(init: Any, arguments: dict[str, Any], settings: Any) -> None:

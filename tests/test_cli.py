@@ -14,6 +14,9 @@ import fmu
 from fmu import cli
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.trace.conversion import save_trace
+from fmu.config.kept import KeptProblem
+
+BUILT_IN = fmu.cases.path("cantilever-young").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +33,21 @@ def young():
     return problem
 
 
+def loading(monkeypatch, problem, load=KeptProblem.load):
+    """Have this problem loaded in place of the built-in one."""
+
+    def replaced(kept, engine=None):
+        return problem if kept.file.read_bytes() == BUILT_IN else load(kept, engine)
+
+    monkeypatch.setattr(KeptProblem, "load", replaced)
+
+
 @pytest.fixture
 def invoke(young, monkeypatch, tmp_path):
     """Run a command in an empty directory; the built-in problem is loaded once for all tests."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": young)
+    loading(monkeypatch, young)
+    monkeypatch.setattr("fmu.analysis.estimate.estimates", lambda *_: [])  # told only where a machine is slow
     return lambda *args: CliRunner().invoke(cli.main, list(map(str, args)), prog_name="fmu")
 
 
@@ -287,7 +300,7 @@ def test_bad_input_is_one_line_and_writes_nothing(invoke, tmp_path, arguments, p
 def test_start_outside_the_bounds(invoke, young, monkeypatch, tmp_path):
     problem = copy.copy(young)
     problem.start = young.upper * 1.1
-    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)
+    loading(monkeypatch, problem)
     assert_one_line(invoke("run", "cantilever-young", *SHORT, "--init", "start"), "2.75e+11")
     assert list(tmp_path.iterdir()) == []
 
@@ -324,7 +337,7 @@ def test_failed_run_does_not_touch_an_earlier_one(invoke, young, monkeypatch, tm
     before = files_in(out)
     problem = copy.copy(young)
     problem.start = young.lower * 0.9
-    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)
+    loading(monkeypatch, problem)
     assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite", "--init", "start"))
     assert files_in(out) == before
 
@@ -383,7 +396,7 @@ def test_compare_of_different_problems(invoke, young, monkeypatch):
     invoke("run", "cantilever-young", *SHORT, "--out", "here")
     other = copy.copy(young)  # whose maxima are searched for anew
     other.name = "another"
-    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": other)
+    loading(monkeypatch, other)
     arguments = ("--draws", 6, "--warmup", 3, "--sampler", "slice", "--out", "here", "--overwrite", "--no-report")
     assert invoke("run", "cantilever-young", *arguments, "--starts", 1).exit_code == 0
     assert_one_line(invoke("compare", "here"), "here contains runs of different problems", "another")
@@ -401,8 +414,7 @@ def test_failed_points_are_reported(invoke, young, monkeypatch):
         return np.where((np.arange(2) == 1) & (len(calls) > 2), np.nan, young.log_prob(theta))
 
     problem.log_prob = log_prob
-    monkeypatch.setattr(fmu.cases, "load", lambda name, pairing="shape": problem)
-    monkeypatch.setattr("fmu.analysis.estimate.estimates", lambda *_: [])  # which solves too
+    loading(monkeypatch, problem)
     result = invoke("run", "cantilever-young", *SHORT, "--starts", 1, "--out", "here")
     assert result.exit_code == 0, result.output
     trace = fmu.load_trace("here/mh.nc")

@@ -12,9 +12,9 @@ import pytest
 
 import fmu.progress
 from fmu.progress import json_lines, labelled, progress_bars, reporting
-from fmu.progress.bars import terminal_bars
+from fmu.progress.displays import terminal_bars
 from fmu.progress.pace import Pace
-from fmu.progress.words import duration, in_words, number
+from fmu.progress.words import bar_name, duration, in_words, number
 
 
 class Display:
@@ -87,8 +87,9 @@ def test_a_callable_is_taken_as_it_is():
 
 def test_labels_go_before_the_phase():
     seen = []
-    labelled(lambda *call: seen.append(call), "hmc")("draws", 1, 2, {"accepted": "0.9"})
-    assert seen == [("hmc draws", 1, 2, {"accepted": "0.9"})]
+    labelled(lambda *call: seen.append(call), "hmc")("draws", 1, 2, {"group": "1/2"})
+    assert seen == [("draws", 1, 2, {"label": "hmc", "group": "1/2"})]
+    assert bar_name("draws", seen[0][3]) == "hmc draws 1/2"
 
 
 def test_a_notebook_shows_one_bar_a_phase_in_one_cell(notebook):

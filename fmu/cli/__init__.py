@@ -1,4 +1,6 @@
-"""The shell's face of the package, a module a command: arguments, progress and files; the work is done elsewhere.
+"""The shell commands: they read arguments and write tables and files; the rest of fmu does the work.
+
+Reading order: `run`, then `sampled`, which it calls; `problems`, `results` and `watch` are the other commands.
 
 Nothing heavy is imported before a command needs it.
 """
@@ -7,8 +9,8 @@ from __future__ import annotations
 
 import click
 
-from fmu.cli.commands import cases, check, compare, export, init, paper, report, run, schema, watch
-from fmu.cli.errors import Commands
+from fmu.cli import problems, results, run, watch
+from fmu.cli.messages import Commands
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -17,5 +19,5 @@ def main() -> None:
     """Bayesian finite-element model updating."""
 
 
-for _module in (init, schema, cases, check, run, watch, compare, report, export, paper):
-    main.add_command(_module.command)
+for _command in (*problems.COMMANDS, run.run, watch.watch, *results.COMMANDS):
+    main.add_command(_command)

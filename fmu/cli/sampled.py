@@ -1,194 +1,118 @@
-"""What ``fmu run`` does with a problem: search, sample, write, tell."""
+"""What ``fmu run`` does with a problem: search for maxima, draw with each sampler, write and print the results."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from fmu.cli.errors import STOPPED
-from fmu.cli.output import write_csv
-from fmu.cli.tables import echo_comparison, echo_evidences, summary_text
+from fmu import sampling
+from fmu.cli.messages import FAILED
+from fmu.cli.tables import echo_comparison, echo_evidences, echo_summary
+from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.numbers import typed
 from fmu.progress import Report, labelled
-from fmu.progress.lines import JSONLines
-from fmu.sampling import StoppedRun
+from fmu.runs import Checkpoint
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from fmu.analysis.convergence.diagnosis import Diagnosis
     from fmu.analysis.maxima.results import Maxima
     from fmu.config.kept import KeptProblem
     from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
     from fmu.runs.run_directory import RunDirectory
 
-_OF_THE_RUN = ("draws", "warmup", "chains", "groups", "seed", "init", "until_ess", "max_draws", "max_failure_rate")
-
 
 class Sampled(NamedTuple):
-    """What a run came to.
+    """The results of a run: the maxima and, for each sampler, its trace and the summary of the trace."""
 
-    Attributes
-    ----------
-    problem : UpdatingProblem
-    orders : mapping of str to JSON value
-        What was asked for.
-    maxima : Maxima
-    traces : dict of str to DataTree
-    summaries : dict of str to DataFrame
-    stopped : str
-        What was stopped and where, in words; empty if nothing was.
-    """
-
-    problem: UpdatingProblem
-    orders: Mapping[str, Any]
     maxima: Maxima
     traces: dict[str, xr.DataTree]
     summaries: dict[str, pd.DataFrame]
-    stopped: str = ""
 
 
 def sampled(
-    problem: UpdatingProblem, asked: KeptProblem, running: RunDirectory, engine: Engine, report: Report | None
-) -> Sampled:
-    """Sample a problem with all samplers asked for, but for those that are done, and write what comes of each."""
-    from fmu.analysis.maxima.search import STARTS, default_starts, find_map
-
-    orders = asked.orders
-    starts = orders["starts"] or default_starts(problem)
-
-    def search() -> Maxima:
-        may_take_long = sys.stderr.isatty() or starts != STARTS
-        if may_take_long and not isinstance(report, JSONLines):  # whose stream is for programs
-            click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
-        return find_map(problem, starts)
-
-    with _explained(problem), _spread(problem, engine, orders["groups"]) as of_groups:
-        try:
-            outcome = Sampled(problem, orders, running.maxima(search), {}, {})
-            stopped = _all(outcome, asked, running, of_groups, report)
-        except ValueError:
-            running.abandon()
-            raise
-    if stopped:
-        return outcome._replace(stopped=stopped)
-    write_csv(outcome.maxima.table(), running.path / "map.csv")
-    return outcome
-
-
-def tell(outcome: Sampled, directory: Path) -> int:
-    """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
-    from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
-    from fmu.analysis.evidence import found_evidences
-
-    traces, summaries = outcome.traces, outcome.summaries
-    verdicts = diagnose_all(traces, summaries=summaries)
-    comparison = side_by_side(traces, summaries, verdicts)
-    write_csv(comparison, directory / "comparison.csv")
-    click.echo(f"Posterior maxima\n{outcome.maxima}\n")
-    for name, table in summaries.items():
-        click.echo(f"{name}\n{summary_text(table, _updated(traces[name]))}\n")
-        _echo_failed_points(name, traces[name], directory, outcome.problem)
-    echo_comparison(comparison, verdicts)
-    echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
-    until_ess = outcome.orders["until_ess"]
-    short = _short_of(until_ess, summaries, verdicts)
-    if short:
-        click.echo(f"\n--max-draws reached before --until-ess {typed(until_ess)}: {', '.join(short)}")
-    click.echo(f"\nWritten to {directory}")
-    return 1 if short else 0
-
-
-def _updated(trace: xr.DataTree) -> list[str] | None:
-    """Return a column that says which parameters the data updated, None where that cannot be said."""
-    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
-
-    words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
-    found = information(trace)
-    return None if found is None else [words[basis] for basis in found.basis]
-
-
-def stopped(directory: Path, where: str = "") -> int:
-    """Say where a run was stopped, in words, and how to go on with it; return the exit code."""
-    click.echo(f"Stopped{where and f': {where}'}. To resume: fmu run --resume {directory}", err=True)
-    return STOPPED
-
-
-def _all(
-    outcome: Sampled, asked: KeptProblem, running: RunDirectory, engine: Engine, report: Report | None
-) -> str:
-    """Put the traces of all samplers into the outcome; return in words where the run was stopped, if it was."""
-    for name in dict.fromkeys(outcome.orders["samplers"]):
-        stopped = _one(name, outcome, asked, running, engine, report)
-        if stopped:
-            return stopped
-        asked = replace(asked, finished=(*dict.fromkeys((*asked.finished, name)),))
-        with shielded():
-            running.finished(name, asked)
-    return ""
-
-
-def _one(
-    name: str,
-    outcome: Sampled,
+    problem: UpdatingProblem,
     asked: KeptProblem,
     running: RunDirectory,
     engine: Engine,
     report: Report | None,
-) -> str:
-    """Put the trace of one sampler into the outcome; return in words where it was stopped, if it was."""
-    from fmu.analysis.convergence.diagnostics import summary
-    from fmu.analysis.trace.conversion import load_trace, save_trace
+    speaks: bool,
+) -> Sampled:
+    """Sample a problem with every sampler asked for that has not finished yet, and write the results of each.
 
-    path = running.path / f"{name}.nc"
-    if name in asked.finished:
-        trace, stopped = load_trace(path), ""
-    else:
-        drawn, stopped = _drawn(name, outcome, running, engine, report)
-        if drawn is None:
-            return stopped
-        trace = drawn
-        try:
-            save_trace(trace, path)
-        except OSError as error:
-            raise OSError(f"{error}. The draws are saved. To resume: fmu run --resume {running.path}") from error
-    if stopped:
-        return stopped
-    outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
-    write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
-    return ""
+    Raises
+    ------
+    StoppedRun
+        If Ctrl-C or SIGTERM stopped a sampler; what it had drawn is written too.
+    """
+    from fmu.analysis.convergence.diagnostics import summary
+    from fmu.analysis.maxima.search import STARTS, default_starts, find_map
+    from fmu.analysis.trace.conversion import load_trace
+
+    starts = asked.orders["starts"] or default_starts(problem)
+
+    def search() -> Maxima:
+        if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long
+            click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
+        return find_map(problem, starts)
+
+    with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as of_groups:
+        outcome = Sampled(running.maxima(search), {}, {})
+        for name in dict.fromkeys(asked.orders["samplers"]):
+            if name in asked.finished:
+                trace = load_trace(running.path / f"{name}.nc")
+            else:
+                trace = _drawn(name, problem, outcome.maxima, asked, running, of_groups, report)
+            outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
+            _write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
+            if name not in asked.finished:
+                asked = replace(asked, finished=(*asked.finished, name))
+                with shielded():
+                    running.finished(name, asked)
+    _write_csv(outcome.maxima.table(), running.path / "map.csv")
+    return outcome
 
 
 def _drawn(
-    name: str, outcome: Sampled, running: RunDirectory, engine: Engine, report: Report | None
-) -> tuple[xr.DataTree | None, str]:
-    """Return the trace of one sampler, and in words where it was stopped, if it was."""
-    from fmu.runs import Checkpoint
+    name: str,
+    problem: UpdatingProblem,
+    maxima: Maxima,
+    asked: KeptProblem,
+    running: RunDirectory,
+    engine: Engine,
+    report: Report | None,
+) -> xr.DataTree:
+    """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
     from fmu.samplers.loop.run import TooManyFailuresError
-    from fmu.sampling import sample
 
-    ledger, orders = running.path / f"failures-{name}.csv", outcome.orders
+    orders, ledger = asked.orders, running.path / f"failures-{name}.csv"
+    arguments = {key: orders[key] for key in sampling.DEFAULTS if key in orders}
+    if name == "emcee":  # whose ensembles are the groups
+        del arguments["groups"]
+    resume = f"To resume: fmu run --resume {running.path}"
     try:
-        trace = sample(
-            outcome.problem,
+        trace = sampling.sample(
+            problem,
             name,
-            **{key: orders[key] for key in _OF_THE_RUN if not (key == "groups" and name == "emcee")},
-            maxima=outcome.maxima,
+            **arguments,
+            maxima=maxima,
             checkpoint=Checkpoint(running.of_sampler(name), orders["keep_draws"], orders["keep_seconds"]),
             workers=engine,
             progress=report and labelled(report, name),
         )
-    except StoppedRun as stop:
-        return stop.trace, f"{name} {stop.where}"
+    except sampling.StoppedRun as stop:
+        if stop.trace is not None:
+            _save(stop.trace, running.path / f"{name}.nc", resume)
+        raise sampling.StoppedRun(f"{name} {stop.where}", stop.trace) from None
     except TooManyFailuresError as error:
         raise TooManyFailuresError(
             f"{name}: {error}. See {ledger}; to continue regardless: fmu run --resume {running.path} "
@@ -196,39 +120,47 @@ def _drawn(
             error.result,
         ) from None
     except OSError as error:
-        raise OSError(f"{error}. To resume: fmu run --resume {running.path}") from error
+        raise OSError(f"{error}. {resume}") from error
     finally:
-        with suppress(OSError):  # it is with what is kept, anyhow
+        with suppress(OSError):  # the failures are in the checkpoint, too
             running.take_ledger(name, ledger)
-    return trace, ""
+    _save(trace, running.path / f"{name}.nc", resume)
+    return trace
 
 
-@contextmanager
-def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
-    """Give the engine that advances groups of chains.
+def _save(trace: xr.DataTree, path: Path, resume: str) -> None:
+    from fmu.analysis.trace.conversion import save_trace
 
-    A Python function is expensive: its single evaluations are spread over the workers, unless groups of chains are
-    asked for; and then the chains advance in this process.
-    """
-    from fmu.engines.base import InProcess
-
-    function = problem.model.black_box
-    if engine.workers > 1 and groups is None and function is not None:
-        with function.spread_over(engine):
-            yield InProcess()
-    else:
-        yield engine
+    try:
+        save_trace(trace, path)
+    except OSError as error:
+        raise OSError(f"{error}. The draws are saved. {resume}") from error
 
 
-def _short_of(
-    until_ess: float | None, summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
-) -> list[str]:
-    """Return the samplers that did not come to the effective sample size with a good verdict."""
-    if until_ess is None:
-        return []
+def _write_csv(table: pd.DataFrame, path: Path) -> None:
+    write_durably(path, table.to_csv().encode())
+
+
+def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, until_ess: float | None) -> int:
+    """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
     from fmu.analysis.convergence.diagnosis import is_enough
+    from fmu.analysis.evidence import found_evidences
 
-    return [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
+    _, traces, summaries = outcome
+    click.echo(f"Posterior maxima\n{outcome.maxima}\n")
+    for name, trace in traces.items():
+        echo_summary(name, trace, summaries[name])
+        _echo_failed_points(name, trace, directory, problem)
+    comparison, verdicts = echo_comparison(traces, summaries)
+    _write_csv(comparison, directory / "comparison.csv")
+    echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
+    short = []
+    if until_ess is not None:
+        short = [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
+        if short:
+            click.echo(f"\n--max-draws reached before --until-ess {typed(until_ess)}: {', '.join(short)}")
+    click.echo(f"\nWritten to {directory}")
+    return FAILED if short else 0
 
 
 def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:
@@ -244,8 +176,25 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 
 
 @contextmanager
+def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
+    """Give the engine that advances groups of chains.
+
+    A user's function is expensive: unless groups are asked for, the workers share the evaluations of each step,
+    and the chains advance in this process.
+    """
+    from fmu.engines.base import InProcess
+
+    function = problem.model.black_box
+    if engine.workers > 1 and groups is None and function is not None:
+        with function.spread_over(engine):
+            yield InProcess()
+    else:
+        yield engine
+
+
+@contextmanager
 def _explained(problem: UpdatingProblem) -> Iterator[None]:
-    """Add to an error why the user's function failed, where it did."""
+    """Add to an error why the user's function failed, if it did."""
     try:
         yield
     except ValueError as error:
@@ -256,6 +205,6 @@ def _explained(problem: UpdatingProblem) -> Iterator[None]:
 
 
 def _why(problem: UpdatingProblem) -> str:
-    """Return the first reason why the function of a black-box model failed; empty if it never did."""
+    """Return the first failure of the user's function, in words; empty if there is none."""
     reasons = problem.model.reasons
     return f"; the function first failed at {reasons[0].theta.tolist()}: {reasons[0].reason}" if reasons else ""

@@ -12,6 +12,7 @@ from fmu.text_table import text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import Diagnosis
     from fmu.analysis.evidence import FoundEvidence
@@ -30,9 +31,9 @@ _FORMATS: dict[str, Callable[[float], str]] = {
 
 
 def summary_text(table: pd.DataFrame, updated: Sequence[str] | None = None) -> str:
-    """Return ``fmu.summary(trace)`` as text: of means and intervals as many digits as their sd leaves.
+    """Return ``fmu.summary(trace)`` as text; the sd decides how many digits of means and intervals are shown.
 
-    With `updated`, a last column says of each parameter whether the data updated it.
+    With `updated`, a last column says whether the data updated each parameter.
     """
     more = [] if updated is None else ["updated"]
     rows = []
@@ -43,8 +44,24 @@ def summary_text(table: pd.DataFrame, updated: Sequence[str] | None = None) -> s
     return text_table(["", *map(str, table.columns), "unit", *more], rows, words=(0, n, n + 1)[: 2 + len(more)])
 
 
-def echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> None:
-    """Print the numbers with a column a sampler, then the verdicts and what speaks against the model, in words."""
+def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
+    """Print the summary of a sampler's trace, with a column that says which parameters the data updated."""
+    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
+
+    words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
+    found = information(trace)
+    updated = None if found is None else [words[basis] for basis in found.basis]
+    click.echo(f"{name}\n{summary_text(table, updated)}\n")
+
+
+def echo_comparison(
+    traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]
+) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
+    """Print a table with one column per sampler, the verdicts, and the warnings about the model; return both."""
+    from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
+
+    verdicts = diagnose_all(traces, summaries=summaries)
+    table = side_by_side(traces, summaries, verdicts)
     columns = table.drop(columns="verdict")
     rows = [[str(name), *(_cell(str(name), value) for value in columns[name])] for name in columns]
     click.echo(text_table(["", *map(str, table.index)], rows))
@@ -61,10 +78,11 @@ def echo_comparison(table: pd.DataFrame, verdicts: Mapping[str, Diagnosis]) -> N
         click.echo(f"\nRemarks on the model, from the draws of {told}{doubt}")
         for warning in verdicts[told].warnings:
             click.echo(wrapped(warning, "  - ", "    "))
+    return table, verdicts
 
 
 def echo_evidences(found: Sequence[FoundEvidence]) -> None:
-    """Print every log-evidence with what it rests on, if there is any."""
+    """Print the log-evidences, if there are any, each with the method and how reliable it is."""
     if found:
         click.echo("\nEvidence (natural logarithm)")
     for one in found:
@@ -72,7 +90,7 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
 
 
 def _cell(name: str, value: Any) -> str:
-    """Format a number of the comparison: whole ones in full, what does not apply as a dash."""
+    """Format a value of the comparison: whole numbers in full, a dash for what does not apply."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):

@@ -21,7 +21,11 @@ MAX_DEATHS = 3
 """Worker deaths at which a task is given up."""
 
 
-class LostTaskError(RuntimeError):
+class RunFailedError(RuntimeError):
+    """Work cannot go on for a reason outside fmu, such as a model that fails or workers that die."""
+
+
+class LostTaskError(RunFailedError):
     """Every worker that tried a task died.
 
     Attributes

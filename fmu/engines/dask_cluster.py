@@ -21,6 +21,7 @@ import cloudpickle
 import dask
 import distributed
 
+from fmu.engines.base import RunFailedError
 from fmu.engines.remote import RemoteEngine, Shared, Task, WorkerDeath, carry_out, limit_blas_threads
 from fmu.progress import Report
 
@@ -29,7 +30,6 @@ _ADDRESS = re.compile(r"tcp://[^\s/]+:\d+")
 _LOGGERS = ("distributed", "distributed.client", "tornado.application")
 _CONNECT_TIMEOUT_S = 10.0
 _CHECK_INTERVAL_S = 1.0
-_thread = threading.local()
 _limit_blas_threads_once = cache(limit_blas_threads)
 
 
@@ -129,7 +129,7 @@ class DaskCluster(RemoteEngine):
             kind, content = self._inbox.get(timeout=_CHECK_INTERVAL_S)
         except queue.Empty:
             if self._client.status != "running":
-                raise RuntimeError(f"--cluster: lost the connection to the scheduler ({self.address})") from None
+                raise RunFailedError(f"--cluster: lost the connection to the scheduler ({self.address})") from None
             self._n_threads = self.workers
             ended = [key for key, (future, _) in self._running.items() if future.status in ("cancelled", "lost")]
         else:
@@ -169,6 +169,16 @@ class DaskCluster(RemoteEngine):
         self._last_report.clear()
 
 
+class _Thread(threading.local):
+    """What a thread of a worker has unpickled last: threads may not be able to use one copy together."""
+
+    name = ""
+    shared = Shared(b"")
+
+
+_thread = _Thread()
+
+
 class Bytes:
     """Bytes that Dask does not look into.
 
@@ -201,7 +211,7 @@ def run_on_worker(shared: Bytes, name: str, key: str, task: Bytes, topic: str) -
         number, last = number + 1, report
         distributed.get_worker().log_event(topic, cloudpickle.dumps((key, number, last)))
 
-    if getattr(_thread, "name", None) != name:  # a copy for each thread: they may not be able to use one together
+    if _thread.name != name:
         _thread.name, _thread.shared = name, Shared(shared.content)
     outcome = carry_out(task.content, _thread.shared, send)
     return Bytes(cloudpickle.dumps((outcome, number, last)))

@@ -17,7 +17,7 @@ import cloudpickle
 
 from fmu.engines.base import MAX_DEATHS, Engine, Follow, InProcess, LostTaskError, Work
 from fmu.progress import Report
-from fmu.progress.throttle import Throttle
+from fmu.progress.pace import Throttle
 
 _REPORT_INTERVAL_S = 0.1
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")

@@ -1,23 +1,29 @@
-"""Progress: bars for people on a terminal and in a notebook, lines of JSON for programs, else nothing."""
+"""Progress: bars for people at a terminal or in a notebook, JSON lines for programs, otherwise nothing.
+
+Reading order: this file, `phases` (where reports come from), `displays`; then `pace` and `words`.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
-from fmu.progress.report import Info as Info
-from fmu.progress.report import Report as Report
-
 if TYPE_CHECKING:
-    from fmu.progress.lines import JSONLines
+    from fmu.progress.displays import JSONLines
+
+Info = Mapping[str, str | int | float]
+"""More about a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``; the ``group``; the ``label``."""
+
+Report = Callable[[str, int, int, Info], None]
+"""Called as ``report(phase, done, total, info)``: steps done of a phase, and a few numbers or words by name."""
 
 
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
-    """Give a callback that draws one bar a phase; None where there is neither a notebook nor a terminal."""
-    from fmu.progress.bars import NotebookBars, terminal_bars
+    """Give a callback that draws one bar per phase; None where there is neither a notebook nor a terminal."""
+    from fmu.progress.displays import NotebookBars, terminal_bars
 
     if in_notebook():
         yield NotebookBars().report
@@ -29,20 +35,20 @@ def progress_bars() -> Iterator[Report | None]:
 
 
 def json_lines(stream: TextIO) -> JSONLines:
-    """Return a callback that writes lines of JSON; `fmu.progress.lines.JSONLines` says what is in them.
+    """Return a callback that writes JSON lines, see `fmu.progress.displays.JSONLines`.
 
-    To be used as a context manager, or closed, so that the last line of a phase that ends early is written too.
+    Use it as a context manager, or close it, so that the last line of a phase that ends early is written too.
     """
-    from fmu.progress.lines import JSONLines
+    from fmu.progress.displays import JSONLines
 
     return JSONLines(stream)
 
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Give the callback that is meant by `progress`: itself; for True bars, for None bars in a notebook only.
+    """Give the callback that `progress` stands for: itself; bars if True; bars in a notebook only if None.
 
-    The bars' phases are named after `label`.
+    The bars show the `label` before the name of the phase.
     """
     if callable(progress):
         yield progress
@@ -54,22 +60,20 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
 
 
 def labelled(report: Report, label: str) -> Report:
-    """Return the callback with `label` before the names of the phases; lines of JSON have a place for it."""
-    if hasattr(report, "labelled"):
-        return report.labelled(label)
+    """Return the callback with ``label`` added to what it is told."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:
-        report(f"{label} {phase}", done, total, info)
+        report(phase, done, total, {"label": label, **info})
 
     return report_labelled
 
 
 def in_notebook() -> bool:
-    """Say whether the code runs in the kernel of a Jupyter notebook."""
+    """Return whether the code runs in the kernel of a Jupyter notebook."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return getattr(shell, "kernel", None) is not None
 
 
 def on_terminal() -> bool:
-    """Say whether someone may look at the standard output."""
+    """Return whether the standard output is a terminal."""
     return sys.stdout.isatty()

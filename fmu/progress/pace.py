@@ -1,20 +1,22 @@
-"""How fast something goes on, from its last seconds."""
+"""How fast a phase advances, and how often a display of it changes."""
 
 from __future__ import annotations
 
+import time
 from collections import deque
+from collections.abc import Hashable
 
 WINDOW_S = 15.0
 _SAMPLES = 50
 
 
 class Pace:
-    """The steps of a phase over the last seconds: what was slow before, a warm-up, does not count.
+    """The pace of a phase over its last seconds, so that a slow warm-up before it does not count.
 
     Parameters
     ----------
     window_s : float
-        How far back; where reports are rarer than that, back to the last but one.
+        Length of the window. If reports are rarer, the last two of them are used.
     """
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
@@ -23,25 +25,25 @@ class Pace:
         self._steps: deque[tuple[float, int]] = deque()
 
     def add(self, now: float, done: int, total: int) -> None:
-        """Note at `now`, in seconds of any clock, that `done` of `total` steps are done."""
-        if self._steps and done < self._steps[-1][1]:  # it began again
+        """Note that at `now`, in seconds of any clock, `done` of `total` steps are done."""
+        if self._steps and done < self._steps[-1][1]:  # the phase has started again
             self._steps.clear()
         self.total = total
         if len(self._steps) > 1 and now - self._steps[-2][0] < self.window_s / _SAMPLES:
-            self._steps.pop()  # reports may come by the thousand
+            self._steps.pop()  # there may be thousands of reports
         self._steps.append((now, done))
         while len(self._steps) > 2 and self._steps[1][0] <= now - self.window_s:
             self._steps.popleft()
 
     def per_s(self) -> float | None:
-        """Return the steps a second; None where too little is known."""
+        """Return the steps per second; None if too little is known."""
         if len(self._steps) < 2:
             return None
         (began, before), (ended, done) = self._steps[0], self._steps[-1]
         return (done - before) / (ended - began) if ended > began else None
 
     def remaining(self, now: float) -> float | None:
-        """Return the seconds that are left at `now`; None where too little is known, or nothing moves."""
+        """Return the seconds left at `now`; None if too little is known or nothing moves."""
         if not self._steps:
             return None
         at, done = self._steps[-1]
@@ -49,3 +51,24 @@ class Pace:
             return 0.0
         speed = self.per_s()
         return max((self.total - done) / speed - (now - at), 0.0) if speed else None
+
+
+class Throttle:
+    """Lets reports through at most once per interval, but always the last one.
+
+    Parameters
+    ----------
+    interval_s : float
+    """
+
+    def __init__(self, interval_s: float) -> None:
+        self.interval_s = interval_s
+        self._shown: dict[Hashable, float] = {}
+
+    def lets(self, what: Hashable, *, ends: bool) -> bool:
+        """Return whether a report on `what` may be shown now; `ends` marks the last one."""
+        now = time.monotonic()
+        if not ends and what in self._shown and now < self._shown[what] + self.interval_s:
+            return False
+        self._shown[what] = now
+        return True

@@ -1,7 +1,7 @@
-"""The phases of a run beside its draws: each tells how far it is, and how often the model was solved in it.
+"""The phases of a run besides its draws: how far each has got, and how often the model was solved in it.
 
-Whoever works through something that may take long opens a `phase`, and says `Phase.advance`; models say `solved`.
-Who wants to know listens with `told_to`. So nothing between them has to pass a callback on.
+Code that may take long opens a `phase` and calls `Phase.advance`, models call `solved`, and `told_to` sets who
+hears of it, so that no function between them has to pass a callback on.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AT_ONCE_S = 0.5
-"""A phase is not told before it has taken so long: most take no time."""
+"""A phase is reported only after it has taken this long: most take no time."""
 
 _PART_S = 0.1
 _FIRST_ROWS = 16
 
 Note = Callable[[str, int, int], None]
-"""Called as ``note(phase, done, total)`` from the beginning of a phase on; with an empty name after its end."""
+"""Called as ``note(phase, done, total)`` during a phase, from its first step; with an empty name after it."""
 
 
 class _Count:
@@ -33,13 +33,13 @@ class _Count:
 
 
 class Phase:
-    """A phase that goes on.
+    """A phase under way.
 
     Parameters
     ----------
     name : str
     total : int
-        Steps, as far as is known.
+        Number of steps, as far as it is known.
     report : Report or None
     note : Note or None
     """
@@ -53,22 +53,22 @@ class Phase:
         self.tell()
 
     def advance(self, steps: int = 1) -> None:
-        """Say that so many more steps are done."""
+        """Count steps that are done."""
         self.done += steps
         self.total = max(self.total, self.done)
         self.tell()
 
     def expect(self, steps: int) -> None:
-        """Say that there are so many steps more than was known."""
+        """Count steps that are to be done beyond those known so far."""
         self.total += steps
 
     def solved(self, n: int) -> None:
-        """Say that the model was solved at `n` more theta."""
+        """Count solves of the model at `n` theta."""
         self.solves += n
         self.tell()
 
     def tell(self) -> None:
-        """Tell whoever listens, if it takes long enough."""
+        """Report the state of the phase, if it has taken long enough."""
         if self._note is not None:
             self._note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
@@ -76,7 +76,7 @@ class Phase:
             self._report(self.name, self.done, self.total, {"solves": self.solves})
 
     def end(self) -> None:
-        """Tell that it is over, if it was told before."""
+        """Report the end of the phase, if the phase was reported at all."""
         if self._is_told and self.done < self.total:
             self.total = self.done
             self.tell()
@@ -89,7 +89,7 @@ _note: ContextVar[Note | None] = ContextVar("note", default=None)
 
 @contextmanager
 def told_to(report: Report | None, note: Note | None = None) -> Iterator[None]:
-    """Have the phases of a block told; what is None is left to whoever was told before."""
+    """Have the phases of a block reported; an argument that is None leaves the one that is set."""
     before = _report.set(report or _report.get()), _note.set(note or _note.get())
     try:
         yield
@@ -100,10 +100,10 @@ def told_to(report: Report | None, note: Note | None = None) -> Iterator[None]:
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
-    """Open a phase; one within another is told by itself, and its solves are the other's too."""
+    """Open a phase. One inside another is reported separately; its solves count for both."""
     outer, report, note = _phase.get(), _report.get(), _note.get()
     if report is None and in_notebook():
-        from fmu.progress.bars import NotebookBars
+        from fmu.progress.displays import NotebookBars
 
         report = NotebookBars().report
     opened = Phase(name, total, report, note)
@@ -120,7 +120,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
 
 
 def advanced(steps: int = 1) -> None:
-    """Say that so many more steps of the phase under way are done, if there is one."""
+    """Count steps that are done in the phase under way, if there is one."""
     under_way = _phase.get()
     if under_way is not None:
         under_way.advance(steps)
@@ -129,9 +129,9 @@ def advanced(steps: int = 1) -> None:
 def by_parts[Found](
     name: str, function: Callable[[NDArray[np.float64]], Found], points: NDArray[np.float64], most: int = 4096
 ) -> list[Found]:
-    """Return what a function gives for points (n, ...), a part of them at a time, as a phase.
+    """Apply a function to points (n, ...) in batches, as a phase, and return the results of the batches.
 
-    A part takes some tenths of a second where that can be, and has at most `most` rows.
+    A batch takes some tenths of a second where possible, and has at most `most` rows.
     """
     found: list[Found] = []
     first, rows = 0, min(_FIRST_ROWS, most)
@@ -147,7 +147,7 @@ def by_parts[Found](
 
 
 def solved(n: int = 1) -> None:
-    """Count solves of the model at `n` theta, and have the phase under way tell of them."""
+    """Count solves of the model at `n` theta, for this process and for the phase under way."""
     _Count.solves += n
     under_way = _phase.get()
     if under_way is not None:
@@ -155,5 +155,5 @@ def solved(n: int = 1) -> None:
 
 
 def solves() -> int:
-    """Return how many solves this process has counted."""
+    """Return the number of solves that this process has counted."""
     return _Count.solves

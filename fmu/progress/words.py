@@ -1,14 +1,17 @@
-"""Numbers of a run as a bar shows them: short, and in the same places."""
+"""Progress in words and as JSON: short numbers that keep their place."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
+from numbers import Integral, Real
+from typing import Any
 
 from fmu.numbers import MISSING, fixed, significant
 
-HIDDEN = ("group", "lp", "solves")
-"""What a bar has no room for: the first is part of its name."""
+HIDDEN = ("label", "group", "lp", "solves")
+"""Items that a bar does not list; the first two are part of its name."""
 
 _RATE = "_per_s"
 _DIGITS = {"accept": 2, "rhat": 3}
@@ -16,21 +19,21 @@ _PREFIXES = ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
 def bar_name(phase: str, info: Mapping[str, str | int | float]) -> str:
-    """Return the name of the bar: one a phase, and one a group of chains where ``info["group"]`` says so."""
-    return f"{phase} {info['group']}" if "group" in info else phase
+    """Return the name of a bar, such as ``hmc draws 1/2``: label, phase and group of chains, as far as given."""
+    return " ".join(str(part) for part in (info.get("label"), phase, info.get("group")) if part)
 
 
 def in_words(info: Mapping[str, str | int | float], brief: bool = False) -> str:
-    """Return what a bar says beside how far it is: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
+    """Return what stands beside a bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
 
-    Rates come last; `brief` leaves out of what they are: ``5.3k/s``.
+    Rates come last; if `brief`, without saying of what: ``5.3k/s``.
     """
     names = sorted((name for name in info if name not in HIDDEN), key=lambda name: name.endswith(_RATE))
-    return " ".join(_said(name, info[name], brief) for name in names)
+    return " ".join(_item(name, info[name], brief) for name in names)
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time as 4.2 s would be, ``0:04``, or ``1:02:03``; ``-:--`` where it is not known."""
+    """Return a time as ``0:04`` (4 s) or ``1:02:03``; ``-:--`` if it is not known."""
     if seconds is None or not math.isfinite(seconds):
         return "-:--"
     minutes, s = divmod(math.ceil(seconds), 60)
@@ -39,7 +42,7 @@ def duration(seconds: float | None) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number in three digits, thousands as ``1.2k``; ``–`` for what is not finite."""
+    """Return a number in three digits, thousands as ``1.2k``; ``–`` if it is not finite."""
     if not math.isfinite(value):
         return MISSING
     for size, prefix in _PREFIXES:
@@ -49,7 +52,26 @@ def number(value: float) -> str:
     return fixed(value, 0) if isinstance(value, int) or abs(value) >= 99.95 else significant(value)
 
 
-def _said(name: str, value: str | int | float, brief: bool) -> str:
+def as_json(value: Any) -> str:
+    """Return a value as JSON: NumPy's numbers as numbers, null for what is not finite, other objects as text."""
+    return json.dumps(_plain(value))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, Integral):
+        return int(value)
+    if isinstance(value, Real):
+        return float(value) if math.isfinite(value) else None
+    return str(value)
+
+
+def _item(name: str, value: str | int | float, brief: bool) -> str:
     if isinstance(value, str):
         return f"{name} {value}"
     digits = _DIGITS.get(name)

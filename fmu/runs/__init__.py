@@ -1,5 +1,41 @@
-"""Runs on disk while they go on: draws as they come, and the state of the chains, to go on from after any end."""
+"""Runs on disk: the draws and the state of the chains are saved during a run, so that it can be resumed.
+
+Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status for ``fmu watch``.
+"""
 
 from __future__ import annotations
 
-from fmu.runs.settings import Checkpoint as Checkpoint
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Where a run is kept while it goes on, and how much of it may be lost when it is killed.
+
+    Parameters
+    ----------
+    directory : path-like
+        A directory of the run's own; made if there is none.
+    draws : int
+        A group of chains loses at most as many steps.
+    seconds : float
+        It loses at most what it has drawn in as many seconds, or in a single step that takes longer.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    directory: str | os.PathLike[str]
+    draws: int = 1000
+    seconds: float = 30.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "directory", Path(self.directory))
+        if isinstance(self.draws, bool) or not isinstance(self.draws, int) or self.draws < 1:
+            raise ValueError(f"checkpoint.draws: must be a whole number of at least 1 (got {self.draws!r})")
+        if not self.seconds >= 0.0:
+            raise ValueError(f"checkpoint.seconds: must not be negative (got {self.seconds!r})")

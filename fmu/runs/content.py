@@ -1,35 +1,39 @@
-"""What the files of a checkpoint hold: steps as HDF5; where a group of chains stands, as arrays and an outline."""
+"""The files of a checkpoint: steps as HDF5; the state of a group of chains as NumPy arrays and a JSON outline."""
 
 from __future__ import annotations
 
 import io
 import json
+import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fmu.durable_files import DamagedError
+from fmu.durable_files import DamagedError, digest, payload_of, signed
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
 from fmu.samplers.loop.snapshot import Snapshot
 
+TITLE = "fmu state 2"
+
 
 class Segment(NamedTuple):
-    """A file of steps.
+    """What a state says about a file of steps.
 
     Attributes
     ----------
     name : str
     sha256 : str
-        Of its content.
+        Checksum of its content.
     phase : str
     first, steps : int
-        Number of the first step in the phase, and how many there are.
+        Number of the first step in the phase, and number of steps.
     solves, failed : int
-        What they cost, and how many of these solves gave no finite log-density.
+        Solves that the steps took, and how many of them gave no finite log-density.
     """
 
     name: str
@@ -42,21 +46,21 @@ class Segment(NamedTuple):
 
 
 class SavedState(NamedTuple):
-    """What is known of a group of chains when it is kept.
+    """The state of a group of chains when it was saved.
 
     Attributes
     ----------
     configuration : str
         Hash of what determines the draws.
     arithmetic : str
-        What their last bits depend on.
+        What the last bits of the draws depend on.
     group_state : GroupState
     elapsed_s : mapping of str to float
-        What the phases of the run have taken.
+        Time that each phase of the run has taken.
     segments : list of Segment
-        All steps so far.
+        The files of all steps so far.
     total : int
-        Steps of the phase, for who looks on.
+        Steps of the present phase, for ``fmu watch``.
     """
 
     configuration: str
@@ -68,7 +72,7 @@ class SavedState(NamedTuple):
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
-    """Return an HDF5 file of steps, and of the points that failed on the way."""
+    """Return steps as the bytes of an HDF5 file, with the points at which the model failed meanwhile."""
     import h5py
 
     buffer = io.BytesIO()
@@ -83,12 +87,12 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
 
 
 def writable(text: str) -> str:
-    """Return a text as files can hold it: what a user's program says may be no Unicode, or hold a zero."""
+    """Return a text that HDF5 can store: messages of a user's program may be invalid Unicode or contain a NUL."""
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
 
 
 def unpacked_steps(content: bytes) -> Steps:
-    """Return the steps of such a file."""
+    """Return the steps in the bytes of such a file."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
@@ -96,7 +100,7 @@ def unpacked_steps(content: bytes) -> Steps:
 
 
 def unpacked_failures(content: bytes) -> list[Failure]:
-    """Return the points that failed on the way."""
+    """Return the failed points in the bytes of such a file."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
@@ -107,12 +111,12 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: SavedState) -> bytes:
-    """Return a state as bytes: NumPy arrays in a zip file, one of them the outline as JSON.
+    """Return a state as the bytes of an ``.npz`` file, in which one array is the outline as JSON.
 
     Raises
     ------
     ValueError
-        If it holds objects that are not of this package.
+        If the state contains objects of a user's own sampler.
     """
     group_state = state.group_state
     if group_state.group.others:
@@ -136,7 +140,7 @@ def packed_state(state: SavedState) -> bytes:
 
 
 def unpacked_state(payload: bytes) -> SavedState:
-    """Return the state; DamagedError if the bytes are none."""
+    """Return the state in such bytes; DamagedError if they hold none."""
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -154,3 +158,30 @@ def unpacked_state(payload: bytes) -> SavedState:
         )
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise DamagedError(f"it holds no state ({error})") from error
+
+
+def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:
+    """Return the files of one kind in a directory, such as ``state-000007``, sorted by number."""
+    matches = ((re.fullmatch(rf"{kind}-(\d+)", path.name), path) for path in directory.glob(f"{kind}-*"))
+    return sorted((int(match[1]), path) for match, path in matches if match)
+
+
+def state_file(state: SavedState) -> bytes:
+    """Return the content of a file that holds a state and its checksum."""
+    return signed(TITLE, packed_state(state))
+
+
+def read_state(path: Path) -> SavedState:
+    """Return the state in a file; DamagedError if it is not as it was written, OSError if it cannot be read."""
+    return unpacked_state(payload_of(TITLE, path.read_bytes()))
+
+
+def read_segment(directory: Path, segment: Segment) -> bytes:
+    """Return the content of a file of steps; DamagedError if it is missing or not as it was written."""
+    try:
+        content = (directory / segment.name).read_bytes()
+    except OSError as error:
+        raise DamagedError(f"{segment.name} cannot be read: {error.strerror}") from error
+    if digest(content) != segment.sha256:
+        raise DamagedError(f"the checksum of {segment.name} is wrong")
+    return content

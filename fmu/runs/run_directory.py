@@ -46,7 +46,9 @@ class RunDirectory:
     def __enter__(self) -> RunDirectory:
         return self
 
-    def __exit__(self, *exception: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None and issubclass(kind, ValueError):  # the run could not be made
+            self.abandon()
         self._hold.release()
 
     def note(self, phase: str, done: int, total: int) -> None:

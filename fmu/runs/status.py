@@ -1,37 +1,36 @@
-"""How far a run is, from the files in its directory alone: no lock is taken, and nothing is written."""
+"""How far a run has got, from the files in its directory alone: no lock is taken, and nothing is written."""
 
 from __future__ import annotations
 
 import csv
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fmu.config.kept import ORIGIN, kept
 from fmu.durable_files import DamagedError
-from fmu.runs.group_reading import GroupReader, KeptGroup
+from fmu.runs.content import numbered
 from fmu.runs.identity import FILE as IDENTITY
 from fmu.runs.identity import Identity
 from fmu.runs.lock import FILE as PRESENCE
 from fmu.runs.lock import LOCK, ProcessInfo, noted_phase, present
+from fmu.runs.reading import GroupReader, KeptGroup, Progress, of_trace, together, why
 from fmu.runs.run_directory import FOLDER, unfinished
-from fmu.runs.sampler_reading import Progress, of_group, of_trace, together
-from fmu.runs.store import numbered
 
 WAITING, RUNNING, STOPPED, KILLED, SILENT, FINISHED = (
     "waiting", "running", "stopped", "killed", "silent", "finished",
 )  # fmt: skip
 SILENT_S = 600.0
-"""A run on another machine, which cannot be asked from here, is silent if no file of it is younger than this."""
+"""A run on another machine is silent if none of its files is younger than this: its process cannot be asked."""
 _BEGINS_S = 2.0
 _TRIES = 5
 
 
 @dataclass(frozen=True)
 class SamplerReading:
-    """How far a sampler is.
+    """How far a sampler has got.
 
     Attributes
     ----------
@@ -39,9 +38,9 @@ class SamplerReading:
     state : {"waiting", "running", "stopped", "killed", "silent", "finished"}
     together : Progress
     groups : tuple of Progress
-        Empty if there is but one, or the sampler has finished.
+        Empty if there is only one group, or the sampler has finished.
     verdict : str
-        Of a finished one, where it has been given.
+        Of a finished sampler, if the run has finished.
     """
 
     name: str
@@ -53,20 +52,19 @@ class SamplerReading:
 
 @dataclass(frozen=True)
 class RunReading:
-    """How far a run is.
+    """How far a run has got.
 
     Attributes
     ----------
     directory : Path
     state : {"running", "stopped", "killed", "silent", "finished"}
     at_work : ProcessInfo or None
-        Who is at work, or was when the run was killed.
+        The process that runs it, or was killed.
     samplers : tuple of SamplerReading
     is_of_command : bool
-        Whether ``fmu run`` made it, and can resume it.
+        Whether it is a run of ``fmu run``, which can resume it.
     phase : str
-        The phase under way that is not one of a sampler's, and how far it is, such as ``certificate 32/64``; empty
-        if there is none.
+        The phase under way if it is not one of a sampler, such as ``certificate 32/64``; empty if there is none.
     notes : tuple of str
         What could not be read, in words.
     """
@@ -81,7 +79,7 @@ class RunReading:
 
 
 class RunReader:
-    """Reads a run, again and again if need be; files that do not change only once.
+    """Reads the state of a run as often as wanted; files that do not change are read only once.
 
     Parameters
     ----------
@@ -97,7 +95,7 @@ class RunReader:
         self._notes: dict[str, None] = {}
 
     def read(self) -> RunReading:
-        """Return how far the run is.
+        """Return how far the run has got.
 
         Raises
         ------
@@ -109,28 +107,28 @@ class RunReader:
             where = unfinished(self.directory)
             is_store = any((self.directory / name).exists() for name in (IDENTITY, PRESENCE, LOCK, "group-1"))
             reading = self._of_python() if is_store else self._of_command(where)
-            if unfinished(self.directory) == where:  # else it has begun, or ended, meanwhile
+            if unfinished(self.directory) == where:  # otherwise it has begun or ended meanwhile
                 break
         return reading
 
     def _of_python(self) -> RunReading:
-        """Return how far the run is whose checkpoint the directory is."""
+        """Return how far a run of `fmu.sample` has got, whose checkpoint the directory is."""
         at_work = present(self.directory)
         sampler = self._unfinished("", self.directory, _state(at_work, self.directory), {})
-        whole = [group.phase == "draws" and group.done == group.total for group in _each(sampler)]
-        if at_work is None and all(whole):
-            sampler = SamplerReading(sampler.name, FINISHED, sampler.together, sampler.groups)
+        groups = sampler.groups or (sampler.together,)
+        if at_work is None and all(group.phase == "draws" and group.done == group.total for group in groups):
+            sampler = replace(sampler, state=FINISHED)
         return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
-        """Return how far a run of ``fmu run`` is, which keeps what was asked for in `where`."""
+        """Return how far a run of ``fmu run`` has got; its problem and options are in `where`."""
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
         orders, finished = self._asked(where)
         if not (orders or traces or folder.is_dir()):
             raise ValueError(f"directory: must be the directory of a run (got {self.directory})")
-        if not orders and not folder.is_dir():  # only traces are known of it
+        if not orders and not folder.is_dir():  # there are only traces
             orders, finished = {"samplers": traces}, tuple(traces)
         begun = [path.parent.name for path in sorted(folder.glob("*/group-1"))]
         names = list(dict.fromkeys(orders.get("samplers", begun)))
@@ -150,7 +148,7 @@ class RunReader:
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _asked(self, where: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
-        """Return what was asked for and which samplers are done, as far as that can be read."""
+        """Return what was asked for and which samplers have finished, as far as that can be read."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
@@ -161,7 +159,7 @@ class RunReader:
         return found.orders, found.finished
 
     def _unfinished(self, name: str, directory: Path, state: str, orders: Mapping[str, Any]) -> SamplerReading:
-        """Return how far a sampler is that has not finished."""
+        """Return how far a sampler has got that has not finished."""
         try:
             identity = Identity.read(directory)
         except (DamagedError, OSError) as error:
@@ -172,17 +170,17 @@ class RunReader:
         files = dict(numbered(directory, "group"))
         n = max([run.get("groups") or 1, *files])
         found = [self._group(files[k]) if k in files else None for k in range(1, n + 1)]
-        warmup, draws = run.get("warmup", orders.get("warmup", 0)), orders.get("draws")
+        length = run.get("warmup", orders.get("warmup", 0)), orders.get("draws")
         now = time.time()
-        runs = state == RUNNING
-        groups = [of_group(one, f"{k}/{n}", warmup, draws, now, runs) for k, one in enumerate(found, 1)]
+        groups = tuple(
+            Progress(label) if one is None else one.progress(label, *length, now, state == RUNNING)
+            for one, label in zip(found, (f"{k}/{n}" for k in range(1, n + 1)), strict=True)
+        )
         name = name or known.get("sampler", {}).get("name", "sampler")
-        return SamplerReading(name, state, together(groups, found), tuple(groups) if n > 1 else ())
+        return SamplerReading(name, state, together(groups, found), groups if n > 1 else ())
 
     def _group(self, directory: Path) -> KeptGroup | None:
-        if directory not in self._groups:
-            self._groups[directory] = GroupReader(directory)
-        found, damaged = self._groups[directory].read()
+        found, damaged = self._groups.setdefault(directory, GroupReader(directory)).read()
         for words in damaged:
             self._note(words)
         return found
@@ -195,21 +193,16 @@ class RunReader:
                 self._traces[key] = of_trace(path)
             return self._traces[key]
         except (OSError, ValueError, KeyError) as error:
-            why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            self._note(f"{path} cannot be read: {why}")
+            self._note(f"{path} cannot be read: {why(error)}")
             return Progress()
 
     def _note(self, words: str) -> None:
         self._notes[words] = None
 
 
-def _each(sampler: SamplerReading) -> tuple[Progress, ...]:
-    return sampler.groups or (sampler.together,)
-
-
 def _state(at_work: ProcessInfo | None, directory: Path) -> str:
-    """Return the state of a run that has not come to its end."""
-    if at_work is None:  # or it has but made the directory, and is about to say so
+    """Return the state of a run that has not finished."""
+    if at_work is None:  # or it has just made the directory
         return RUNNING if _begins(directory) else STOPPED
     alive = at_work.is_alive()
     if alive is not None:
@@ -218,16 +211,16 @@ def _state(at_work: ProcessInfo | None, directory: Path) -> str:
 
 
 def _begins(directory: Path) -> bool:
-    """Say whether a directory has just been made, and holds nothing yet."""
+    """Return whether a directory has just been made, and holds nothing yet."""
     try:
         held = {path.name for path in directory.iterdir() if not path.name.startswith(".")}
         return held <= {LOCK} and time.time() - directory.stat().st_mtime < _BEGINS_S
-    except OSError:  # it is not there
+    except OSError:  # there is no directory
         return False
 
 
 def _youngest(directory: Path) -> float:
-    """Return when a file was written last, in seconds since 1970."""
+    """Return when a file in the directory was last written, in seconds since 1970."""
     times = [0.0]
     for path in directory.rglob("*"):
         try:
@@ -238,7 +231,7 @@ def _youngest(directory: Path) -> float:
 
 
 def _verdicts(directory: Path) -> dict[str, str]:
-    """Return the verdicts that the comparison gave, by sampler; none if it is not there, or damaged."""
+    """Return the verdicts of the comparison, by sampler; none if its file is missing or damaged."""
     try:
         with open(directory / "comparison.csv", encoding="utf-8", newline="") as file:
             return {str(row["sampler"]): str(row["verdict"]) for row in csv.DictReader(file)}

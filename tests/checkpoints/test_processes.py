@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fmu.durable_files import digest
-from fmu.runs.store import numbered, read_state
+from fmu.runs.content import numbered, read_state
 from tests.checkpoints.watched import DRAWS, STEPS, Watched, main, sampled
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")

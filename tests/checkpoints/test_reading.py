@@ -155,7 +155,7 @@ def test_damaged_draws(kept):
     at = reading.samplers[0].together
     assert at.done > 0
     assert np.isnan(at.rhat)
-    assert reading.notes == (f"group-2/{last.name} is damaged: its checksum is wrong",)
+    assert reading.notes == (f"group-2 is damaged: the checksum of {last.name} is wrong",)
 
 
 def test_whatever_is_damaged_there_is_an_answer(stopped, tmp_path):

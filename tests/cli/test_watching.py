@@ -11,10 +11,10 @@ from click.testing import CliRunner
 
 import fmu
 from fmu.cli import main
-from fmu.cli.commands.watch import _lines
+from fmu.cli.watch import _lines
 from fmu.runs import Checkpoint
 from fmu.runs.lock import announce
-from fmu.runs.sampler_reading import Progress
+from fmu.runs.reading import Progress
 from fmu.runs.status import RunReading, SamplerReading
 from fmu.runs.store import Store
 from tests.cli.runs import problem_in
@@ -93,7 +93,7 @@ def test_a_running_one_is_followed_to_its_end(out, monkeypatch):
         if len(waited) == 2:
             (out / "checkpoints" / "at-work.json").unlink()
 
-    monkeypatch.setattr("fmu.cli.commands.watch.time.sleep", sleep)
+    monkeypatch.setattr("fmu.cli.watch.time.sleep", sleep)
     lines = watch("out", "--follow", "--every", 7)
     assert waited == [7.0, 7.0]
     heads = [line for line in lines if line.startswith("out: ")]

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fmu.runs.store import numbered, read_state
+from fmu.runs.content import numbered, read_state
 from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES, drawn, load, same, teller
 
 KILLS, OF_THEM_WRITING, SEED = 20, 6, 1

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from fmu.engines.base import Engine, InProcess
+from fmu.engines.base import Engine, InProcess, RunFailedError
 from fmu.interruption import shielded
 from fmu.numbers import apart
 from fmu.progress import Report
@@ -53,7 +53,7 @@ class Interrupted(KeyboardInterrupt):
         self.result = result
 
 
-class TooManyFailuresError(RuntimeError):
+class TooManyFailuresError(RunFailedError):
     """Too large a share of the solves failed.
 
     Attributes

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import textwrap
@@ -10,15 +9,15 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fmu.numbers import fixed
-from fmu.progress.words import duration, number
+from fmu.progress.words import as_json, duration, number
 
 if TYPE_CHECKING:
-    from fmu.runs.sampler_reading import Progress
+    from fmu.runs.reading import Progress
     from fmu.runs.status import RunReading, SamplerReading
 
 _WIDTH = 100
@@ -31,13 +30,13 @@ _LONG_S = 36_000.0  # told in hours
 _CLEAR = "\033[H\033[2J"
 
 
-@click.command("watch")
+@click.command()
 @click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option("--follow", is_flag=True, help="Repeat until the run ends.")
 @click.option("--every", type=click.FloatRange(min=0, min_open=True), default=5.0, show_default=True,
               metavar="SECONDS", help="Interval with --follow.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object; with --follow, one per line.")
-def command(directory: Path, follow: bool, every: float, as_json: bool) -> None:
+@click.option("--json", "is_json", is_flag=True, help="Print one JSON object; with --follow, one per line.")
+def watch(directory: Path, follow: bool, every: float, is_json: bool) -> None:
     """Show the progress of the run in DIRECTORY (of fmu run, or a checkpoint of fmu.sample).
 
     Reads only the files that the run saved last; the run is not disturbed.
@@ -47,14 +46,14 @@ def command(directory: Path, follow: bool, every: float, as_json: bool) -> None:
     reader = RunReader(directory)
     while True:
         reading = reader.read()
-        if as_json:
-            click.echo(json.dumps(_plain(asdict(reading)), ensure_ascii=False))
+        if is_json:
+            click.echo(as_json(asdict(reading)))
         else:
             clear = _CLEAR if follow and sys.stdout.isatty() else ""
             click.echo(clear + "\n".join(_lines(reading)))
         if not follow or reading.state != RUNNING:
             return
-        if not (as_json or sys.stdout.isatty()):
+        if not (is_json or sys.stdout.isatty()):
             click.echo()
         try:
             time.sleep(every)
@@ -164,14 +163,3 @@ def _ago(seconds: float) -> str:
 def _left(seconds: float) -> str:
     """Return a time to wait."""
     return duration(seconds) if seconds < _LONG_S else f"{number(seconds / 3600.0)} h"
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: None for what is not finite, paths as text."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value

@@ -1,4 +1,0 @@
-"""One file a command.
-
-Reading order: run, check, report; then the others.
-"""

@@ -1,0 +1,75 @@
+"""What goes to standard error: an error is one line, without a traceback; a warning of fmu is a note."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+from fmu.config import ConfigurationError
+from fmu.engines.base import RunFailedError
+
+FAILED, BAD_INPUT = 1, 2
+"""Exit codes: the run failed or fell short; the input is wrong."""
+STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
+
+
+class Commands(click.Group):
+    """A group of commands that end with an exit code, and with one line where there is an error."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run a command and exit with its code."""
+        try:
+            sys.exit(super().main(*args, **{**kwargs, "standalone_mode": False}))
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(BAD_INPUT)
+        except click.ClickException as error:
+            _fail(error.format_message())
+        except click.Abort:
+            click.echo("Stopped.", err=True)
+            sys.exit(STOPPED)
+        except ConfigurationError as error:
+            _fail(str(error.args[0]), *error.mistakes)
+        except (ValueError, OSError) as error:
+            _fail(str(error))
+        except MemoryError as error:
+            _fail(f"the model needs more memory than is available ({error or 'no details'})")
+        except RunFailedError as error:
+            _fail(str(error), code=FAILED)
+
+
+def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
+    """Print one line, and one more for each of the first mistakes in a file; exit."""
+    from fmu.formats.shown import one_line, told
+
+    click.echo(f"Error: {one_line(message)}", err=True)
+    for line in told(mistakes):
+        click.echo(f"  {line}", err=True)
+    sys.exit(code)
+
+
+@contextmanager
+def warnings_as_notes() -> Iterator[None]:
+    """Print fmu's warnings on checkpoints, reduced models and rounding without the line of code they come from."""
+    from fmu.posterior.rounding import RoundingWarning
+    from fmu.posterior.train_reduced import ReductionWarning
+    from fmu.runs.store import CheckpointWarning, OtherArithmeticWarning
+
+    show = warnings.showwarning
+
+    def as_note(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, CheckpointWarning | OtherArithmeticWarning | ReductionWarning | RoundingWarning):
+            click.echo(f"Note: {message}", err=True)
+        else:
+            show(message, category, *where, **more)
+
+    warnings.showwarning = as_note
+    try:
+        yield
+    finally:
+        warnings.showwarning = show

@@ -1,0 +1,140 @@
+"""Problem files: ``fmu cases``, ``init``, ``schema`` and ``check``; and how a command finds its problem."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fmu import cases as builtin
+from fmu import config
+from fmu.cli.messages import warnings_as_notes
+from fmu.cli.output import make_writable
+from fmu.config.kept import KeptProblem
+from fmu.config.template import KINDS, files, template, write_template
+
+if TYPE_CHECKING:
+    from fmu.engines.base import Engine
+    from fmu.posterior.problem import UpdatingProblem
+
+
+def pairing_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the option ``--pairing``."""
+    text = (
+        "How computed modes are paired with measured ones: by shape, by number in the spectrum, or softly by "
+        "shape (no jumps).  [default: as in the file]"
+    )
+    return click.option("--pairing", type=click.Choice(("shape", "index", "soft")), help=text)(command)
+
+
+def problem_of(case: str, pairing: str | None) -> KeptProblem:
+    """Return the file of a built-in case or of a user, read but not built, with the pairing to use.
+
+    Raises
+    ------
+    click.BadParameter
+        If `case` is neither.
+    ConfigurationError
+        If the file is broken.
+    FileNotFoundError
+        If there is no such file.
+    """
+    if not case.endswith(".toml") and case not in builtin.names():
+        known = ", ".join(builtin.names())
+        raise click.BadParameter(
+            f"{case!r} is neither a built-in problem ({known}) nor a .toml file.", param_hint="'CASE'"
+        )
+    path = Path(case) if case.endswith(".toml") else builtin.path(case)
+    found = config.read(path)
+    return KeptProblem(path, path.parent, pairing or found.pairing)
+
+
+def built(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
+    """Build a problem; an engine, if one is given, trains its reduced model."""
+    if sys.stderr.isatty():  # a large structure takes minutes, once
+        click.echo(f"Preparing {problem.file.name} …", err=True)
+    return problem.load(engine)
+
+
+@click.command()
+def cases() -> None:
+    """List the built-in problems."""
+    width = max(map(len, builtin.names()))
+    for name in builtin.names():
+        click.echo(f"{name:{width}}  {builtin.describe(name)}")
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(KINDS))
+@click.argument("directory", type=click.Path(path_type=Path, file_okay=False), required=False)
+def init(kind: str, directory: Path | None) -> None:
+    """Write a commented template of a problem file, ready to run.
+
+    KIND is the type of model: a frame of beams, matrices from a finite-element program, or a Python function. The
+    template is printed (fmu init frame > beam.toml), or written to DIRECTORY with the files that it needs; files
+    that exist are never replaced.
+    """
+    if directory is not None:
+        click.echo(f"Written to {write_template(kind, directory)}")
+        return
+    click.echo(template(kind), nl=False)
+    beside = files(kind)[1:]
+    if beside:
+        click.echo(
+            f"This file needs {', '.join(beside)} in the same directory; fmu init {kind} DIRECTORY writes all "
+            f"of them.",
+            err=True,
+        )
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Output file.  [default: print]")
+def schema(out: Path | None) -> None:
+    """Print the JSON schema of problem files, for editors.
+
+    An editor with Taplo (Even Better TOML) completes and checks files whose first line is
+    #:schema ./fmu.schema.json
+    """
+    from fmu.config.schema import schema
+
+    text = json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    out.write_text(text, encoding="utf-8")
+    click.echo(f"Written to {out}")
+
+
+@click.command()
+@click.argument("case")
+@pairing_option
+@click.option("--draws", type=click.IntRange(min=2), default=200, show_default=True,
+              help="Prior draws at which the model is solved. Use fewer if the model is slow.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
+              help="Seed of the random numbers.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: check/CASE]")
+def check(case: str, pairing: str | None, draws: int, seed: int, out: Path | None) -> None:
+    """Check CASE before sampling: a built-in problem, or a TOML file.
+
+    Describes the model, pairs its modes with the measured ones, tests the gradient, and shows which parameters the
+    data can identify and whether the prior covers the data. Writes a page with a drawing of the structure
+    (index.html).
+    """
+    asked = problem_of(case, pairing)
+    from fmu.analysis.check import check
+    from fmu.report.check_page import write_check
+
+    directory = out or Path("check") / asked.file.stem
+    with warnings_as_notes():
+        problem = built(asked)
+    make_writable(directory)
+    found = check(problem, draws, seed)
+    click.echo(found)
+    click.echo(f"\nWritten to {write_check(found, directory)}")
+
+
+COMMANDS = (cases, init, schema, check)

@@ -1,0 +1,77 @@
+"""Commands on the results of a run (``fmu compare``, ``report``, ``export``), and ``fmu paper``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from fmu.cli.tables import echo_comparison
+from fmu.progress import progress_bars
+
+_DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
+
+
+@click.command()
+@_DIRECTORY
+def compare(directory: Path) -> None:
+    """Compare the samplers of the run in DIRECTORY."""
+    paths = sorted(directory.glob("*.nc"))
+    if not paths:
+        raise click.BadParameter(f"{directory} contains no traces (*.nc).", param_hint="'DIRECTORY'")
+    from fmu.analysis.convergence.diagnostics import summary
+    from fmu.analysis.trace.conversion import load_trace
+
+    traces = {path.stem: load_trace(path) for path in paths}
+    problems = {trace.attrs["problem"] for trace in traces.values()}
+    if len(problems) > 1:
+        raise click.BadParameter(f"{directory} contains runs of different problems: "
+                                 f"{', '.join(sorted(problems))}.",
+                                 param_hint="'DIRECTORY'")  # fmt: skip
+    echo_comparison(traces, {name: summary(trace) for name, trace in traces.items()})
+
+
+@click.command()
+@_DIRECTORY
+def report(directory: Path) -> None:
+    """Write an HTML report on the run in DIRECTORY: report/index.html and one page per sampler."""
+    from fmu.report.pages import write_report
+
+    click.echo(f"Written to {write_report(directory)}")
+
+
+@click.command()
+@_DIRECTORY
+@click.option("--sampler", help="Sampler whose draws are used.  [default: the first that converged]")
+@click.option("--at", type=click.Choice(("mean", "map")), default="mean", show_default=True,
+              help="Posterior mean, or highest maximum found.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: DIRECTORY/export]")
+@click.option("--model", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+              help="Problem file, if the files it refers to have moved.")  # fmt: skip
+def export(directory: Path, sampler: str | None, at: str, out: Path | None, model: Path | None) -> None:
+    """Write the updated model of the run in DIRECTORY.
+
+    theta.csv lists the parameter values; updated.toml is the problem file with these values as start values. For a
+    structure given by matrices, K.mtx and M.mtx are written too, and dofs.csv, which names their rows.
+    """
+    from fmu.report.export import export
+
+    written = export(directory, sampler, at, out, model)
+    for remark in written.remarks:
+        click.echo(f"Warning: {remark}", err=True)
+    click.echo(f"Written to {written.directory}: {', '.join(written.files)}")
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True,
+              help="Output directory.")  # fmt: skip
+def paper(out: Path) -> None:
+    """Repeat both experiments of the paper with every sampler."""
+    from fmu.paper import run_paper
+
+    with progress_bars() as report:
+        run_paper(out, report)
+    click.echo(f"Written to {out}")
+
+
+COMMANDS = (compare, report, export, paper)

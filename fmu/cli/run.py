@@ -1,0 +1,243 @@
+"""``fmu run``: the options, and the run from them to the report."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from fmu.cli.messages import STOPPED, warnings_as_notes
+from fmu.cli.output import claimed, make_writable
+from fmu.cli.problems import built, pairing_option, problem_of
+from fmu.cli.sampled import sampled, tell
+from fmu.config.kept import ORIGIN, KeptProblem, kept
+from fmu.interruption import stoppable
+from fmu.progress import Report, json_lines, progress_bars
+from fmu.progress.phases import told_to
+from fmu.runs import Checkpoint
+from fmu.sampling import DEFAULTS, GROWTH_LIMIT, INITS, SAMPLERS, StoppedRun, default_sampler, most_draws
+
+if TYPE_CHECKING:
+    from fmu.engines.base import Engine
+    from fmu.posterior.problem import UpdatingProblem
+    from fmu.runs.run_directory import RunDirectory
+
+_COUNT, _COUNT_OR_NONE = click.IntRange(min=1), click.IntRange(min=0)
+_FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate"}
+"""Options that may change when a run is resumed: the draws do not depend on them."""
+
+
+@click.command()
+@click.argument("case", required=False)
+@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS),
+              help="Sampler. Repeat the option for several.  [default: hmc; mh for a Python function without "
+                   "gradients]")  # fmt: skip
+@pairing_option
+@click.option("--draws", type=_COUNT, default=DEFAULTS["draws"], show_default=True,
+              help="Draws kept per chain.")  # fmt: skip
+@click.option("--warmup", type=_COUNT_OR_NONE, default=DEFAULTS["warmup"], show_default=True,
+              help="Warm-up steps per chain, before the draws.")  # fmt: skip
+@click.option("--chains", type=_COUNT, default=DEFAULTS["chains"], show_default=True,
+              help="Number of chains (emcee: ensembles).")  # fmt: skip
+@click.option("--groups", type=_COUNT,
+              help="Independent groups of chains, each with its own adaptation, for several workers. The draws "
+                   "depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
+@click.option("--seed", type=_COUNT_OR_NONE, default=DEFAULTS["seed"], show_default=True,
+              help="Seed of the random numbers.")  # fmt: skip
+@click.option("--starts", type=_COUNT,
+              help="Optimiser starts for the MAP search before sampling. Fewer are faster but may miss a "
+                   "maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
+@click.option("--init", type=click.Choice(INITS), default=DEFAULTS["init"], show_default=True,
+              help="Where the chains start: around the maxima, in proportion to their probability; at draws from "
+                   "the prior; or at the start values.")  # fmt: skip
+@click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
+              help="Sample until the run has converged and every effective sample size is at least N. Exit code 1 "
+                   "if --max-draws is reached first.")  # fmt: skip
+@click.option("--max-draws", type=_COUNT,
+              help="Maximum number of draws per chain with --until-ess.  "
+                   f"[default: {GROWTH_LIMIT} times --draws]")  # fmt: skip
+@click.option("--max-failure-rate", type=click.FloatRange(0, 1), default=DEFAULTS["max_failure_rate"],
+              show_default=True, help="Stop if more than this fraction of the solves fails.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: runs/CASE-PAIRING]")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the output directory.")
+@click.option("--resume", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="DIR",
+              help="Resume the run in DIR.")  # fmt: skip
+@click.option("--keep-draws", type=_COUNT, default=Checkpoint.draws, show_default=True,
+              help="Steps between saves to disk.")  # fmt: skip
+@click.option("--keep-seconds", type=click.FloatRange(min=0), default=Checkpoint.seconds, show_default=True,
+              help="Seconds between saves to disk. Work since the last save is lost if the run is "
+                   "killed.")  # fmt: skip
+@click.option("--workers", type=_COUNT, default=DEFAULTS["workers"], show_default=True,
+              help="Number of processes that advance the groups of chains, or evaluate a Python function at "
+                   "several points at once.")  # fmt: skip
+@click.option("--cluster", metavar="ADDRESS",
+              help="Run on a Dask cluster instead: tcp://HOST:PORT of its scheduler.")  # fmt: skip
+@click.option("--progress", type=click.Choice(("bars", "json", "none")), default="bars", show_default=True,
+              help="Progress bars on the terminal, or JSON lines on standard error.")  # fmt: skip
+@click.option("--report/--no-report", "reports", default=True,
+              help="Also write the HTML report, as fmu report does.")  # fmt: skip
+@click.pass_context
+def run(
+    context: click.Context,
+    case: str | None,
+    pairing: str | None,
+    resume: Path | None,
+    out: Path | None,
+    overwrite: bool,
+    reports: bool,
+    workers: int,
+    cluster: str | None,
+    progress: str,
+    **orders: Any,
+) -> int:
+    """Sample the posterior of CASE: a built-in problem, or a TOML file.
+
+    First searches for the posterior maxima (map.csv), to detect samplers that miss one. Writes a trace
+    (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, an HTML report
+    (report/index.html), a list of failed solves if there are any (failures-SAMPLER.csv), and a copy of CASE
+    (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops it cleanly; --resume continues a run
+    that was stopped or killed, bit for bit.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(stoppable())
+        if resume is None:
+            asked = _asked(context, case, pairing, orders)
+            directory = out or Path("runs") / f"{asked.file.stem}-{asked.pairing}"
+            stack.enter_context(claimed(directory, overwrite))
+        else:
+            asked, directory = _resumed(context, resume, orders), resume
+            make_writable(directory)
+        from fmu.engines import engine
+        from fmu.runs.run_directory import RunDirectory
+
+        stack.enter_context(warnings_as_notes())
+        at_work = stack.enter_context(engine(workers, cluster))
+        running = stack.enter_context(RunDirectory(directory))
+        speaks = progress != "json"  # whose standard error is for programs
+        try:
+            with _reporting(progress, running) as report:
+                problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)
+                asked = _with_sampler(asked, problem, running)
+                if resume is None and speaks:
+                    _echo_estimate(problem, asked.orders, bool(orders["samplers"]), at_work.workers)
+                outcome = sampled(problem, asked, running, at_work, report, speaks)
+            try:
+                code = tell(outcome, problem, directory, asked.orders["until_ess"])
+                if reports:
+                    from fmu.report.pages import publish
+
+                    with _reporting(progress, running):
+                        index = publish(outcome.traces, directory)
+                    click.echo(f"Report: {index}")
+            finally:
+                running.ended()
+        except StoppedRun as stop:
+            return _stopped(directory, f": {stop.where}")
+        except KeyboardInterrupt:
+            return _stopped(directory)
+        return code
+
+
+def _stopped(directory: Path, where: str = "") -> int:
+    click.echo(f"Stopped{where}. To resume: fmu run --resume {directory}", err=True)
+    return STOPPED
+
+
+def _asked(context: click.Context, case: str | None, pairing: str | None, orders: dict[str, Any]) -> KeptProblem:
+    """Return the problem and the options of a new run; an error if they do not go together."""
+    if case is None:
+        raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
+    problem = problem_of(case, pairing)
+    most_draws(orders["draws"], orders["until_ess"], orders["max_draws"])
+    if orders["groups"] is not None:
+        from fmu.samplers import named
+        from fmu.samplers.loop.run import n_groups
+
+        for name in orders["samplers"] or ("mh",):
+            if name != "emcee":  # whose ensembles are the groups
+                n_groups(orders["groups"], orders["chains"], named(name))
+    return replace(problem, orders=orders)
+
+
+def _resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:
+    """Return the problem and the options of the run in a directory; BadParameter if one must not be changed."""
+    from fmu.runs.run_directory import unfinished
+
+    default = ParameterSource.DEFAULT
+    given = [p for p in context.command.params if context.get_parameter_source(str(p.name)) is not default]
+    changed = [p for p in given if p.name not in _FREE]
+    if changed:
+        what = "CASE" if changed[0].name == "case" else changed[0].opts[0]
+        raise click.BadParameter(
+            f"{what} cannot be changed when the run in {directory} is resumed: leave it out.",
+            param_hint="'--resume'",
+        )
+    where = unfinished(directory)
+    found = kept(where) if (where / ORIGIN).is_file() else None
+    if found is None or not found.orders:
+        raise click.BadParameter(f"{directory} contains no run that can be resumed.", param_hint="'--resume'")
+    anew = {str(p.name): orders[str(p.name)] for p in given if p.name in found.orders}
+    return replace(found, orders={**found.orders, **anew})
+
+
+def _begun(
+    asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
+) -> UpdatingProblem:
+    """Build the problem, and save what a new run was asked for, so that it can be resumed.
+
+    With --overwrite that replaces an earlier run, which must not be lost to a problem that cannot be built.
+    """
+    if new and not overwrite:
+        running.begin(asked)
+    try:
+        problem = built(asked, engine)
+    except KeyboardInterrupt:
+        if new and overwrite:
+            running.begin(asked)
+        raise
+    if new and overwrite:
+        running.begin(asked)
+    return problem
+
+
+def _with_sampler(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
+    """Return what was asked for; if no sampler was named, add the default one for this problem and save that."""
+    if asked.orders["samplers"]:
+        return asked
+    asked = replace(asked, orders={**asked.orders, "samplers": [default_sampler(problem)]})
+    running.keep(asked)
+    return asked
+
+
+def _echo_estimate(problem: UpdatingProblem, orders: Any, is_named: bool, workers: int) -> None:
+    """Say which sampler was chosen if none was named and it is not the usual one, and what the run will cost."""
+    from fmu.analysis.estimate import estimates, in_words
+    from fmu.analysis.maxima.search import default_starts
+
+    (first, *_) = orders["samplers"]
+    if not is_named and first != "hmc":
+        click.echo(
+            f"The model has no gradients, so the sampler is {first} (choose another with --sampler).", err=True
+        )
+    parts = estimates(problem, orders, orders["starts"] or default_starts(problem), workers)
+    if parts:
+        click.echo(in_words(parts), err=True)
+
+
+@contextmanager
+def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
+    """Show the progress of a block as `progress` says, and note its phases in the directory of the run."""
+    with ExitStack() as stack:
+        report: Report | None = None
+        if progress == "json":
+            report = stack.enter_context(json_lines(sys.stderr))
+        elif progress == "bars":
+            report = stack.enter_context(progress_bars())
+        stack.enter_context(told_to(report, running.note))
+        yield report

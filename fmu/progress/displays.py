@@ -1,0 +1,172 @@
+"""Displays of progress: bars at a terminal and in a notebook, one per phase and group of chains; JSON lines."""
+
+from __future__ import annotations
+
+import html
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Self, TextIO
+
+from fmu.numbers import fixed
+from fmu.progress import Info, Report
+from fmu.progress.pace import Pace, Throttle
+from fmu.progress.words import as_json, bar_name, duration, in_words
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+_LINE_S = 1.0
+_REDRAW_S = 0.05
+_BAR_WIDTH = 8
+_NARROW = 100
+_ROWS_SPARED = 2
+"""Rows of a terminal that are left for what is written below the bars."""
+
+
+@contextmanager
+def terminal_bars(console: Console | None = None) -> Iterator[Report]:
+    """Give a callback that draws bars on the terminal; where there are many, the finished ones are hidden."""
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.table import Column
+    from rich.text import Text
+
+    class Remaining(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            if task.finished:
+                return Text(duration(task.finished_time), style="progress.elapsed")
+            return Text(duration(task.fields["pace"].remaining(time.monotonic())), style="progress.remaining")
+
+    columns = (
+        TextColumn("{task.description}", table_column=Column(no_wrap=True)),
+        BarColumn(_BAR_WIDTH, finished_style="green"),
+        TextColumn("{task.completed:.0f}/{task.total:.0f}", table_column=Column(justify="right", no_wrap=True)),
+        Remaining(table_column=Column(justify="right", no_wrap=True)),
+        TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True, overflow="ellipsis")),
+    )
+    with Progress(*columns, console=console) as bars:
+        tasks: dict[str, Any] = {}
+        paces: dict[str, Pace] = defaultdict(Pace)
+        throttle, brief = Throttle(_REDRAW_S), bars.console.width < _NARROW
+
+        def report(phase: str, done: int, total: int, info: Info) -> None:
+            name = bar_name(phase, info)
+            if name not in tasks:
+                tasks[name] = bars.add_task(name, total=total, words="", pace=paces[name])
+                _make_room(bars)
+            paces[name].add(time.monotonic(), done, total)
+            if throttle.lets(name, ends=done >= total):
+                bars.update(tasks[name], completed=done, total=total, words=in_words(info, brief))
+
+        yield report
+
+
+def _make_room(bars: Any) -> None:
+    """Hide the first finished bars if they do not all fit on the terminal."""
+    shown = [task for task in bars.tasks if task.visible]
+    for task in shown[: max(len(shown) - (bars.console.size.height - _ROWS_SPARED), 0)]:
+        bars.update(task.id, visible=not task.finished)
+
+
+class NotebookBars:
+    """Bars in HTML, which every front end shows; a saved notebook keeps their last state."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, str] = {}
+        self._began: dict[str, float] = {}
+        self._paces: dict[str, Pace] = defaultdict(Pace)
+        self._throttle = Throttle(_REDRAW_S)
+        self._handle: Any = None
+
+    def report(self, phase: str, done: int, total: int, info: Info) -> None:
+        """Report steps done of a phase."""
+        name, now = bar_name(phase, info), time.monotonic()
+        began = self._began.setdefault(name, now)
+        self._paces[name].add(now, done, total)
+        if not self._throttle.lets(name, ends=done >= total):
+            return
+        left = "" if done >= total else f", {duration(self._paces[name].remaining(now))} left"
+        shown, words = html.escape(name), html.escape(in_words(info))
+        self._lines[name] = (
+            f'<div><progress value="{done}" max="{total}" aria-label="{shown}"></progress> '
+            f"{shown}: {done} of {total}, {fixed(now - began, 1)} s{left} {words}</div>"
+        )
+        self._show()
+
+    def _show(self) -> None:
+        from IPython.display import HTML, display
+
+        content = HTML("".join(self._lines.values()))
+        if self._handle is None:
+            self._handle = display(content, display_id=True)
+        else:
+            self._handle.update(content)
+
+
+class JSONLines:
+    """Writes every report as a JSON object on a line of its own, and flushes it.
+
+    ``{"time": "2026-03-01T12:00:00.125Z", "label": "hmc", "phase": "draws", "done": 120, "total": 1000,
+    "remaining_s": 41.2, "accept": 0.83, "rhat": 1.031, "ess": 212.0}``: the time is in UTC; `label` is there if
+    one was given; `remaining_s` is the time left at the present pace, null if that is not known; the items of
+    ``info`` follow under their own names, null if they are not finite.
+
+    A phase, or each ``group`` of chains in it, has at most one line per second, and always its last one. The last
+    line of a phase that ends early is written when this is closed. If the stream breaks, nothing more is written,
+    and the run goes on.
+
+    Parameters
+    ----------
+    stream : text stream
+        Of a command whose standard output holds tables: the standard error.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream: TextIO | None = stream
+        self._throttle = Throttle(_LINE_S)
+        self._paces: dict[str, Pace] = defaultdict(Pace)
+        self._held_back: dict[str, dict[str, Any]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
+        """Report steps done of a phase."""
+        name, now = bar_name(phase, info), time.monotonic()
+        self._paces[name].add(now, done, total)
+        left = self._paces[name].remaining(now)
+        stamp = datetime.now(UTC).isoformat(timespec="milliseconds").removesuffix("+00:00")
+        line = {
+            "time": f"{stamp}Z",
+            **({"label": info["label"]} if "label" in info else {}),
+            "phase": phase,
+            "done": done,
+            "total": total,
+            "remaining_s": left if left is None else round(left, 1),
+        }
+        line |= {key: value for key, value in info.items() if key not in line}
+        if self._throttle.lets(name, ends=done >= total):
+            self._held_back.pop(name, None)
+            self._write(line)
+        else:
+            self._held_back[name] = line
+
+    def close(self) -> None:
+        """Write the lines that were held back; the stream stays open."""
+        for line in self._held_back.values():
+            self._write(line)
+        self._held_back.clear()
+
+    def _write(self, line: dict[str, Any]) -> None:
+        if self._stream is None:
+            return
+        try:
+            self._stream.write(as_json(line) + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):  # broken, or closed
+            self._stream = None

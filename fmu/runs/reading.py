@@ -1,0 +1,274 @@
+"""How far a sampler has got: from the files of its groups of chains, or from its trace if it has finished."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.analysis.convergence.effective import live_diagnostics
+from fmu.durable_files import DamagedError
+from fmu.runs.content import SavedState, Segment, numbered, read_segment, read_state, unpacked_steps
+from fmu.samplers.loop.group import DRAWS, WARMUP
+from fmu.types import FloatArray
+
+_FEWEST = 20  # draws, before which their diagnostics mean nothing
+_TRIES = 5
+"""How often the files of a group are listed again: states are removed while others appear."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a group of chains has got, or all groups of a sampler together. NaN and None mean not known.
+
+    Attributes
+    ----------
+    group : str
+        Such as ``2/4``; empty for all groups together.
+    phase : str
+        "warmup", "draws", or empty if nothing has been saved yet.
+    done : int
+        Steps of the phase; for all groups together, those of the group that is furthest behind.
+    total : int or None
+    kept_s : float or None
+        Seconds since the last save.
+    accept : float
+        Fraction of the moves in the phase that were accepted.
+    rhat, ess : float
+        The worst of the parameters, from the draws of all groups; NaN for a single group.
+    solves, failed : int
+        Warm-up included.
+    solves_per_s : float
+    remaining_s : float or None
+        Seconds left at the pace so far.
+    """
+
+    group: str = ""
+    phase: str = ""
+    done: int = 0
+    total: int | None = None
+    kept_s: float | None = None
+    accept: float = np.nan
+    rhat: float = np.nan
+    ess: float = np.nan
+    solves: int = 0
+    failed: int = 0
+    solves_per_s: float = np.nan
+    remaining_s: float | None = None
+
+
+class KeptGroup(NamedTuple):
+    """A group of chains as it was last saved.
+
+    Attributes
+    ----------
+    state : SavedState
+    phase : {"warmup", "draws"}
+        Of the last step.
+    at : float
+        When it was saved, in seconds since 1970.
+    accept : float
+        Fraction of the moves in the phase that were accepted.
+    draws : ndarray, shape (chains, steps, walkers, ndim), or None
+        None if there are none, or a file of them is damaged.
+    """
+
+    state: SavedState
+    phase: str
+    at: float
+    accept: float
+    draws: FloatArray | None
+
+    @property
+    def done(self) -> dict[str, int]:
+        """Steps of each phase."""
+        return dict(self.state.group_state.done)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time that the run had taken."""
+        return sum(self.state.elapsed_s.values())
+
+    def seconds_left(self, warmup: int, draws: int | None) -> float | None:
+        """Return the seconds left when it was saved, at the pace of its phase; None if that is not known."""
+        done = self.done
+        if draws is None or done[self.phase] == 0:
+            return None
+        left = warmup - done[WARMUP] + draws - done[DRAWS]
+        return max(left, 0) * self.state.elapsed_s[self.phase] / done[self.phase]
+
+    def progress(self, label: str, warmup: int, draws: int | None, now: float, runs: bool) -> Progress:
+        """Return how far the group has got.
+
+        Parameters
+        ----------
+        label : str
+        warmup : int
+            Steps of the warm-up.
+        draws : int or None
+            Steps asked for after it, if that is known.
+        now : float
+            Seconds since 1970.
+        runs : bool
+            Whether the group has been running since it was saved.
+        """
+        phase = WARMUP if self.done[WARMUP] < warmup else DRAWS
+        if self.phase == DRAWS:  # more draws may have been asked for meanwhile
+            draws = max(self.state.total, draws or 0)
+        solves = sum(segment.solves for segment in self.state.segments)
+        kept_s, left_s = max(now - self.at, 0.0), self.seconds_left(warmup, draws)
+        return Progress(
+            label,
+            phase,
+            self.done[phase],
+            warmup if phase == WARMUP else draws,
+            kept_s,
+            self.accept,
+            solves=solves,
+            failed=sum(segment.failed for segment in self.state.segments),
+            solves_per_s=_per_s(solves, self.elapsed_s),
+            remaining_s=left_s if left_s is None or not runs else max(left_s - kept_s, 0.0),
+        )
+
+
+class _Steps(NamedTuple):
+    """What is needed of a file of steps: how many of how many moves were accepted, and the draws."""
+
+    accepted: int
+    moves: int
+    position: FloatArray | None
+
+
+class GroupReader:
+    """Reads a group of chains, again and again; a file of steps, which never changes, is read only once.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the group.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self._read: dict[tuple[str, str], _Steps] = {}
+
+    def read(self) -> tuple[KeptGroup | None, list[str]]:
+        """Return the group, None if no undamaged state of it is saved; and what is damaged, in words."""
+        damaged: list[str] = []
+        found = self._last_state(damaged)
+        if found is None:
+            return None, damaged
+        state, at = found
+        phase = state.segments[-1].phase if state.segments else WARMUP
+        files = []
+        for segment in state.segments:
+            if segment.phase == phase:
+                try:
+                    files.append(self._steps(segment))
+                except DamagedError as error:
+                    damaged.append(f"{self.directory.name} is damaged: {error}")
+        moves = sum(file.moves for file in files)
+        positions = [file.position for file in files if file.position is not None]
+        is_whole = sum(x.shape[1] for x in positions) == state.group_state.done[DRAWS]
+        accept = sum(file.accepted for file in files) / moves if moves else np.nan
+        draws = np.concatenate(positions, axis=1) if positions and is_whole else None
+        return KeptGroup(state, phase, at, accept, draws), damaged
+
+    def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
+        """Return the newest undamaged state, and when it was written; say which are damaged."""
+        for _ in range(_TRIES):
+            damaged.clear()
+            for _, path in reversed(numbered(self.directory, "state")):
+                try:
+                    return read_state(path), path.stat().st_mtime
+                except FileNotFoundError:  # removed, because two newer ones have appeared
+                    break
+                except (DamagedError, OSError) as error:
+                    damaged.append(f"{self.directory.name}/{path.name} is damaged: {why(error)}")
+            else:
+                return None
+        return None
+
+    def _steps(self, segment: Segment) -> _Steps:
+        key = (segment.name, segment.sha256)
+        if key not in self._read:
+            steps = unpacked_steps(read_segment(self.directory, segment))
+            accepted = steps.stats["accepted"]
+            position = steps.position if segment.phase == DRAWS else None
+            self._read[key] = _Steps(int(np.sum(accepted)), accepted.size, position)
+        return self._read[key]
+
+
+def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Progress:
+    """Return how far all groups of a sampler have got together."""
+    begun = [group for group in groups if group.phase]
+    if not begun:
+        return Progress()
+    phase = WARMUP if any(group.phase != DRAWS for group in groups) else DRAWS
+    behind = [group for group in begun if group.phase == phase] or begun
+    totals = [group.total for group in behind if group.total is not None]
+    left = [group.remaining_s for group in groups]
+    accept = [group.accept for group in behind if not np.isnan(group.accept)]
+    solves = sum(group.solves for group in groups)
+    return Progress(
+        "",
+        phase,
+        min(group.done if group.phase else 0 for group in groups if group.phase in ("", phase)),
+        max(totals, default=None),
+        min(group.kept_s for group in begun if group.kept_s is not None),
+        float(np.mean(accept)) if accept else np.nan,
+        **_diagnostics(kept),
+        solves=solves,
+        failed=sum(group.failed for group in groups),
+        solves_per_s=_per_s(solves, max(one.elapsed_s for one in kept if one is not None)),
+        remaining_s=None if None in left else max(s for s in left if s is not None),
+    )
+
+
+def of_trace(path: Path) -> Progress:
+    """Return what the trace of a finished sampler says.
+
+    Raises
+    ------
+    OSError, ValueError
+        If the trace is missing or damaged.
+    """
+    from fmu.analysis.trace.reading import parameter_draws, walkers_of
+    from fmu.analysis.trace.conversion import load_trace
+
+    trace = load_trace(path)
+    attrs, stats = trace.attrs, [trace[group] for group in ("warmup_sample_stats", "sample_stats")]
+    solves, draws = int(attrs["n_solves"]) + int(attrs["warmup_n_solves"]), int(attrs["draws"])
+    live = live_diagnostics(parameter_draws(trace), walkers_of(trace))
+    return Progress(
+        phase=DRAWS,
+        done=draws,
+        total=draws,
+        accept=float(stats[1]["accepted"].mean()),
+        rhat=live["rhat"],
+        ess=live["ess"],
+        solves=solves,
+        failed=sum(int(group["n_nonfinite"].sum()) for group in stats if "n_nonfinite" in group),
+        solves_per_s=_per_s(solves, float(attrs["wall_s"])),
+    )
+
+
+def why(error: Exception) -> str:
+    """Return the reason that an error gives, without the path of an OSError."""
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _per_s(solves: int, seconds: float) -> float:
+    return solves / seconds if seconds > 0 else np.nan
+
+
+def _diagnostics(kept: Sequence[KeptGroup | None]) -> dict[str, float]:
+    """Return R-hat and effective sample size of the draws that all groups have; empty if they are too few."""
+    draws = [one.draws for one in kept if one is not None and one.draws is not None]
+    steps = min((x.shape[1] for x in draws), default=0)
+    if len(draws) < len(kept) or steps < _FEWEST:
+        return {}
+    return live_diagnostics(np.concatenate([x[:, :steps] for x in draws]))
