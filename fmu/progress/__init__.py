@@ -6,18 +6,15 @@ Reading order: this file, `phases` (where reports come from), `displays`; then `
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
+from fmu.progress.words import Info as Info
+from fmu.progress.words import Report as Report
+
 if TYPE_CHECKING:
     from fmu.progress.displays import JSONLines
-
-Info = Mapping[str, str | int | float]
-"""More about a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``; the ``group``; the ``label``."""
-
-Report = Callable[[str, int, int, Info], None]
-"""Called as ``report(phase, done, total, info)``: steps done of a phase, and a few numbers or words by name."""
 
 
 @contextmanager

@@ -1,15 +1,19 @@
-"""Progress in words and as JSON: short numbers that keep their place."""
+"""What a report of progress says, in words and as JSON: short numbers that keep their place."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from typing import Any
 
 from fmu.numbers import MISSING, fixed, significant
 
+Info = Mapping[str, str | int | float]
+"""More about a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``; the ``group``; the ``label``."""
+Report = Callable[[str, int, int, Info], None]
+"""Called as ``report(phase, done, total, info)``: steps done of a phase, and a few numbers or words by name."""
 HIDDEN = ("label", "group", "lp", "solves")
 """Items that a bar does not list; the first two are part of its name."""
 
@@ -18,12 +22,12 @@ _DIGITS = {"accept": 2, "rhat": 3}
 _PREFIXES = ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
-def bar_name(phase: str, info: Mapping[str, str | int | float]) -> str:
+def bar_name(phase: str, info: Info) -> str:
     """Return the name of a bar, such as ``hmc draws 1/2``: label, phase and group of chains, as far as given."""
     return " ".join(str(part) for part in (info.get("label"), phase, info.get("group")) if part)
 
 
-def in_words(info: Mapping[str, str | int | float], brief: bool = False) -> str:
+def in_words(info: Info, brief: bool = False) -> str:
     """Return what stands beside a bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
 
     Rates come last; if `brief`, without saying of what: ``5.3k/s``.

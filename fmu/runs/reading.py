@@ -236,8 +236,8 @@ def of_trace(path: Path) -> Progress:
     OSError, ValueError
         If the trace is missing or damaged.
     """
-    from fmu.analysis.trace.reading import parameter_draws, walkers_of
     from fmu.analysis.trace.conversion import load_trace
+    from fmu.analysis.trace.reading import parameter_draws, walkers_of
 
     trace = load_trace(path)
     attrs, stats = trace.attrs, [trace[group] for group in ("warmup_sample_stats", "sample_stats")]
