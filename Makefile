@@ -70,7 +70,7 @@ validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update G
 	.venv/bin/python -m tests.validation.starts results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
-	FMU_VALIDATE=1 .venv/bin/python -m pytest --quiet tests/engines/test_dask_cluster.py
+	.venv/bin/python -m pytest --quiet -m validate
 	.venv/bin/python -m tests.validation.workers results
 	.venv/bin/python -m tests.validation.scale results
 	.venv/bin/python -m tests.validation.hostile results

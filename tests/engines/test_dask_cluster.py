@@ -16,10 +16,8 @@ from tests.test_workers import SETTINGS, LinearProblem, assert_same
 
 pytest.importorskip("distributed")
 
-deaths_in_a_row = pytest.mark.skipif(
-    "FMU_VALIDATE" not in os.environ,
-    reason="needs minutes, and that Dask replaces every process: under load it may not (make validate)",
-)
+deaths_in_a_row = pytest.mark.validate
+"""Needs minutes, and that Dask replaces every process: under load it may not."""
 
 
 @pytest.fixture(scope="module")

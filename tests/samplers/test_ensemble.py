@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from targets import CorrelatedGaussian, TruncatedGaussian
 
 from fmu.samplers import Ensemble, run
 from fmu.samplers.snooker import SnookerMove
+from tests.samplers.targets import CorrelatedGaussian, TruncatedGaussian
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from targets import ALL, Counting, SkewedGumbel, TruncatedGaussian
 
 from fmu.samplers.hmc.gradient import CentralDifference, ExactGradient
+from tests.samplers.targets import ALL, Counting, SkewedGumbel, TruncatedGaussian
 
 
 def points(target, n=20):

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from targets import CorrelatedGaussian, TruncatedGaussian
-from tempered_targets import LinearGaussian
 
 from fmu.engines.base import InProcess
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, Tempering
 from fmu.samplers.loop.run import Interrupted, TooManyFailuresError, n_groups
+from tests.samplers.targets import CorrelatedGaussian, TruncatedGaussian
+from tests.samplers.tempered_targets import LinearGaussian
 
 loop = importlib.import_module("fmu.samplers.loop.run")  # the package has a function of that name
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from targets import Counting, SkewedGumbel, Target, TruncatedGaussian
 
 from fmu.samplers import HamiltonianMonteCarlo, State, run
+from tests.samplers.targets import Counting, SkewedGumbel, Target, TruncatedGaussian
 
 DENSE2 = np.array([[0.5, 0.3], [0.3, 0.9]])
 
@@ -116,7 +116,7 @@ def test_a_trajectory_at_the_cap_on_bounces_is_rejected():
 
 
 def test_the_cap_leaves_the_target_invariant():
-    from moments import assert_right
+    from tests.samplers.moments import assert_right
 
     target = TruncatedGaussian()
     sampler = HamiltonianMonteCarlo(step_size=0.05, n_steps=4, max_bounces=1)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from moments import assert_right
-from targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
 from fmu.samplers import Independence, LogNormalWalk, MetropolisHastings, RandomWalk, run
+from tests.samplers.moments import assert_right
+from tests.samplers.targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
 
 class Gamma(Target):

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from moments import assert_right
 from scipy import stats
 
 import fmu
 from fmu.analysis.trace.reading import parameter_draws
+from tests.samplers.moments import assert_right
 
 SD = 0.5
 MEASURED = np.array([11.9, 11.8, 10.2])

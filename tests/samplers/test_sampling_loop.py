@@ -2,7 +2,6 @@ import json
 
 import numpy as np
 import pytest
-from targets import BoundedBeta, CorrelatedGaussian, Counting, SkewedGumbel, TruncatedGaussian
 
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import (
@@ -16,6 +15,7 @@ from fmu.samplers import (
     named,
     run,
 )
+from tests.samplers.targets import BoundedBeta, CorrelatedGaussian, Counting, SkewedGumbel, TruncatedGaussian
 
 WALK = MetropolisHastings(RandomWalk(0.3))
 SETTINGS = {"draws": 6, "warmup": 4, "chains": 3, "seed": 1, "init": "prior"}

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
 from fmu.samplers import Slice, State, run
 from fmu.samplers.slice import SCHEMES, _Account
+from tests.samplers.targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
 
 class Flat(Target):

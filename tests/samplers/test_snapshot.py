@@ -6,8 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from targets import CorrelatedGaussian
-from tempered_targets import LinearGaussian
 
 from fmu.runs.content import SavedState, packed_state
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, Independence, MetropolisHastings, Slice, Tempering
@@ -15,6 +13,8 @@ from fmu.samplers.hmc.metric import Metric
 from fmu.samplers.loop.group import Chunk, GroupState, RunContext, advance, first_snapshot
 from fmu.samplers.loop.snapshot import Snapshot, restored, taken
 from fmu.samplers.loop.starts import starting_points
+from tests.samplers.targets import CorrelatedGaussian
+from tests.samplers.tempered_targets import LinearGaussian
 
 WARMUP, DRAWS, CHAINS = 60, 8, 3
 

@@ -2,10 +2,7 @@
 
 import numpy as np
 import pytest
-from moments import assert_right
 from scipy import stats
-from targets import BoundedBeta, CorrelatedGaussian, TruncatedGaussian
-from tempered_targets import Failing, FarModes, InBox, LinearGaussian
 
 import fmu
 from fmu.analysis.convergence import effective
@@ -19,6 +16,9 @@ from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.ladder import adapted, rejections, stages
 from fmu.samplers.tempering.rungs import side_by_side
 from fmu.samplers.tempering.tempering import Tempering
+from tests.samplers.moments import assert_right
+from tests.samplers.targets import BoundedBeta, CorrelatedGaussian, TruncatedGaussian
+from tests.samplers.tempered_targets import Failing, FarModes, InBox, LinearGaussian
 
 KERNELS = {
     "slice": "slice",

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from moments import assert_right
-from targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named, run
 from fmu.samplers.loop.snapshot import restored
+from tests.samplers.moments import assert_right
+from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
 ADAPTIVE = ("mh", "slice", "hmc")
 
