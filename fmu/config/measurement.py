@@ -11,8 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from fmu.config.measured_files import OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.model.table import Built
-from fmu.config.tables import FileName, Name, NumberOrNumbers, Positive, SensorTable, TomlTable
+from fmu.config.tables import Built, FileName, Name, NumberOrNumbers, Positive, SensorTable, TomlTable
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError
 from fmu.posterior.data.modal_data import ModalData

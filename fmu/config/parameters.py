@@ -10,12 +10,15 @@ from pydantic import Field
 
 from fmu.config.mistakes import Mistake, got
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
+from fmu.fem.frame.joints import Direction
+from fmu.fem.frame.updates import PROPERTIES
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 
 LEAST_LOG_MASS = -200.0
 """Of a prior between the bounds: a Gaussian that ends twenty standard deviations off is a slip of the pen."""
-Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
+KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
+"""Which key of a parameter names the things that have a property."""
 
 
 class Target(TomlTable):
@@ -31,6 +34,11 @@ class Target(TomlTable):
     springs: list[Name] = []
     directions: list[Direction] = []
     scaling: Literal["absolute", "factor"] = "absolute"
+
+    def named(self, key: str, groups: Sequence[str] = ()) -> list[str]:
+        """Return the names that a key has, of all `groups` where it is ``"all"``."""
+        names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
+        return list(groups) if names == "all" else list(names)
 
 
 class Uncertain(TomlTable):
@@ -114,3 +122,13 @@ def built(
         except ValueError as error:
             found.append(Mistake.of(f"{key}.{i}", str(error).removeprefix(f"{table.name}.")))
     return parameters, found
+
+
+def without_targets(tables: Sequence[ParameterTable]) -> list[Mistake]:
+    """Return the keys of parameters that say what of a frame they are, in a file without a frame."""
+    return [
+        Mistake(f"parameters.{i}.{key}", "is allowed for frames only")
+        for i, table in enumerate(tables)
+        for key in Target.model_fields
+        if key in table.model_fields_set
+    ]

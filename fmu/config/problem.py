@@ -9,14 +9,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from fmu.config.errors import ErrorTable, beside_tests, built_errors, vanishing
+from fmu.config.frame import FrameTable
+from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
-from fmu.config.model.frame import FrameTable
-from fmu.config.model.matrices import MatricesTable
-from fmu.config.model.python import PythonTable
-from fmu.config.model.table import Built
 from fmu.config.parameters import NoiseTable, ParameterTable, built
-from fmu.config.tables import Name, Positive, TomlTable, by_kind
+from fmu.config.python import PythonTable
+from fmu.config.tables import Built, Name, Positive, TomlTable, by_kind
 from fmu.engines.base import Engine
 from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -18,8 +18,11 @@ from pydantic import (
     create_model,
     model_validator,
 )
+from pydantic_core import core_schema
 
 from fmu.config.mistakes import got
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
 from fmu.types import Positive as Positive
@@ -41,6 +44,13 @@ ParameterName = Annotated[Name, AfterValidator(_of_parameter)]
 FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, pattern=r"^[^\x00-\x1f]+$")]
 """From the folder of the TOML file."""
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class Built(NamedTuple):
+    """A model, and the node of the model that each place named in the file is."""
+
+    model: SeparableModel | BlackBoxModel
+    places: Mapping[str, Any]
 
 
 def kind_of(value: Any) -> str | None:
@@ -84,6 +94,7 @@ class Declared(TomlTable):
     tag: ClassVar[str] = ""
     is_complete: ClassVar[bool] = True
     """Whether all arguments are in the table, and none elsewhere in the file."""
+    renamed: ClassVar[Mapping[str, str]] = {}
 
     @property
     def called(self) -> str:
@@ -92,7 +103,8 @@ class Declared(TomlTable):
 
     def given(self) -> dict[str, Any]:
         """Return the arguments that the file gives."""
-        return {key: getattr(self, key) for key in self.model_fields_set if key != self.tag}
+        keys = [key for key in type(self).model_fields if key in self.model_fields_set and key != self.tag]
+        return {self.renamed.get(key, key): getattr(self, key) for key in keys}
 
     def build(self, **others: Any) -> Any:
         """Return what the constructor makes of the arguments in the file, and of `others` in their place.
@@ -121,6 +133,7 @@ def declared(
     *makes: Callable[..., Any],
     tag: str = "",
     in_a_file: Callable[[Any], Any] | None = None,
+    renamed: Mapping[str, str] | None = None,
 ) -> type[Declared]:
     """Return the table of a constructor: its keys, their types, ranges, defaults and descriptions are its own.
 
@@ -134,22 +147,26 @@ def declared(
         A further key, which says what kind of table it is.
     in_a_file : callable, optional
         What stands in a file for an annotation that is no type of TOML, such as the name of another table.
+    renamed : mapping of str to str, optional
+        See `Of`.
     """
     described = {key: text for make in makes for key, text in _descriptions(make).items()}
     every = [_arguments(make) for make in makes]
+    key_of = {argument: key for key, argument in (renamed or {}).items()}
     fields: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
     for names, _ in every:
-        for key, (annotation, default) in names.items():
-            required = all(key in needed for _, needed in every)
+        for argument, (annotation, default) in names.items():
+            required = all(argument in needed for _, needed in every)
             if not required and default is inspect.Parameter.empty:
                 annotation, default = annotation | None, None
-            field = Field(... if required else default, description=described.get(key))
-            fields[key] = ((in_a_file or _listed)(annotation), field)
+            annotation = Name if argument in key_of else (in_a_file or _listed)(annotation)
+            field = Field(... if required else default, description=described.get(argument))
+            fields[key_of.get(argument, argument)] = (annotation, field)
     about = (inspect.getdoc(getattr(makes[0], "__self__", makes[0])) or "").partition("\n\n")[0]
     if len(makes) > 1:
         about += f" Give either {_ways(makes)}."
     table = create_model(name, __base__=Declared, __doc__=about, **fields)
-    table.makes, table.tag, table.is_complete = makes, tag, in_a_file is None
+    table.makes, table.tag, table.renamed, table.is_complete = makes, tag, renamed or {}, in_a_file is None
     return table
 
 
@@ -177,13 +194,37 @@ class OneOf:
 
 
 class Of:
-    """The table of one constructor: ``Annotated[Declared, Of("material", Material)]``."""
+    """What a constructor makes of a table: ``Annotated[Material, Of("material", Material)]``.
 
-    def __init__(self, name: str, *makes: Callable[..., Any]) -> None:
-        self._table = declared(name, *makes)
+    Parameters
+    ----------
+    name : str
+        Of the table in the schema.
+    *makes : callable
+        See `declared`.
+    **renamed : str
+        Keys in the file, each with the name of the argument that it stands for: a name of something in the file.
+    """
+
+    def __init__(self, name: str, *makes: Callable[..., Any], **renamed: str) -> None:
+        self._table = declared(name, *makes, renamed=renamed)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
-        return handler(self._table)
+        return core_schema.no_info_after_validator_function(lambda table: table.build(), handler(self._table))
+
+
+def inside(key: str, make: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a constructor whose only argument is the table of another: ``{ tube = { diameter = …, … } }``."""
+
+    def made(**given: Any) -> Any:
+        return given[key]
+
+    annotation = Annotated[Any, Of(key, make)]
+    made.__annotations__ = {key: annotation}
+    made.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation)]
+    )
+    return made
 
 
 def _arguments(make: Callable[..., Any]) -> tuple[dict[str, tuple[Any, Any]], set[str]]:

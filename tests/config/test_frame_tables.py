@@ -241,12 +241,12 @@ BROKEN = {
     "I without a web": (
         "flange = 0.01",
         "flange = 0.1",
-        "model.sections.post.i: flange must be thinner",
+        "model.sections.post.i.flange: must be thinner",
     ),
     "I and tube": (
         "tube = {",
         "i = { height = 0.2, width = 0.2, web = 0.0065, flange = 0.01 }\ntube = {",
-        "model.sections.purlin: must be either rectangle, or tube, or i, or A, Iy, Iz and J",
+        "model.sections.purlin: must have either rectangle, or tube, or i, or A, Iy, Iz and J",
     ),
     "two ends at one place": (
         "ridge = [0.0, 4.0, 3.5]",
@@ -271,7 +271,7 @@ BROKEN = {
     "a spring from a point to itself": (
         '["top", "eaves"]',
         '["top", "top"]',
-        "model.springs.knee: points must differ (got ['top', 'top'])",
+        "model.springs.knee: ends must differ (got ('top', 'top'))",
     ),
     "a spring of nothing": (
         "stiffness = { z = 2e4 }\n",
@@ -281,12 +281,12 @@ BROKEN = {
     "elastic and tied": (
         'tied = ["x", "y", "z", "rz"]',
         'tied = ["x", "y", "z", "rx"]',
-        "model.springs.knee: must be either elastic or tied in a direction (got both in rx)",
+        "model.springs.knee: must be either elastic or tied in a direction (got 'rx' as both)",
     ),
     "tied to the ground": (
         "stiffness = { y = 1e5 }",
         'tied = ["y"]',
-        "model.springs.wall: tied is for two points; hold a point in [model.supports]",
+        "model.springs.wall: must have two ends to be tied; a support holds one to the ground",
     ),
     "tied at a distance": (
         "eaves = [0.0, 0.0, 3.0]",

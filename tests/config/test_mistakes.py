@@ -26,13 +26,17 @@ FRAME = [
     (
         "thickness = 0.005",
         "thickness = 0.06",
-        "model.sections.leg.tube: thickness must not exceed half the diameter 0.1",
+        "model.sections.leg.tube.thickness: must not exceed half the diameter 0.1",
     ),
-    ("J = 7e-6\n", "", "model.sections.beam: must have all of A, Iy, Iz and J"),
+    (
+        "J = 7e-6\n",
+        "",
+        "sections.beam: must have either rectangle, or tube, or i, or A, Iy, Iz and J (got ['A', 'Iy', 'Iz'])",
+    ),
     (
         "J = 7e-6",
         "J = 7e-6\ntube = { diameter = 1.0, thickness = 0.1 }",
-        "model.sections.beam: must be either rectangle",
+        "model.sections.beam: must have either rectangle",
     ),
     ("corner = [0.0, 0.0, 2.0]", "corner = [0.0, 2.0]", "model.points.corner: must have at least 3 items (got ["),
     (

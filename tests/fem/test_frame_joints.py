@@ -292,8 +292,8 @@ BROKEN = {
         r"spring 'k': must be either elastic or tied .* \(got 'x' as both\)",
     ),
     "nothing": (("k", (0, 1), {}), r"spring 'k': must have a stiffness or a tied direction \(got neither\)"),
-    "ground": (("k", (0, None), {}, ("x",)), r"spring 'k': only two nodes can be tied; .*"),
-    "itself": (("k", (1, 1), {"x": 1.0}), r"spring 'k': nodes must differ \(got \(1, 1\)\)"),
+    "ground": (("k", (0, None), {}, ("x",)), r"spring 'k': must have two ends to be tied; .*"),
+    "itself": (("k", (1, 1), {"x": 1.0}), r"spring 'k': ends must differ \(got \(1, 1\)\)"),
     "negative": (("k", (0, 1), {"x": -1.0}), r"spring 'k'\.x: must be positive and finite \(got -1\.0\)"),
     "NaN": (("k", (0, 1), {"rx": np.nan}), r"spring 'k'\.rx: must be positive and finite \(got nan\)"),
 }

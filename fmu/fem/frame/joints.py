@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
-from fmu.fem.frame.section import require_positive
 from fmu.fem.modes.separable import RigidArm
 from fmu.numbers import significant
-from fmu.types import FloatArray
+from fmu.types import FloatArray, NotNegative, require_positive
 
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
+DIRECTIONS: tuple[str, ...] = get_args(Direction)
 
 # Nodes closer than this, relative to the structure's extent, are at the same place.
 _COINCIDENT = 1e-9
@@ -34,8 +35,8 @@ class PointMass:
     """
 
     node: int
-    mass: float
-    inertia: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass: NotNegative
+    inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     name: str = ""
 
     def value(self, direction: str) -> float:
@@ -94,9 +95,9 @@ class JointSpring:
         if not self.stiffness and not self.tied:
             raise ValueError(f"{here}: must have a stiffness or a tied direction (got neither)")
         if self.tied and self.nodes[1] is None:
-            raise ValueError(f"{here}: only two nodes can be tied; to the ground that is a support")
+            raise ValueError(f"{here}: must have two ends to be tied; a support holds one to the ground")
         if self.nodes[0] == self.nodes[1]:
-            raise ValueError(f"{here}: nodes must differ (got {self.nodes})")
+            raise ValueError(f"{here}: ends must differ (got {self.nodes})")
 
     def elongation(self, direction: str, nodes: FloatArray) -> dict[int, float]:
         """Return the spring's elongation in a direction as weights of the degrees of freedom 6 · node + 0 … 5.

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from fmu.numbers import typed
+from fmu.types import Positive, require_positive
 
 
 @dataclass(frozen=True)
@@ -28,17 +31,17 @@ class Section:
         If a constant is not positive and finite.
     """
 
-    A: float
-    Iy: float
-    Iz: float
-    J: float
+    A: Positive
+    Iy: Positive
+    Iz: Positive
+    J: Positive
 
     def __post_init__(self) -> None:
         for name in ("A", "Iy", "Iz", "J"):
             require_positive(name, getattr(self, name))
 
     @classmethod
-    def rectangle(cls, width: float, height: float) -> Section:
+    def rectangle(cls, width: Positive, height: Positive) -> Section:
         """Return the section of a rectangle, `width` along local y and `height` along local z, in m.
 
         The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b
@@ -51,7 +54,7 @@ class Section:
         return cls(A=width * height, Iy=width * height**3 / 12, Iz=height * width**3 / 12, J=J)
 
     @classmethod
-    def tube(cls, diameter: float, thickness: float) -> Section:
+    def tube(cls, diameter: Positive, thickness: Positive) -> Section:
         """Return the section of a circular tube of outer `diameter` and wall `thickness`, in m.
 
         A = π (R² − r²), Iy = Iz = π/4 (R⁴ − r⁴) and J = 2 Iy, exactly; half the diameter as `thickness` makes it
@@ -71,7 +74,7 @@ class Section:
         return cls(A=np.pi * (outer**2 - inner**2), Iy=second, Iz=second, J=2 * second)
 
     @classmethod
-    def i_section(cls, height: float, width: float, web: float, flange: float) -> Section:
+    def i_section(cls, height: Positive, width: Positive, web: Positive, flange: Positive) -> Section:
         """Return the section of a doubly symmetric I, in m; Iy belongs to bending in the plane of the web.
 
         `height` over all and the web lie along local z, the flanges of `width` along local y; `web` and `flange`
@@ -117,18 +120,12 @@ class Material:
         If E or rho is not positive and finite, or nu does not lie in (-1, 0.5].
     """
 
-    E: float
-    nu: float
-    rho: float
+    E: Positive
+    nu: Annotated[float, Interval(gt=-1.0, le=0.5)]
+    rho: Positive
 
     def __post_init__(self) -> None:
         require_positive("E", self.E)
         require_positive("rho", self.rho)
         if not -1.0 < self.nu <= 0.5:
             raise ValueError(f"nu: must lie in (-1, 0.5] (got {self.nu})")
-
-
-def require_positive(name: str, value: float) -> None:
-    """Raise ValueError unless `value` is positive and finite."""
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: must be positive and finite (got {value})")

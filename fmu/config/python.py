@@ -17,9 +17,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints
 
 from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
-from fmu.config.model.table import Built, without_targets
-from fmu.config.parameters import ParameterTable
-from fmu.config.tables import TomlTable
+from fmu.config.parameters import ParameterTable, without_targets
+from fmu.config.tables import Built, TomlTable
 from fmu.fem.black_box import BlackBoxModel
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import in_words

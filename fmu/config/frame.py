@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,19 +11,51 @@ import numpy as np
 from pydantic import Field
 
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.model.joints import MassTable, OffsetTable, SpringTable
-from fmu.config.model.sections import MaterialTable, SectionTable
-from fmu.config.model.table import Built
-from fmu.config.model.targets import target_mistakes, things
-from fmu.config.parameters import Direction, ParameterTable, Target
-from fmu.config.tables import Name, TomlTable, Vector
-from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass
+from fmu.config.parameters import KEYS, ParameterTable, Target
+from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
+from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.joints import Direction
 from fmu.fem.frame.stability import require_stable
+from fmu.fem.frame.updates import ROTATIONS
 from fmu.fem.modes.separable import RigidArm
 from fmu.formats.shown import names_shown
+from fmu.types import Positive
 
 MOST_ELEMENTS = 10_000
 """60 000 degrees of freedom, a second a solve: a larger structure comes condensed, as matrices."""
+_SHAPES = [
+    inside("rectangle", Section.rectangle),
+    inside("tube", Section.tube),
+    inside("i", Section.i_section),
+]
+
+
+def _spring(
+    point: Name | None = None,
+    points: Annotated[list[Name], Field(min_length=2, max_length=2)] | None = None,
+    stiffness: dict[Direction, Positive] = {},  # noqa: B006
+    tied: list[Direction] = [],  # noqa: B006
+) -> JointSpring:
+    """Springs along global axes, in N/m and N·m/rad: of one ``point`` to the ground, or between two ``points``.
+
+    Parameters
+    ----------
+    point : str
+        The spring is between this point and the ground.
+    points : list of str
+        The spring is between these two.
+    stiffness : table
+        N/m of x, y, z and N·m/rad of rx, ry, rz.
+    tied : list of str
+        Directions in which two points at the same place move as one.
+    """
+    if (point is None) == (points is None):
+        raise ValueError("must have either point (to the ground) or points (between two)")
+    ends: Any = (point, None) if points is None else tuple(points)
+    try:
+        return JointSpring("", ends, stiffness, tied)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ValueError(str(error).removeprefix("spring '': ")) from None
 
 
 class Member(TomlTable):
@@ -42,13 +75,13 @@ class FrameTable(TomlTable):
 
     type: Literal["frame"]
     points: Annotated[dict[Name, Vector], Field(min_length=2)]
-    materials: Annotated[dict[Name, MaterialTable], Field(min_length=1)]
-    sections: Annotated[dict[Name, SectionTable], Field(min_length=1)]
+    materials: Annotated[dict[Name, Annotated[Material, Of("material", Material)]], Field(min_length=1)]
+    sections: Annotated[dict[Name, Annotated[Section, Of("section", *_SHAPES, Section)]], Field(min_length=1)]
     members: Annotated[list[Member], Field(min_length=1)]
     supports: dict[Name, list[Direction] | Literal["clamped"]] = {}
-    masses: list[MassTable] = []
-    springs: dict[Name, SpringTable] = {}
-    offsets: dict[Name, OffsetTable] = {}
+    masses: list[Annotated[PointMass, Of("mass", PointMass, point="node")]] = []
+    springs: dict[Name, Annotated[JointSpring, Of("spring", _spring)]] = {}
+    offsets: dict[Name, Annotated[RigidArm, Of("offset", RigidArm, point="node")]] = {}
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
@@ -74,11 +107,51 @@ class FrameTable(TomlTable):
         return sorted({member.group for member in self.members})
 
     def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        found = target_mistakes([p.name for p in parameters], parameters, self.groups, self.masses, self.springs)
+        found = self._of_targets(parameters)
         for i, table in enumerate(parameters):
             if not table.is_positive():
                 rule = got("must be positive, as the property is", table.lower)
                 found.append(Mistake(f"parameters.{i}.lower", rule))
+        return found
+
+    def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return what is wrong with what parameters stand for: things, directions, what two of them have."""
+        known: dict[str, Collection[str]] = {
+            "groups": self.groups,
+            "masses": [_known_as(mass) for mass in self.masses],
+            "springs": list(self.springs),
+        }
+        found: list[Mistake] = []
+        owner: dict[tuple[str, str, str], str] = {}
+        for i, table in enumerate(parameters):
+            if table.property is None:
+                found.append(Mistake(f"parameters.{i}.property", f"is missing: one of {', '.join(KEYS)}"))
+            key = KEYS.get(table.property or "E", "groups")
+            where = f"parameters.{i}.{key}"
+            found += _out_of_place(f"parameters.{i}", table, key)
+            names = table.named(key, self.groups)
+            if not names:
+                found.append(Mistake(where, f"must name a {_SINGULAR[key]}"))
+            for name in names if table.property else ():
+                if name not in known[key]:
+                    found.append(Mistake(where, got(f"must be among {names_shown(known[key])}", name)))
+                    continue
+                directions: Sequence[str] = table.directions
+                if key == "springs":
+                    has: list[str] = list(self.springs[name].stiffness)
+                    rule = f"must be among those of {name}: {', '.join(has) or 'none'}"
+                    wrong = [d for d in directions if d not in has]
+                    found += [Mistake(f"parameters.{i}.directions", got(rule, d)) for d in wrong]
+                    directions = directions or has
+                elif table.property == "inertia":
+                    directions = directions or ROTATIONS
+                for direction in directions or [""]:
+                    quantity = str(table.property), name, direction
+                    if quantity in owner:
+                        along = f" along {direction}" if direction else ""
+                        rule = f"{table.property} of {name}{along} is already updated by {owner[quantity]}"
+                        found.append(Mistake(where, rule))
+                    owner[quantity] = table.name
         return found
 
     def _between_tables(self) -> list[Mistake]:
@@ -101,10 +174,10 @@ class FrameTable(TomlTable):
                 found.append(Mistake(f"model.members.{i}.to", rule))
         if sum(member.elements for member in self.members) > MOST_ELEMENTS:
             found.append(Mistake("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
-        names = [mass.name for mass in self.masses if mass.name is not None]
+        names = [mass.name for mass in self.masses if mass.name]
         if len(set(names)) < len(names):
             found.append(Mistake("model.masses", got("must have distinct names", names)))
-        if not (self.free or self.supports or any(spring.points is None for spring in self.springs.values())):
+        if not (self.free or self.supports or any(spring.nodes[1] is None for spring in self.springs.values())):
             rule = (
                 "must restrain the structure (a spring to the ground does too); set free = true if it is "
                 "free on purpose"
@@ -113,9 +186,10 @@ class FrameTable(TomlTable):
         return found
 
     def _of_points(self) -> list[Mistake]:
-        named = [("supports", name) for name in self.supports] + [("masses", mass.point) for mass in self.masses]
-        named += [(f"springs.{key}", end) for key, spring in self.springs.items() for end in spring.ends]
-        named += [(f"offsets.{key}.point", table.point) for key, table in self.offsets.items()]
+        named: list[tuple[str, Any]] = [("supports", name) for name in self.supports]
+        named += [("masses", mass.node) for mass in self.masses]
+        named += [(f"springs.{key}", end) for key, spring in self.springs.items() for end in _ends(spring)]
+        named += [(f"offsets.{key}.point", arm.node) for key, arm in self.offsets.items()]
         found = [
             Mistake(f"model.{where}", _unknown(name, self.points))
             for where, name in named
@@ -127,7 +201,7 @@ class FrameTable(TomlTable):
             if name in self.points
         ]
         used = {point for member in self.members for point in (member.start, member.end)}
-        used |= {end for spring in self.springs.values() for end in spring.ends}
+        used |= {end for spring in self.springs.values() for end in _ends(spring)}
         idle = sorted(set(self.points) - used)
         return found + [Mistake(f"model.points.{name}", "is not connected to a member or spring") for name in idle]
 
@@ -146,7 +220,7 @@ class _Mesh:
         self._between: dict[int, str] = {}
         self._groups = [self._group(i, member) for i, member in enumerate(table.members)]
         for spring in table.springs.values():
-            for end in spring.ends:
+            for end in _ends(spring):
                 self._node_at(end)
 
     def frame(self) -> Frame:
@@ -156,24 +230,21 @@ class _Mesh:
             at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)
             for point, fixed in table.supports.items()
         }
-        names = [mass.known_as for mass in table.masses]
+        names = [_known_as(mass) for mass in table.masses]
         masses = [
-            PointMass(at[m.point], m.mass, tuple(m.inertia), m.known_as if names.count(m.known_as) == 1 else "")  # type: ignore[arg-type]
-            for m in table.masses
+            replace(mass, node=at[mass.node], name=name if names.count(name) == 1 else "")  # type: ignore[index]
+            for mass, name in zip(table.masses, names, strict=True)
         ]
-        arms = {
-            name: RigidArm(at[place.point], tuple(place.offset))  # type: ignore[arg-type]
-            for name, place in table.offsets.items()
-        }
+        arms = {name: replace(arm, node=at[arm.node]) for name, arm in table.offsets.items()}
         springs = [
-            JointSpring(name, (*(at[end] for end in spring.ends), None)[:2], spring.stiffness, spring.tied)  # type: ignore[arg-type]
+            replace(spring, name=name, nodes=(*(at[end] for end in _ends(spring)), None)[:2])  # type: ignore[arg-type]
             for name, spring in table.springs.items()
         ]
         return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
         """Return what a parameter stands for, as `Frame.separable` has it."""
-        named = things(table, self.table.groups)
+        named = table.named(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
         names = [(str(table.property), thing) for thing in named]
@@ -202,10 +273,31 @@ class _Mesh:
         return ElementGroup(
             name,
             np.stack([chain[:-1], chain[1:]], axis=1),
-            self.table.sections[member.section].section(),
-            Material(**self.table.materials[member.material].model_dump()),
+            self.table.sections[member.section],
+            self.table.materials[member.material],
             None if member.y_direction is None else tuple(member.y_direction),  # type: ignore[arg-type]
         )
+
+
+_SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
+
+
+def _out_of_place(where: str, table: Target, key: str) -> list[Mistake]:
+    """Return the keys that a parameter of such a property must not have."""
+    wrong = [other for other in _SINGULAR if other != key and table.named(other, ["all"])]
+    if table.directions and table.property not in ("inertia", "stiffness"):
+        wrong.append("directions")
+    return [Mistake(f"{where}.{other}", f"must be left out: {table.property} belongs to {key}") for other in wrong]
+
+
+def _ends(spring: JointSpring) -> list[Any]:
+    """Return the points that a spring of the file is at."""
+    return [end for end in spring.nodes if end is not None]
+
+
+def _known_as(mass: PointMass) -> str:
+    """Return what parameters call a mass of the file: its name, or its point's."""
+    return mass.name or str(mass.node)
 
 
 def _unknown(name: str, known: Any) -> str:

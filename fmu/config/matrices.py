@@ -14,9 +14,8 @@ import scipy.sparse as sp
 from pydantic import Field, model_validator
 
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.model.table import Built, without_targets
-from fmu.config.parameters import ParameterTable
-from fmu.config.tables import FileName, Name, SensorTable, TomlTable
+from fmu.config.parameters import ParameterTable, without_targets
+from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.terms import Term

@@ -1,4 +1,0 @@
-"""The tables of `[model]` in a problem file.
-
-Reading order: table; frame with sections, joints and targets; matrices; python.
-"""
