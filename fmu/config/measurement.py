@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from fmu.config.measured_files import OmaTable, UffTable, broken
 from fmu.config.mistakes import BrokenError, Mistake, got
-from fmu.config.tables import Built, FileName, Name, NumberOrNumbers, Positive, SensorTable, TomlTable
+from fmu.config.tables import (
+    Built,
+    Declared,
+    FileName,
+    Name,
+    NumberOrNumbers,
+    Positive,
+    SensorTable,
+    TomlTable,
+    declared,
+    required,
+    with_keys,
+)
+from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
-from fmu.formats.modes.measured_modes import MOST_MODES, ModesError
+from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, Place, Sensors
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 from fmu.posterior.errors.correlated import checked_covariance
@@ -23,10 +36,10 @@ Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A frequency, or nan where a test missed the mode."""
 Test = Annotated[list[Missed], Field(max_length=MOST_MODES)]
 MOST_SENSORS = 10_000
-_SOURCES = ("frequencies", "tests", "tests_file", "file", "uff", "oma")
+NodeNumber = Annotated[str, StringConstraints(pattern=r"^\d{1,9}$")]
+_SOURCES = ("frequencies", "tests", "tests_file", "file", *READERS)
 _TESTS = ("tests", "tests_file")
 _SHAPES = ("shapes", "shapes_file", "test_shapes")
-_WITH_SHAPES = ("uff", "oma")
 _TRUST = ("sd", "beta", "covariance")
 _ONE_TRUST = "must have either sd or beta or covariance"
 
@@ -43,6 +56,21 @@ class _Read(NamedTuple):
     tests: RepeatedTests | None = None
 
 
+_IN_A_FILE: dict[Any, Any] = {
+    Path: FileName,
+    Mapping[int, Place] | None: dict[NodeNumber, Place] | None,
+    Sensors: None,
+    Sensors | None: None,
+}
+"""What stands in the table of a reader for an argument: nothing for the sensors, which have a key of their own."""
+
+
+def _of_reader(key: str, read: Callable[..., Any]) -> Any:
+    table = declared(key, read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
+    return table | None, Field(None, description=table.__doc__)
+
+
+@with_keys({key: _of_reader(key, read) for key, read in READERS.items()})
 class MeasurementTable(TomlTable):
     """The modes measured, from one of ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff`` and ``oma``.
 
@@ -63,10 +91,6 @@ class MeasurementTable(TomlTable):
     """What the scatter of the tests tells: a deviation each mode, one for all, or a covariance."""
     file: FileName | None = None
     """A table of frequencies, from the folder of this file."""
-    uff: UffTable | None = None
-    """A universal file with frequencies and shapes."""
-    oma: OmaTable | None = None
-    """What an operational modal analysis wrote."""
     sd: NumberOrNumbers | None = None
     """Standard deviation of the frequencies, Hz: one, or one a mode."""
     beta: NumberOrNumbers | None = None
@@ -118,10 +142,10 @@ class MeasurementTable(TomlTable):
             raise ValueError("test_shapes must be given with tests or tests_file, one list per test")
         if self.shapes_file is not None and self.sensors:
             raise ValueError("sensors must not be given together with shapes_file, which defines them")
-        if given[0] in _WITH_SHAPES and shapes:
+        if given[0] in READERS and shapes:
             raise ValueError(f"shapes must not be given together with {given[0]}, which defines them")
-        if self.oma is not None and not self.sensors:
-            raise ValueError("sensors must be given with oma, one per channel")
+        if given[0] in READERS and not self.sensors and "sensors" in required(READERS[given[0]]):
+            raise ValueError(f"sensors must be given with {given[0]}, one per channel")
         self._check_lengths()
         return self
 
@@ -138,10 +162,15 @@ class MeasurementTable(TomlTable):
             if isinstance(value, list) and value and len(value) != len(rows[0]):
                 raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {len(value)})")
 
+    @property
+    def _source(self) -> str:
+        """The key that has the frequencies."""
+        return next(key for key in _SOURCES if getattr(self, key) is not None)
+
     def mistakes(self, needs_trust: bool) -> list[Mistake]:
         """Say so if nothing can tell the errors in frequency, and no error model does."""
         given = [key for key in _TRUST if getattr(self, key) is not None]
-        if given or not needs_trust or (self.frequencies is None and self.uff is None):
+        if given or not needs_trust or self.frequencies is None:
             return []
         return [Mistake("measurement", got(_ONE_TRUST, given))]
 
@@ -192,7 +221,9 @@ class MeasurementTable(TomlTable):
             sensor = (built.places.get(str(place), place), str(direction))
             sensors.append(sensor)
             if not built.model.sees(sensor):
-                where = f"sensors.{i}" if self.sensors else "uff" if self.uff is not None else "shapes_file"
+                where = (
+                    f"sensors.{i}" if self.sensors else self._source if self._source in READERS else "shapes_file"
+                )
                 rule = got("must be a point and a direction that are free to move", [place, direction])
                 found.append(Mistake(f"measurement.{where}", rule))
         if found:
@@ -201,14 +232,15 @@ class MeasurementTable(TomlTable):
 
     def _read(self, folder: Path) -> _Read:
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
-        for key, table in (("uff", self.uff), ("oma", self.oma)):
-            if table is not None:
-                try:
-                    modes = table.read(folder, sensors)
-                except (ModesError, OSError, ImportError) as error:
-                    raise broken(f"measurement.{key}", error) from None
-                own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
-                return _Read(modes.frequencies_hz, own, modes.sensors, modes.labels, (), modes.shapes)
+        if self._source in READERS:
+            table: Declared = getattr(self, self._source)
+            others = {"sensors": sensors} if sensors else {}
+            try:
+                modes = table.build(file=folder / table.given()["file"], **others)
+            except (ModesError, OSError, ImportError) as error:
+                raise _broken(f"measurement.{self._source}", error) from None
+            own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
+            return _Read(modes.frequencies_hz, own, modes.sensors, modes.labels, (), modes.shapes)
         read = self._frequencies(folder)._replace(sensors=sensors)
         if self.shapes is not None:
             return read._replace(shapes=_columns(self.shapes))
@@ -221,7 +253,7 @@ class MeasurementTable(TomlTable):
             labels = read.labels or tuple(self.labels) or _counted(read.frequencies)
             modes = read_shapes(folder / self.shapes_file, labels)
         except (ModesError, OSError) as error:
-            raise broken("measurement.shapes_file", error) from None
+            raise _broken("measurement.shapes_file", error) from None
         return read._replace(sensors=modes.sensors, shapes=modes.shapes)
 
     def _frequencies(self, folder: Path) -> _Read:
@@ -237,9 +269,16 @@ class MeasurementTable(TomlTable):
                 return _mean(key, values, self.scatter)._replace(labels=labels)
             modes, numbers = read_frequencies(folder / str(name))
         except (ModesError, OSError) as error:
-            raise broken(f"measurement.{key}", error) from None
+            raise _broken(f"measurement.{key}", error) from None
         own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
         return _Read(modes.frequencies_hz, own, (), modes.labels, numbers, None)
+
+
+def _broken(where: str, error: Exception) -> BrokenError:
+    """Return what is wrong with a file, each mistake at the key that names it."""
+    if isinstance(error, ModesError):
+        return BrokenError([Mistake(where, mistake) for mistake in error.mistakes])
+    return BrokenError([Mistake(where, str(error).removeprefix("path: "))])
 
 
 def _mean(key: str, values: ArrayLike, scatter: str) -> _Read:

@@ -114,11 +114,10 @@ class Declared(TomlTable):
         ValueError
             If the keys are not the arguments of one of the constructors, or it refuses their values.
         """
-        given = self.given()
+        given = self.given() | others
         for make in self.makes:
-            names, required = _arguments(make)
-            if required <= given.keys() <= names.keys():
-                return make(**given | others)
+            if required(make) <= given.keys() <= _arguments(make).keys():
+                return make(**given)
         raise ValueError(got(f"must have either {_ways(self.makes)}", list(given)))
 
     @model_validator(mode="after")
@@ -146,7 +145,8 @@ def declared(
     tag : str
         A further key, which says what kind of table it is.
     in_a_file : callable, optional
-        What stands in a file for an annotation that is no type of TOML, such as the name of another table.
+        What stands in a file for an annotation that is no type of TOML, such as the name of another table; None
+        for an argument that is no key.
     renamed : mapping of str to str, optional
         See `Of`.
     """
@@ -154,14 +154,15 @@ def declared(
     every = [_arguments(make) for make in makes]
     key_of = {argument: key for key, argument in (renamed or {}).items()}
     fields: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
-    for names, _ in every:
-        for argument, (annotation, default) in names.items():
-            required = all(argument in needed for _, needed in every)
-            if not required and default is inspect.Parameter.empty:
+    for arguments in every:
+        for argument, (annotation, default) in arguments.items():
+            is_required = all(argument in required(make) for make in makes)
+            if not is_required and default is inspect.Parameter.empty:
                 annotation, default = annotation | None, None
             annotation = Name if argument in key_of else (in_a_file or _listed)(annotation)
-            field = Field(... if required else default, description=described.get(argument))
-            fields[key_of.get(argument, argument)] = (annotation, field)
+            if annotation is not None:
+                field = Field(... if is_required else default, description=described.get(argument))
+                fields[key_of.get(argument, argument)] = (annotation, field)
     about = (inspect.getdoc(getattr(makes[0], "__self__", makes[0])) or "").partition("\n\n")[0]
     if len(makes) > 1:
         about += f" Give either {_ways(makes)}."
@@ -227,18 +228,26 @@ def inside(key: str, make: Callable[..., Any]) -> Callable[..., Any]:
     return made
 
 
-def _arguments(make: Callable[..., Any]) -> tuple[dict[str, tuple[Any, Any]], set[str]]:
-    """Return annotation and default of each argument, and the names of those that must be given."""
+def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Table]], type[Table]]:
+    """Return a decorator that gives a table further keys: their types and fields, as `create_model` has them."""
+    return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
+
+
+def required(make: Callable[..., Any]) -> set[str]:
+    """Return the names of the arguments that a constructor cannot do without."""
+    return {key for key, (_, default) in _arguments(make).items() if default is inspect.Parameter.empty}
+
+
+def _arguments(make: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
+    """Return annotation and default of each argument."""
     function: Any = make.__init__ if inspect.isclass(make) else make
     hints = get_type_hints(function, include_extras=True)
-    signature = inspect.signature(make).parameters
-    names = {key: (hints[key], argument.default) for key, argument in signature.items()}
-    return names, {key for key, (_, default) in names.items() if default is inspect.Parameter.empty}
+    return {key: (hints[key], argument.default) for key, argument in inspect.signature(make).parameters.items()}
 
 
 def _ways(makes: tuple[Callable[..., Any], ...]) -> str:
     """Return which arguments the constructors have that are not common to all."""
-    every = [_arguments(make)[0] for make in makes]
+    every = [_arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(f"{', '.join(way[:-1])} and {way[-1]}" if len(way) > 1 else way[0] for way in ways)
 

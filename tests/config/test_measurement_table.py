@@ -261,7 +261,7 @@ BROKEN = {
         "measurement: must have either shapes or shapes_file"
     ),
     'uff = { file = "none.uff" }\nsd = 0.1': "measurement.uff: must be a file (no such file: ",
-    'uff = { file = "test.uff" }': "measurement: must have either sd or beta or covariance (got [])",
+    'uff = { file = "test.uff" }': "measurement.uff: must be a file (no such file: ",
     'uff = { file = "test.uff" }\nsd = 0.1\nshapes = [[1.0]]': "measurement: shapes must not be given "
     "together with uff",
     'uff = { file = "test.uff", nodes = { tip = 3 } }\nsd = 0.1': "measurement.uff.nodes.tip",

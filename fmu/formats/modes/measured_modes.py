@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Interval
 from numpy.typing import ArrayLike
 
 from fmu.formats.files import too_large, why_no_file
@@ -21,6 +22,14 @@ MOST_MODES = 1000
 """Far beyond what a test identifies."""
 LEAST_MPC = 0.8
 """Modal phase collinearity below which a complex shape is not taken for a real one, unless asked for."""
+
+
+Place = int | str
+"""A node, or the name of a place."""
+Sensors = Sequence[tuple[Any, str]]
+"""Place and direction of each sensor; a direction may have a minus before it."""
+ModeNumber = Annotated[int, Ge(1)]
+Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
 
 
 class ModesError(ValueError):

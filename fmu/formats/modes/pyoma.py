@@ -17,8 +17,11 @@ import numpy as np
 from fmu.formats.modes.measured_modes import (
     LEAST_MPC,
     MOST_MODES,
+    Collinearity,
     MeasuredModes,
+    ModeNumber,
     ModesError,
+    Sensors,
     checked_file,
     real_shapes,
 )
@@ -29,7 +32,7 @@ _KEPT = ("Fn", "Phi", "Fn_std", "Xi")
 
 def pyoma_modes(
     result: Any,
-    sensors: Sequence[tuple[Any, str]],
+    sensors: Sensors,
     modes: Sequence[int] | None = None,
     least_mpc: float = LEAST_MPC,
 ) -> MeasuredModes:
@@ -103,6 +106,28 @@ def pyoma_modes(
         shapes,
         mpc,
     )
+
+
+def read_pyoma(
+    file: Path,
+    sensors: Sensors,
+    modes: Sequence[ModeNumber] | None = None,
+    least_mpc: Collinearity = LEAST_MPC,
+) -> MeasuredModes:
+    """Return the modes of a result of pyOMA_2 that `save_pyoma` wrote; its channels are the ``sensors``.
+
+    Parameters
+    ----------
+    file : Path
+    sensors, modes, least_mpc :
+        See `pyoma_modes`.
+
+    Raises
+    ------
+    FileNotFoundError, ModesError
+        See `load_pyoma` and `pyoma_modes`.
+    """
+    return pyoma_modes(load_pyoma(file), sensors, modes, least_mpc)
 
 
 def save_pyoma(path: Path, result: Any) -> None:

@@ -1,37 +1,61 @@
 """Mode shapes in universal files: dataset 55, "Data at Nodes", by way of pyuff.
 
 The format is that of the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
-Formats for Modal Analysis Testing*). Its numbers have six significant digits: that much of a frequency and a shape
-survives being written.
+Formats for Modal Analysis Testing*). Its numbers have six significant digits, so frequencies and shapes are
+rounded to that when they are written.
+
+pyuff accepts any number of values, whatever a header announces, and does not say why it cannot read a dataset:
+`datasets` checks what it returns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes, ModesError, checked_file, real_shapes
-from fmu.formats.modes.uff_datasets import REAL, SHAPES, datasets, imported_pyuff
+from fmu.formats.modes.measured_modes import (
+    LEAST_MPC,
+    Collinearity,
+    MeasuredModes,
+    ModeNumber,
+    ModesError,
+    Place,
+    Sensors,
+    checked_file,
+    real_shapes,
+)
+from fmu.formats.shown import in_words
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
+SHAPES, NODES = 55, (15, 2411)
+REAL, COMPLEX = (2,), (3, 7)
+"""Analysis types: normal modes; complex eigenvalues of first and second order."""
+MOST_DATASETS = 10_000
+LARGEST_DATASET = 2**23
+"""Bytes: some 150 000 nodes."""
+_MOTION = (0, 1, 8, 11, 12)
+"""Specific data types: unknown, general, displacement, velocity, acceleration."""
+_TAG = b"    -1"
 
 
 def read_uff(
-    path: Path,
-    nodes: Mapping[Any, Any] | None = None,
-    modes: Sequence[int] | None = None,
-    sensors: Sequence[tuple[Any, str]] | None = None,
-    least_mpc: float = LEAST_MPC,
+    file: Path,
+    nodes: Mapping[int, Place] | None = None,
+    modes: Sequence[ModeNumber] | None = None,
+    sensors: Sensors | None = None,
+    least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
     """Return the modes of a universal file.
 
     Parameters
     ----------
-    path : Path
+    file : Path
     nodes : mapping of node number to place, optional
         What the nodes of the file are in the model; the others are left out. Without it every node is the place
         that has its number.
@@ -59,31 +83,31 @@ def read_uff(
     ModesError
         If the file cannot be read, or has no such modes, nodes or sensors.
     """
-    mode_sets, node_sets = datasets(checked_file(path))
+    mode_sets, node_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
     if not mode_sets:
-        raise ModesError(path.name, ["must have mode shapes, dataset 55 of analysis type 2, 3 or 7 (got none)"])
+        raise ModesError(file.name, ["must have mode shapes, dataset 55 of analysis type 2, 3 or 7 (got none)"])
     if len(by_number) < len(mode_sets):
         twice = [int(mode["mode_n"]) for mode in mode_sets]
-        raise ModesError(path.name, [f"must have each mode once (got the numbers {twice})"])
+        raise ModesError(file.name, [f"must have each mode once (got the numbers {twice})"])
     chosen = list(by_number) if modes is None else [int(number) for number in modes]
     missing = [number for number in chosen if number not in by_number]
     if missing or not chosen:
-        raise ModesError(path.name, [f"modes: must be some of {sorted(by_number)} (got {chosen})"])
-    place_of = _places(path, nodes, mode_sets)
+        raise ModesError(file.name, [f"modes: must be some of {sorted(by_number)} (got {chosen})"])
+    place_of = _places(file, nodes, mode_sets)
     values = {number: _values(mode, place_of) for number, mode in by_number.items()}
     seen = _seen(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
     table = np.array([[_at(values[number], sensor) for number in chosen] for sensor in seen])
     frequencies = np.array([_frequency(by_number[number]) for number in chosen])
     wrong = [f"{n} at {f} Hz" for n, f in zip(chosen, frequencies, strict=True) if not f > 0]
     if wrong:
-        raise ModesError(path.name, [f"modes: must have frequencies above 0 Hz (got {', '.join(wrong)})"])
+        raise ModesError(file.name, [f"modes: must have frequencies above 0 Hz (got {', '.join(wrong)})"])
     if not seen:
-        raise ModesError(path.name, ["shapes: must move at one of the nodes (got zeros)"])
+        raise ModesError(file.name, ["shapes: must move at one of the nodes (got zeros)"])
     try:
         shapes, mpc = real_shapes(table, least_mpc)
     except ValueError as error:
-        raise ModesError(path.name, [str(error)]) from None
+        raise ModesError(file.name, [str(error)]) from None
     is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
     positions = {place_of[node]: xyz for node, xyz in _positions(node_sets).items() if node in place_of}
     return MeasuredModes(
@@ -201,3 +225,88 @@ def _positions(sets: list[dict[str, Any]]) -> dict[int, tuple[float, float, floa
 
 def _short(numbers: Sequence[int]) -> str:
     return str(list(numbers)) if len(numbers) <= 12 else f"[{', '.join(map(str, numbers[:12]))}, …]"
+
+
+@contextmanager
+def imported_pyuff() -> Iterator[Any]:
+    """Give pyuff, without its warnings of what it uses itself."""
+    try:
+        import pyuff
+    except ImportError:
+        raise ImportError("universal files need pyuff: install fmu[uff]") from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        yield pyuff
+
+
+def datasets(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the datasets with modes, and those with nodes.
+
+    Raises
+    ------
+    ImportError
+        If pyuff is not installed.
+    ModesError
+        If the file is no universal file, or too large, or datasets are not as their headers say.
+    """
+    content = path.read_bytes()
+    if content.count(_TAG) > 2 * MOST_DATASETS:
+        raise ModesError(path.name, [f"must have at most {MOST_DATASETS} datasets"])
+    kinds = [[str(kind).encode()] for kind in (SHAPES, *NODES)]
+    if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] in kinds for part in content.split(_TAG)):
+        raise ModesError(path.name, [f"must have modes and nodes in datasets of at most {LARGEST_DATASET} bytes"])
+    with imported_pyuff() as pyuff:
+        try:
+            file = pyuff.UFF(str(path))
+            types = [int(kind) for kind in file.get_set_types()]
+        except Exception as error:  # pyuff raises no other kind
+            raise ModesError(path.name, [f"must be a universal file ({in_words(error)})"]) from error
+        if not types:
+            raise ModesError(path.name, ["must be a universal file (it has no dataset)"])
+        read, found = {}, []
+        for i, kind in enumerate(types):
+            if kind in (SHAPES, *NODES):
+                try:
+                    read[i] = file.read_sets(i)
+                    found += [f"dataset {i + 1}: {rule}" for rule in _wrong(read[i])]
+                except Exception:
+                    where = f"its dataset {i + 1}, of type {kind}"
+                    found.append(f"must be a universal file ({where}, has lines of another format)")
+    if found:
+        raise ModesError(path.name, found)
+    sets = [one for i, one in read.items() if types[i] == SHAPES and one["analysis_type"] in REAL + COMPLEX]
+    return sets, [one for i, one in read.items() if types[i] in NODES]
+
+
+def _wrong(one: Mapping[str, Any]) -> list[str]:
+    """Say what is wrong with what pyuff made of a dataset: it takes whatever number of values there is."""
+    if one["type"] in NODES:
+        lengths = {len(one[key]) for key in ("node_nums", "x", "y", "z")}
+        if len(lengths) > 1 or not np.all(np.isfinite(one["node_nums"])):
+            return ["must have a number and three coordinates a node"]
+        return []
+    if one["analysis_type"] not in REAL + COMPLEX:
+        return []
+    frequency = "freq" if one["analysis_type"] in REAL else "eig"
+    found = (
+        [f"must have a whole mode number (got {one.get('mode_n')})"] if not _is_whole(one.get("mode_n")) else []
+    )
+    if not np.isfinite(one.get(frequency, np.nan)):
+        found.append(f"must have a finite frequency or eigenvalue (got {one.get(frequency)})")
+    if one["spec_data_type"] not in _MOTION:
+        found.append(
+            f"shapes must be of displacement, velocity or acceleration (got type {one['spec_data_type']})"
+        )
+    most = 6 if one["data_type"] == 2 else 3
+    if one["data_type"] not in (2, 5) or one["n_data_per_node"] not in (3, most):
+        found.append(
+            "must have real data (type 2) of 3 or 6 values a node, or complex data (type 5) of 3 "
+            f"(got type {one['data_type']} of {one['n_data_per_node']})"
+        )
+    elif {len(one.get(f"r{i + 1}", ())) for i in range(one["n_data_per_node"])} != {len(one["node_nums"])}:
+        found.append(f"must have {one['n_data_per_node']} values at each of its {len(one['node_nums'])} nodes")
+    return found
+
+
+def _is_whole(number: Any) -> bool:
+    return isinstance(number, int | np.integer) or (isinstance(number, float) and number.is_integer())

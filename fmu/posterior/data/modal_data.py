@@ -217,7 +217,7 @@ class ModalData:
             If there is no such file, or no pyuff.
         """
         reading = {name: options.pop(name) for name in ("sensors", "least_mpc") if name in options}
-        return cls._of(read_uff(Path(path), nodes, modes, **reading), options)
+        return cls.from_modes(read_uff(Path(path), nodes, modes, **reading), **options)
 
     @classmethod
     def from_pyoma(
@@ -249,7 +249,7 @@ class ModalData:
         ValueError
             If the result has no modes or other channels, or a shape is too complex to be taken for a real one.
         """
-        return cls._of(pyoma_modes(result, sensors, modes, least_mpc), options)
+        return cls.from_modes(pyoma_modes(result, sensors, modes, least_mpc), **options)
 
     def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[Any, Any] | None = None) -> None:
         """Write frequencies and shapes into a universal file, to six significant digits; needs pyuff.
@@ -273,7 +273,15 @@ class ModalData:
         write_uff(Path(path), self.frequencies_hz, self.shapes, self.sensors, self.numbers, nodes)
 
     @classmethod
-    def _of(cls, modes: MeasuredModes, options: dict[str, Any]) -> Self:
+    def from_modes(cls, modes: MeasuredModes, **options: Any) -> Self:
+        """Return the modes that a reader of `fmu.formats.modes` found.
+
+        Parameters
+        ----------
+        modes : MeasuredModes
+        **options
+            What else the class takes, as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace those of the modes.
+        """
         own = {} if {"sd_hz", "covariance_hz2"} & set(options) else {"sd_hz": modes.sd_hz}
         given = {"sensors": modes.sensors, "labels": modes.labels, "shapes": modes.shapes, **own}
         return cls(modes.frequencies_hz, **(given | options))
