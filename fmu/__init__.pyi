@@ -28,9 +28,9 @@ from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
 from .fem.modes.terms import Term as Term
 from .posterior.data.modal_data import ModalData as ModalData
-from .posterior.errors.models import FrequencyErrors as FrequencyErrors
-from .posterior.errors.models import MACErrors as MACErrors
-from .posterior.errors.models import ShapeErrors as ShapeErrors
+from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
+from .posterior.errors.mac import MACErrors as MACErrors
+from .posterior.errors.shape import ShapeErrors as ShapeErrors
 from .posterior.parameters import Parameter as Parameter
 from .posterior.priors.base import Normal as Normal
 from .posterior.priors.base import Uniform as Uniform

@@ -13,7 +13,8 @@ from fmu.config.mistakes import Mistake, got
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind
 from fmu.formats.shown import names_shown
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.models import ERROR_MODELS, ErrorModel
+from fmu.posterior.errors import ERROR_MODELS
+from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.parameters import Parameter
 
 Rows = Annotated[list[list[Positive]], Tag("<rows>")]

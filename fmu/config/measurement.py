@@ -27,9 +27,9 @@ from fmu.config.tables import (
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, Place, Sensors
+from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.posterior.errors.correlated import checked_covariance
 from fmu.types import FloatArray
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]

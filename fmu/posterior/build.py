@@ -10,23 +10,18 @@ from numpy.typing import ArrayLike
 
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.candidates import SOFTNESS, SoftPairing
+from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import SOFT, ModalModel, PairedStructure, as_modal_model
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.frequency import FrequencyLikelihood, frequency_error
-from fmu.posterior.errors.joint import JointLikelihood
-from fmu.posterior.errors.mixture import SoftLikelihood
-from fmu.posterior.errors.models import ErrorModel, FrequencyErrors
+from fmu.posterior.errors.base import ErrorModel, Likelihood
+from fmu.posterior.errors.frequency import BetaFrequencyErrors
+from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.errors.mixture import MixtureLikelihood
 from fmu.posterior.errors.residual import ModalResidual
 from fmu.posterior.parameters import Parameter
 
 ERRORS = ("frequency", "modal-residual")
-
-Likelihood = FrequencyLikelihood | JointLikelihood | ModalResidual
-"""What each can do is told by its flags: ``of_modes``, whether its errors are those of computed modes, with
-slopes for Gauss–Newton steps and a full model to compare with; ``needs_shapes``; ``simulates``, whether it is a
-distribution of frequencies; ``error``, that of the frequencies where it is known, else None; ``terms_name``."""
 
 
 def check_names(parameters: Sequence[Parameter]) -> None:
@@ -131,22 +126,18 @@ def likelihood_of(
     ValueError
         If the error model is unknown or does not fit the data or the model, or `beta` is not wanted.
     """
-    is_soft = isinstance(getattr(paired, "rule", None), SoftPairing)
-    if not isinstance(error, str):
-        if beta is not None:
-            raise ValueError(f"beta: must not be given together with error models, which have sd (got {beta})")
-        errors: Any = error if isinstance(error, Sequence) else [error]
-        return (SoftLikelihood if is_soft else JointLikelihood)(paired, data, errors)  # type: ignore[arg-type]
-    if error not in ERRORS:
+    if isinstance(error, str) and error not in ERRORS:
         raise ValueError(f"error: must be one of {ERRORS}, or error models (got {error!r})")
+    if error == "modal-residual":
+        if not isinstance(model, SeparableModel):
+            raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
+        start = np.array([p.start for p in parameters], dtype=float)
+        return ModalResidual(model, data, start, 1.0 if beta is None else beta)
+    errors: Any = error if isinstance(error, Sequence) else [error]
     if error == "frequency":
-        if is_soft:
-            if data.covariance_hz2 is not None:
-                raise ValueError("pairing: soft needs errors independent from mode to mode (got covariance_hz2)")
-            sd = np.sqrt(0.5 / np.asarray(frequency_error(data, beta).beta))
-            return SoftLikelihood(paired, data, [FrequencyErrors("absolute", sd)])  # type: ignore[arg-type]
-        return FrequencyLikelihood(paired, frequency_error(data, beta))
-    if not isinstance(model, SeparableModel):
-        raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
-    start = np.array([p.start for p in parameters], dtype=float)
-    return ModalResidual(model, data, start, 1.0 if beta is None else beta)
+        errors = [BetaFrequencyErrors(beta)]
+    elif beta is not None:
+        raise ValueError(f"beta: must not be given together with error models, which have sd (got {beta})")
+    make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
+    likelihood: Likelihood = make(paired, data, errors)
+    return likelihood

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from fmu.fem.black_box import Failure as Failure
-from fmu.fem.pairing.failed_solves import why_no_frequencies
-from fmu.fem.pairing.paired_model import ModalModel
-from fmu.posterior.errors.frequency import FrequencyLikelihood
-from fmu.posterior.errors.joint import JointLikelihood
-from fmu.posterior.errors.mixture import SoftLikelihood
-from fmu.posterior.errors.residual import ModalResidual
 from fmu.types import FloatArray
 
 MOST_KEPT = 10_000
@@ -66,36 +58,3 @@ class FailureRecord:
         taken = list(self._waiting.values())
         self._waiting.clear()
         return taken
-
-
-def why_no_log_likelihood(
-    model: ModalModel, likelihood: FrequencyLikelihood | JointLikelihood | ModalResidual, theta: FloatArray
-) -> str:
-    """Say why there is no finite log-likelihood at a theta, by looking at it again.
-
-    Parameters
-    ----------
-    model : ModalModel
-        Paired with the data.
-    likelihood : FrequencyLikelihood, JointLikelihood or ModalResidual
-    theta : ndarray, shape (ndim,)
-        Where there was none a moment ago.
-    """
-    if isinstance(likelihood, ModalResidual):
-        return likelihood.why_not_finite(theta)
-    found = why_no_frequencies(model, theta[: model.n_parameters])
-    if found is not None:
-        return found
-    with np.errstate(all="ignore"):
-        if isinstance(likelihood, JointLikelihood) and not isinstance(likelihood, SoftLikelihood):
-            terms = likelihood.terms_by_error(theta[None])
-        else:
-            name = "every candidate's" if isinstance(likelihood, SoftLikelihood) else "frequency"
-            terms = [(name, likelihood.terms(theta[None]))]
-    for name, of_modes in terms:
-        bad = np.flatnonzero(~np.isfinite(of_modes[0]))
-        if len(bad):
-            value = of_modes[0, bad[0]]
-            what = "has no value (NaN)" if np.isnan(value) else "overflows"
-            return f"the log-likelihood is not finite: {name} error of mode {bad[0] + 1} {what}"
-    return "the log-likelihood was not finite, and is when it is computed again"

@@ -12,13 +12,11 @@ from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.candidates import SOFTNESS
-from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
-from fmu.posterior.build import Likelihood, check_names, likelihood_of, paired_model
+from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.joint import JointLikelihood
-from fmu.posterior.errors.models import ErrorModel
-from fmu.posterior.failures import Failure, FailureRecord, why_no_log_likelihood
+from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.failures import Failure, FailureRecord
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.rounding import require_digits
 from fmu.posterior.train_reduced import Tolerance, reduce_model
@@ -117,10 +115,9 @@ class UpdatingProblem:
         wanted = Tolerance.of(reduction)
         self.model = paired_model(model, data, self.parameters, pairing, softness)
         self.tolerance = wanted if isinstance(self.model, PairedStructure) else None
-        self.likelihood: Likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
-        if isinstance(self.likelihood, JointLikelihood):
-            self.parameters += self.likelihood.noise
-            check_names(self.parameters)
+        self.likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
+        self.parameters += self.likelihood.noise
+        check_names(self.parameters)
         self.ndim = len(self.parameters)
         self.names = tuple(p.name for p in self.parameters)
         self.units = tuple(p.unit for p in self.parameters)
@@ -236,12 +233,7 @@ class UpdatingProblem:
         ValueError
             If the error models give no distribution of the frequencies (shapes alone, the modal residual).
         """
-        if not self.likelihood.simulates:
-            raise ValueError("error: must be a distribution of the frequencies to simulate them")
-        if isinstance(self.likelihood, JointLikelihood):
-            return self.likelihood.simulate(rng, frequencies, theta)
-        assert self.likelihood.error is not None  # narrowed for the type checker
-        return self.likelihood.error.simulate(rng, frequencies)
+        return self.likelihood.simulate(rng, frequencies, theta)
 
     def simulate_test(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
@@ -258,8 +250,7 @@ class UpdatingProblem:
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")
-        if isinstance(self.likelihood, JointLikelihood) and self.likelihood.simulates:
-            frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, theta)
+        frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, theta)
         return np.asarray(frequencies + self.data.tests.simulate(rng, len(frequencies)))
 
     @property
@@ -285,7 +276,7 @@ class UpdatingProblem:
         other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
         return other | {
             "name": self.name,
-            "model": self._model_description(),
+            "model": self.model.configuration(),
             "data": self.data.as_dict(),
             "likelihood": self.likelihood.as_dict(),
             "parameters": [
@@ -304,14 +295,8 @@ class UpdatingProblem:
     @property
     def solves_per_gradient(self) -> int:
         """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
-        differences = self.likelihood.needs_shapes and isinstance(self.model, PairedBlackBox)
-        return 2 * self.n_structural + 1 if differences else int(getattr(self.model, "solves_per_gradient", 1))
-
-    def _model_description(self) -> Any:
-        describe = getattr(self.model, "configuration", None)
-        return (
-            describe() if callable(describe) else f"{type(self.model).__module__}.{type(self.model).__qualname__}"
-        )
+        of_model = self.model
+        return of_model.solves_per_shape_gradient if self.likelihood.needs_shapes else of_model.solves_per_gradient
 
     def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
         points = np.asarray(theta, dtype=float, order="C")
@@ -342,6 +327,9 @@ class UpdatingProblem:
         failed = ~finite.all(axis=1)
         self._failed.add(
             points[failed & self._within(points).all(axis=1)],
-            lambda theta: why_no_log_likelihood(self.model, self.likelihood, theta),
+            lambda theta: (
+                self.likelihood.why_not_finite(theta)
+                or "the log-likelihood was not finite, and is when it is computed again"
+            ),
         )
         return np.where(failed[:, None], -np.inf, terms)

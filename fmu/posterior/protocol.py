@@ -7,8 +7,8 @@ from typing import Any, Protocol
 from numpy.typing import ArrayLike
 
 from fmu.fem.pairing.paired_model import ModalModel
-from fmu.posterior.build import Likelihood
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.base import Likelihood
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
 

@@ -24,11 +24,9 @@ from numpy.typing import NDArray
 from fmu.fem.modes.modal import RIGID
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
-from fmu.posterior.errors.frequency import FrequencyLikelihood
-from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.protocol import Problem
 from fmu.types import FloatArray
 
@@ -95,7 +93,7 @@ def rounding(problem: Problem) -> Rounding | None:
         If a soft part is lost beside a stiff one.
     """
     model, likelihood = problem.model, problem.likelihood
-    if not isinstance(model, PairedStructure) or not isinstance(likelihood, FrequencyLikelihood | JointLikelihood):
+    if not isinstance(model, PairedStructure) or not isinstance(likelihood, ModalLikelihood):
         return None
     theta = problem.start[: model.n_parameters]
     shapes = model.full_shapes(theta)
@@ -111,7 +109,7 @@ def rounding(problem: Problem) -> Rounding | None:
     frequencies = np.sqrt(lam) / (2.0 * np.pi)
     off = np.sqrt(lam + _ROUNDINGS * UNIT * error) / (2.0 * np.pi) - frequencies
     relative = np.divide(off, frequencies, out=np.full_like(off, np.inf), where=frequencies > 0.0)
-    of_sd = _in_sd(problem, frequencies, off)
+    of_sd = likelihood.in_standard_deviations(frequencies, off, problem.start)
     worst = int(np.argmax(of_sd))
     dof = int(np.argmax(stiff[:, worst]))
     node, direction = model.structure.dofs[dof]
@@ -180,19 +178,3 @@ def _reduced(model: PairedStructure, owners: NDArray[np.int64], theta: FloatArra
         if isinstance(block, ReducedBlock) and not block.massless:
             highest[b] = float(np.max(block.eigenvalues(theta[None], block.size)))
     return np.array([highest.get(b, 0.0) for b in owners.tolist()])
-
-
-def _in_sd(problem: Problem, frequencies: FloatArray, error: FloatArray) -> FloatArray:
-    """Return the errors of frequencies (n_modes,), Hz, in standard deviations of the measurement."""
-    likelihood = problem.likelihood
-    if isinstance(likelihood, FrequencyLikelihood):
-        return np.asarray(np.linalg.norm(likelihood.error.whitened(np.diag(error)[None])[0], axis=0))
-    assert isinstance(likelihood, JointLikelihood)  # narrowed for the type checker
-    seen = ModalPrediction(frequencies[None], np.empty((1, 0, len(frequencies))))
-    noise = problem.start[None, likelihood.n_structural :]
-    squares = np.zeros(len(frequencies))
-    for term in likelihood.terms_of:
-        if not term.needs_shapes:
-            slopes = term.residuals(seen, noise).by_frequency
-            squares += 0.0 if slopes is None else np.sum(slopes[0] ** 2, axis=-1)
-    return np.asarray(np.sqrt(squares) * error)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -106,7 +105,7 @@ def reduce_model(
     n = structure.n_parameters
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
     rng = np.random.default_rng(0)
-    likelihood: Any = problem.likelihood
+    likelihood = problem.likelihood
 
     differences: list[float] = []
 
@@ -249,7 +248,7 @@ def _along(problem: Problem, origin: FloatArray, direction: FloatArray, step: Fl
 
 def _laplace_directions(problem: Problem, theta: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
     """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
-    information = problem.likelihood.quadratic(theta[None])[2][0]  # type: ignore[union-attr]
+    information = problem.likelihood.quadratic(theta[None])[2][0]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
     z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
     z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))

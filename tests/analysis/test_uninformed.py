@@ -10,7 +10,7 @@ from fmu.analysis.identifiability import Identifiability, identifiability, with_
 from fmu.analysis.information import COMBINED, DATA, PRIOR, doubts, information, left_to_prior
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.models import FrequencyErrors
+from fmu.posterior.errors.frequency import FrequencyErrors
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Uniform
 from fmu.posterior.priors.one_sided import LogNormal

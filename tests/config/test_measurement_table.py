@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.config import ConfigurationError, load
 from fmu.formats.modes.pyoma import save_pyoma
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.correlated import CorrelatedFrequencyError
+from fmu.posterior.errors.frequency import CorrelatedFrequencyTerm
 
 GIVEN = """\
 frequencies = [3.1, 9.8]
@@ -59,7 +59,7 @@ def test_standard_deviations_belong_to_the_data(problem):
 def test_covariance(problem):
     covariance = [[0.01, 0.004], [0.004, 0.04]]
     found = problem(GIVEN.replace("sd = 0.05", f"covariance = {covariance}"))
-    assert isinstance(found.likelihood.error, CorrelatedFrequencyError)
+    assert isinstance(found.likelihood.error, CorrelatedFrequencyTerm)
     assert_array_equal(found.data.covariance_hz2, covariance)
 
 

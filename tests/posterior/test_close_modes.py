@@ -18,8 +18,8 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.errors.frequency import FrequencyLikelihood, frequency_error
-from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.frequency import BetaFrequencyErrors
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.residual import ModalResidual
 
 SENSORS = ((0, "x"), (1, "x"), (2, "x"))
@@ -113,12 +113,12 @@ def gradients(name, gap, reduced, top=10.0):
     structure, data = paired(gap, reduced, top)
     theta = point(gap)
     if name == "plain":
-        likelihood = FrequencyLikelihood(structure, frequency_error(data))
+        likelihood = ModalLikelihood(structure, data, [BetaFrequencyErrors()])
 
         def log_likelihood(theta):
             return likelihood.error.log_prob_terms(closed_form(gap, theta).frequencies).sum(axis=1)
     else:
-        likelihood = JointLikelihood(structure, data, [ERRORS[name]])
+        likelihood = ModalLikelihood(structure, data, [ERRORS[name]])
         theta = np.concatenate([theta, [p.start for p in likelihood.noise]])
 
         def log_likelihood(theta):

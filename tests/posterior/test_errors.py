@@ -11,8 +11,10 @@ from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.joint import JointLikelihood
-from fmu.posterior.errors.models import FrequencyErrors, MACErrors, ShapeErrors
+from fmu.posterior.errors.frequency import FrequencyErrors
+from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.errors.mac import MACErrors
+from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.parameters import Parameter
 
 SENSORS = ((0, "x"), (1, "x"), (3, "x"))
@@ -66,7 +68,7 @@ MODELS = {
 
 @pytest.fixture(params=MODELS)
 def likelihood(request, structure, data):
-    return JointLikelihood(structure, data, MODELS[request.param])
+    return ModalLikelihood(structure, data, MODELS[request.param])
 
 
 def theta_of(likelihood, n=3):
@@ -203,7 +205,7 @@ def test_mac_errors_are_a_density_of_what_is_missing_of_one(sd):
 
 def test_a_deviation_that_two_models_name_is_one_parameter(structure, data):
     errors = [FrequencyErrors(sd=SIGMA), ShapeErrors(sd=SIGMA, discrepancy=DELTA)]
-    assert JointLikelihood(structure, data, errors).noise == (SIGMA, DELTA)
+    assert ModalLikelihood(structure, data, errors).noise == (SIGMA, DELTA)
 
 
 @pytest.mark.parametrize(
@@ -230,13 +232,13 @@ def test_a_deviation_that_two_models_name_is_one_parameter(structure, data):
 )
 def test_what_is_refused(structure, data, errors, message):
     with pytest.raises(ValueError, match=message):
-        JointLikelihood(structure, data, errors)
+        ModalLikelihood(structure, data, errors)
 
 
 @pytest.mark.parametrize("errors", [ShapeErrors(sd=0.1), MACErrors(sd=0.1)])
 def test_shapes_are_needed_for_errors_of_shapes(structure, errors):
     with pytest.raises(ValueError, match=r"errors: need measured shapes at the sensors \(got none\)"):
-        JointLikelihood(structure, ModalData(MEASURED), [errors])
+        ModalLikelihood(structure, ModalData(MEASURED), [errors])
     lonely = ModalData([1.0], sensors=((0, "x"),), shapes=[[1.0]])
     with pytest.raises(ValueError, match=r"errors: need shapes at two sensors or more \(got 1\)"):
         bound(errors, lonely)

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.posterior.errors.joint import JointLikelihood
+from fmu.posterior.errors.likelihood import ModalLikelihood
 
 TRUTH = np.array([1.1, 0.9])
 SENSORS = ((0, "x"), (2, "x"), (3, "x"))
@@ -54,7 +54,7 @@ def problem():
 
 
 def test_standard_deviations_are_parameters(problem):
-    assert isinstance(problem.likelihood, JointLikelihood)
+    assert isinstance(problem.likelihood, ModalLikelihood)
     assert problem.names == ("k1", "k2", "sigma f", "sigma s")
     assert (problem.ndim, problem.n_structural) == (4, 2)
     theta = np.array([[1.0, 1.1, 0.02, 0.03], [1.0, 1.1, 0.04, 0.05]])

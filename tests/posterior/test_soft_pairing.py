@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 
 import fmu
 from fmu.fem.modes.modal import mac
-from fmu.posterior.errors.mixture import SoftLikelihood
+from fmu.posterior.errors.mixture import MixtureLikelihood
 from tests.veering import SENSORS, SHAPES, veering_model, veering_problem
 
 NOISE = fmu.Parameter("sigma", start=0.02, lower=1e-3, upper=1.0)
@@ -66,7 +66,7 @@ def by_hand(theta, tau):
 @pytest.mark.parametrize("tau", [0.02, 0.2])
 def test_the_mixture_written_out(tau):
     problem = veering_problem(pairing="soft", softness=tau)
-    assert isinstance(problem.likelihood, SoftLikelihood)
+    assert isinstance(problem.likelihood, MixtureLikelihood)
     theta = through(11)
     assert_allclose(problem.log_likelihood_terms(theta), [by_hand(point, tau) for point in theta], rtol=1e-9)
 
@@ -230,7 +230,7 @@ def test_from_a_file(tmp_path):
     path = tmp_path / "soft.toml"
     path.write_text('pairing = "soft"\nsoftness = 0.05\nreduction = false\n' + text)
     problem = fmu.load(path)
-    assert isinstance(problem.likelihood, SoftLikelihood)
+    assert isinstance(problem.likelihood, MixtureLikelihood)
     assert problem.model.softness == 0.05
     path.write_text('pairing = "soft"\nsoftness = 0.0\n' + text)
     with pytest.raises(ValueError, match=r"softness: must be greater than 0"):
@@ -251,7 +251,7 @@ def test_what_does_not_go_with_it():
         veering_problem(pairing="soft", softness=0.0)
     data = fmu.ModalData([5.0, 5.1], sensors=SENSORS, shapes=SHAPES, covariance_hz2=np.diag([0.01, 0.02]))
     parameters = [fmu.Parameter(f"k{k}", 1.0, 0.8, 1.3) for k in (1, 2)]
-    with pytest.raises(ValueError, match=r"^pairing: soft needs errors independent from mode to mode"):
+    with pytest.raises(ValueError, match=r"^pairing: soft needs errors that are independent from mode to mode"):
         fmu.UpdatingProblem(veering_model(0.02), data, parameters, pairing="soft")
     black_box = fmu.BlackBoxModel(lambda theta: np.array([5.0, 5.1]) * theta[0], 2)
     with pytest.raises(ValueError, match=r"^pairing: soft needs a SeparableModel"):

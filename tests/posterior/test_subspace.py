@@ -7,7 +7,7 @@ from scipy.linalg import orth
 
 import fmu
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.errors.subspace import in_span
+from fmu.posterior.errors.mac import in_span
 from tests.veering import SENSORS, veering_problem
 
 TOGETHER = [fmu.MACErrors(sd=0.02, together=[("1", "2")])]
@@ -144,5 +144,5 @@ def test_groups_that_make_no_sense(together, message):
 
 
 def test_soft_pairing_has_no_groups():
-    with pytest.raises(ValueError, match=r"^together: must be empty where pairing is soft"):
+    with pytest.raises(ValueError, match=r"^pairing: soft needs errors that are independent from mode to mode"):
         veering_problem(pairing="soft", error=TOGETHER)

@@ -211,22 +211,22 @@ IN_THE_POSTERIOR = (
     Fault(
         "likelihood: half the gradient",
         "fmu/posterior/errors/frequency.py",
-        "return -2.0 * np.asarray(self.beta)",
-        "return -1.0 * np.asarray(self.beta)",
+        "-2.0 * beta * error * slope",
+        "-1.0 * beta * error * slope",
         ("tests/posterior/test_likelihood.py",),
     ),
     Fault(
         "likelihood: normaliser (5) dropped",
         "fmu/posterior/errors/frequency.py",
-        "0.5 * np.log(beta / np.pi)",
-        "0.0 * beta",
+        "0.5 * np.log(self.beta / np.pi)",
+        "0.0 * self.beta",
         ("tests/posterior/test_likelihood.py",),
     ),
     Fault(
         "likelihood: β taken for 1/σ²",
         "fmu/posterior/errors/frequency.py",
-        "return 1.0 / np.sqrt(2.0 * np.asarray(self.beta))",
-        "return 1.0 / np.sqrt(np.asarray(self.beta))",
+        "return np.asarray(1.0 / np.sqrt(2.0 * self.beta))",
+        "return np.asarray(1.0 / np.sqrt(self.beta))",
         ("tests/posterior/test_likelihood.py",),
     ),
     Fault(

@@ -15,8 +15,8 @@ from fmu.formats.modes.csv import read_frequencies, read_shapes
 from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
 from fmu.formats.modes.pyoma import pyoma_modes
 from fmu.formats.modes.uff import read_uff, write_uff
+from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.posterior.errors.correlated import checked_covariance
 from fmu.types import FloatArray
 
 

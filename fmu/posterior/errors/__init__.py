@@ -1,4 +1,16 @@
-"""Error models: how far measured and computed modes may differ.
+"""Error models: how far measured and computed modes may differ. One file an error model, settings and formulas.
 
-Reading order: models, frequency, terms, joint; then noise, mixture, residual.
+Reading order: base, noise; frequency, shape, mac; likelihood, mixture; residual.
 """
+
+from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.errors.frequency import FrequencyErrors
+from fmu.posterior.errors.mac import MACErrors
+from fmu.posterior.errors.shape import ShapeErrors
+
+ERROR_MODELS: dict[str, type[ErrorModel]] = {
+    "frequencies": FrequencyErrors,
+    "shapes": ShapeErrors,
+    "mac": MACErrors,
+}
+"""By the name that ``of`` has in a problem file; its other keys are the arguments (`fmu.config.errors`)."""

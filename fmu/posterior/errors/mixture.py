@@ -11,9 +11,8 @@ from fmu.fem.pairing.candidates import Candidates
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.joint import JointLikelihood
-from fmu.posterior.errors.models import ErrorModel
-from fmu.posterior.errors.terms import Evaluated
+from fmu.posterior.errors.base import ErrorModel, Evaluated
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.types import FloatArray, IntArray
 
 
@@ -43,7 +42,7 @@ class _Pairs(NamedTuple):
         return np.exp(self.log_weight + self.log_density - self.terms[:, None])
 
 
-class SoftLikelihood(JointLikelihood):
+class MixtureLikelihood(ModalLikelihood):
     """The likelihood of each measured mode as a mixture over the computed ones that might answer to it.
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
@@ -87,9 +86,15 @@ class SoftLikelihood(JointLikelihood):
 
     def __init__(self, model: PairedStructure, data: ModalData, errors: Sequence[ErrorModel]) -> None:
         super().__init__(model, data, errors)
-        if any(getattr(term, "groups", ()) for term in self.terms_of):
-            raise ValueError("together: must be empty where pairing is soft, and modes answer one by one")
+        if any(term.couples_modes for term in self.terms_of):
+            raise ValueError(
+                "pairing: soft needs errors that are independent from mode to mode "
+                "(got covariance_hz2 or together)"
+            )
         self.softness = model.softness
+        # only the model gives the terms, and not the frequencies of the modes paired one to one
+        self.error = self.beta = None
+        self.terms_name = "modes"
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
@@ -112,7 +117,7 @@ class SoftLikelihood(JointLikelihood):
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))
-        return self._residuals_and_slopes(_picked(candidates, best), theta)
+        return self._residuals_and_slopes(_picked(candidates, best), theta[:, self.n_structural :])
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
@@ -123,12 +128,15 @@ class SoftLikelihood(JointLikelihood):
         pairs = self._pairs(candidates, theta, True)
         terms, gradient = self._mixed(pairs, candidates, theta)
         answering = _picked(candidates, _best(pairs.log_weight + pairs.log_density))
-        J = self._residuals_and_slopes(answering, theta)[1]
+        J = self._residuals_and_slopes(answering, theta[:, self.n_structural :])[1]
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings."""
         return {**super().as_dict(), "softness": self.softness}
+
+    def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
+        return [("every candidate's", self.terms(theta))]
 
     def _candidates(self, theta: FloatArray, gradient: bool) -> Candidates:
         return self.model.seen_candidates(theta[:, : self.n_structural], gradient)

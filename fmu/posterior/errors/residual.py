@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,10 +12,11 @@ from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.base import Likelihood, checked_beta
 from fmu.types import FloatArray
 
 
-class ModalResidual:
+class ModalResidual(Likelihood):
     """How far measured modes are from being modes of the condensed model.
 
     ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖, with the measured ω_i and φ_i and the matrices condensed onto
@@ -46,23 +47,14 @@ class ModalResidual:
     no pairing of modes, and no eigenproblem either, but one factorisation of the unmeasured part at each theta.
     """
 
-    of_modes: ClassVar[bool] = False
-    error: ClassVar[None] = None
-    needs_shapes: ClassVar[bool] = False
-    simulates: ClassVar[bool] = False
-    terms_name: ClassVar[str] = "residual"
+    terms_name = "residual"
 
     def __init__(
         self, model: SeparableModel, data: ModalData, reference: FloatArray, beta: ArrayLike = 1.0
     ) -> None:
         if data.shapes is None:
             raise ValueError("data.shapes: the modal residual needs measured shapes at the sensors (got none)")
-        beta = np.array(beta, dtype=float)
-        if beta.ndim > 1 or (beta.ndim == 1 and len(beta) != data.n_modes):
-            raise ValueError(f"beta: must be a number or {data.n_modes} numbers (got shape {beta.shape})")
-        if not np.all(np.isfinite(beta) & (beta > 0)):
-            raise ValueError(f"beta: must be positive and finite (got {beta.tolist()})")
-        self.beta = np.broadcast_to(beta, data.n_modes).copy()
+        self.beta: FloatArray = checked_beta(beta, data.n_modes)
         sensors = _masters(model.observation(data.sensors))
         part = np.sort(np.concatenate([dofs for dofs in model.blocks if np.isin(sensors, dofs).any()]))
         order = np.concatenate([sensors, np.setdiff1d(part, sensors)])

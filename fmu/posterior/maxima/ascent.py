@@ -37,8 +37,8 @@ class GaussNewton:
 
     With the residuals r, the errors over their standard deviations, and their slopes J, ∇²V is taken for JᵀJ plus
     the curvature of the prior: the terms r_i ∇²r_i are left out (Nocedal & Wright 2006, section 10.3). Standard
-    deviations that are inferred contribute the information about them (Fisher scoring). For a likelihood with
-    ``quadratic``, see `fmu.posterior.errors.frequency.FrequencyLikelihood`.
+    deviations that are inferred contribute the information about them (Fisher scoring). For likelihoods
+    of modes, see `fmu.posterior.errors.base.Likelihood.quadratic`.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -49,7 +49,7 @@ class GaussNewton:
         """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
         p, scale = self.problem, self._scaled.scale
         theta = self._scaled.to_theta(u)
-        log_likelihood, slope, information = p.likelihood.quadratic(theta)  # type: ignore[union-attr]
+        log_likelihood, slope, information = p.likelihood.quadratic(theta)
         value = -log_likelihood - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = self._prior(theta)
         gradient = -slope * scale - prior_slope

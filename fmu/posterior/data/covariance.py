@@ -1,0 +1,56 @@
+"""Covariance matrices of measured frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.numbers import significant
+from fmu.types import FloatArray
+
+_SYMMETRIC = 1e-9
+"""Largest asymmetry, relative to the standard deviations."""
+
+
+def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz2") -> FloatArray:
+    """Return a covariance as a read-only array, symmetric to the last bit.
+
+    Parameters
+    ----------
+    covariance : array_like, shape (n, n)
+    n : int
+    name : str
+        What to call it in the error.
+
+    Raises
+    ------
+    ValueError
+        If its shape is another, or it is not finite, symmetric (to 1e-9 of the standard deviations) and positive
+        definite: no correlation may be within 1e-12 or so of ±1.
+    """
+    matrix = np.array(covariance, dtype=float)
+    if matrix.shape != (n, n):
+        raise ValueError(f"{name}: must have shape {(n, n)}, modes x modes (got {matrix.shape})")
+    if not np.all(np.isfinite(matrix)):
+        raise ValueError(f"{name}: must be finite (got {matrix.tolist()})")
+    variance = np.diag(matrix)
+    if not np.all(variance > 0):
+        at = int(np.argmin(variance > 0))
+        raise ValueError(f"{name}.{at}.{at}: must be positive, a variance (got {variance[at]} Hz²)")
+    sd = np.sqrt(variance)
+    correlation = matrix / sd[:, None] / sd
+    off = np.abs(correlation - correlation.T)
+    if off.max() > _SYMMETRIC:
+        i, j = map(int, np.unravel_index(np.argmax(off), off.shape))
+        raise ValueError(
+            f"{name}: must be symmetric (got {matrix[i, j]} at {i}.{j} and {matrix[j, i]} at {j}.{i})"
+        )
+    lowest = float(np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0])
+    if lowest < 1e-12:
+        raise ValueError(
+            f"{name}: must be positive definite (got a lowest eigenvalue of the correlations of "
+            f"{significant(lowest)})"
+        )
+    matrix = 0.5 * (matrix + matrix.T)
+    matrix.flags.writeable = False
+    return matrix

@@ -1,0 +1,257 @@
+"""What an error model and a likelihood are: the protocols, and what their implementations share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.noise import NoiseIndex, Spread
+from fmu.posterior.parameters import Parameter
+from fmu.types import FloatArray
+
+LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+class ErrorModel(Protocol):
+    """Settings of an error model."""
+
+    @property
+    def sd(self) -> ArrayLike | Parameter | None:
+        """Standard deviation of the errors, known or to be inferred; None for that of the data."""
+        ...
+
+    def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
+        """Return the error model of `data`.
+
+        Parameters
+        ----------
+        data : ModalData
+        index : callable
+            Takes the Parameter of an inferred standard deviation, returns its number among those of the problem.
+
+        Raises
+        ------
+        ValueError
+            If the settings do not fit the data.
+        """
+        ...
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return how many errors `data` have of this kind."""
+        ...
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say whether `data` have the standard deviation of these errors, which `sd` would replace."""
+        ...
+
+
+class Evaluated(NamedTuple):
+    """Log-densities of an error model at n parameter vectors, and their derivatives.
+
+    Attributes
+    ----------
+    terms : ndarray, shape (n, n_modes)
+    by_frequency : ndarray, shape (n, n_modes), or None
+        Derivative of each term with respect to the frequency of its mode, 1/Hz.
+    by_shape : ndarray, shape (n, n_sensors, n_modes), or None
+        Derivative with respect to the components of its shape.
+    by_noise : mapping of int to ndarray, shape (n, n_modes), or None
+        Derivative with respect to each inferred standard deviation.
+    """
+
+    terms: FloatArray
+    by_frequency: FloatArray | None = None
+    by_shape: FloatArray | None = None
+    by_noise: dict[int, FloatArray] | None = None
+
+
+class Residuals(NamedTuple):
+    """Errors divided by their standard deviations, and their derivatives.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n, n_modes, q)
+    by_frequency : ndarray, shape (n, n_modes, q), or None
+    by_shape : ndarray, shape (n, n_modes, q, n_sensors), or None
+    """
+
+    values: FloatArray
+    by_frequency: FloatArray | None = None
+    by_shape: FloatArray | None = None
+
+
+class ErrorTerm:
+    """An error model bound to data.
+
+    Attributes
+    ----------
+    spread : Spread
+        Variances of the errors.
+    needs_shapes : bool
+        Whether the errors are those of mode shapes.
+    is_least_squares : bool
+        Whether the log-density is −½ Σ r² plus what depends on the standard deviations alone.
+    """
+
+    spread: Spread
+    needs_shapes: ClassVar[bool] = False
+    is_least_squares: ClassVar[bool] = False
+
+    @property
+    def is_known(self) -> bool:
+        """Whether no standard deviation is inferred."""
+        return not self.spread.sizes
+
+    @property
+    def couples_modes(self) -> bool:
+        """Whether the term of a mode depends on other modes too."""
+        return False
+
+    def project(self, seen: ModalPrediction) -> ModalPrediction:
+        """Return the prediction in the form that `evaluate` and `residuals`, and their derivatives, refer to."""
+        return seen
+
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
+        """Return the terms, with their derivatives if `gradient`.
+
+        Parameters
+        ----------
+        seen : ModalPrediction
+            From `project`.
+        noise : ndarray, shape (n, n_noise)
+            The inferred standard deviations.
+        gradient : bool
+        """
+        raise NotImplementedError
+
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
+        """Return the errors divided by their standard deviations, with their derivatives; see `evaluate`."""
+        raise NotImplementedError
+
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Return a name for each residual, mode by mode."""
+        raise NotImplementedError
+
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Fisher's information on the inferred standard deviations, shape (n, n_noise, n_noise)."""
+        return self.spread.information(noise)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the name of the error model under ``error``, and its settings."""
+        raise NotImplementedError
+
+
+class Likelihood:
+    """The log-likelihood of the measured modes as a function of theta.
+
+    Attributes
+    ----------
+    of_modes : bool
+        Whether the errors are those of computed modes: then `full_terms`, `quadratic`, `sensitivity` and `labels`
+        exist.
+    needs_shapes : bool
+        Whether errors of mode shapes are among them.
+    simulates : bool
+        Whether it is a distribution of the frequencies, so that measurements can be simulated.
+    noise : tuple of Parameter
+        Standard deviations to be inferred: the last parameters of the problem.
+    beta : ndarray, shape (n_modes,), or None
+        β of eq. (4), where that is all there is to know of the errors.
+    error : FrequencyTerm, CorrelatedFrequencyTerm or None
+        The errors, where they are absolute errors of the frequencies, known, and nothing else.
+    terms_name : str
+        Name of the terms in a trace.
+    """
+
+    of_modes: bool = False
+    needs_shapes: bool = False
+    simulates: bool = False
+    noise: tuple[Parameter, ...] = ()
+    beta: FloatArray | None = None
+    error: Any = None
+    terms_name: str
+
+    def terms(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
+        raise NotImplementedError
+
+    def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the terms and their gradients, shape (n, n_modes, ndim)."""
+        raise NotImplementedError
+
+    def full_terms(self, theta: FloatArray) -> FloatArray:
+        """Return `terms` by the full model, where a reduced one would be used otherwise."""
+        raise NotImplementedError
+
+    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim)."""
+        raise NotImplementedError
+
+    def sensitivity(self, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the residuals, shape (n, n_residuals, n_structural)."""
+        raise NotImplementedError
+
+    def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
+        """Return a name for each row of `sensitivity`."""
+        raise NotImplementedError
+
+    def simulate(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes) with measurement errors added, Hz.
+
+        Raises
+        ------
+        ValueError
+            If it is not a distribution of the frequencies.
+        """
+        raise ValueError("error: must be a distribution of the frequencies to simulate them")
+
+    def simulate_discrepancy(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added: those of the model."""
+        return frequencies
+
+    def why_not_finite(self, theta: FloatArray) -> str | None:
+        """Say why the terms are not finite at a theta, shape (ndim,); None where they are."""
+        raise NotImplementedError
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return names and settings in plain Python types."""
+        raise NotImplementedError
+
+
+def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
+    """Return the weights of `n` modes, 1 if none are given; ValueError if they are not positive."""
+    if weights is None:
+        return np.ones(n)
+    given = np.asarray(weights, dtype=float)
+    if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
+        raise ValueError(f"weights: must be {n} positive numbers, one per mode (got {given.tolist()})")
+    return given
+
+
+def unit_shapes(data: ModalData, name: str) -> FloatArray:
+    """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError if there are none."""
+    if data.shapes is None:
+        raise ValueError(f"{name}: need measured shapes at the sensors (got none)")
+    shapes = np.asarray(data.shapes)
+    if len(shapes) < 2:
+        raise ValueError(f"{name}: need shapes at two sensors or more (got {len(shapes)})")
+    return np.asarray(shapes / np.linalg.norm(shapes, axis=0))
+
+
+def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
+    """Return β of every mode, shape (n_modes,); ValueError if one is not positive and finite."""
+    array = np.array(beta, dtype=float)
+    if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
+        raise ValueError(f"beta: must be a number or {n_modes} numbers (got shape {array.shape})")
+    if not np.all(np.isfinite(array) & (array > 0)):
+        raise ValueError(f"beta: must be positive and finite (got {array.tolist()})")
+    return np.broadcast_to(array, n_modes).copy()

@@ -1,0 +1,182 @@
+"""Errors 1 − MAC, of single modes or of the space that close modes span."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import erf
+
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
+from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
+from fmu.posterior.parameters import Parameter
+from fmu.types import FloatArray
+
+_RIDGE = 1e-14
+"""Added to the Gram matrix of shapes, of its trace: two that are one at the sensors span a line."""
+
+Groups = tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True)
+class MACErrors:
+    """Half-Gaussian errors ε = 1 − MAC at the sensors.
+
+    Normalised as a density of ε on [0, 1]. A habit of the field rather than a model of how shapes are measured:
+    with noise of size σ at the sensors 1 − MAC is of size (q − 1) σ², and that is what `ShapeErrors` says.
+
+    Attributes
+    ----------
+    sd : float, array_like of shape (n_modes,), or Parameter
+        Size of 1 − MAC.
+    weights : array_like, shape (n_modes,), optional
+        Trust in each mode: the variance of ε_i is sd²/w_i.
+    together : sequence of sequence of str
+        Groups of modes, by their labels, too close in frequency to have shapes of their own, as the pairs of a
+        nearly symmetric structure. Each is compared with all that the computed modes of its group span, for which
+        it does not matter how the shapes turn into each other (`in_span`).
+    """
+
+    sd: ArrayLike | Parameter
+    weights: ArrayLike | None = None
+    together: Sequence[Sequence[str]] = ()
+
+    def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
+        """Return the error model of `data`, see `ErrorModel`.
+
+        Raises
+        ------
+        ValueError
+            If shapes were not measured at two sensors or more, or standard deviations, weights or groups do not
+            fit the data.
+        """
+        unit = unit_shapes(data, "MAC errors")
+        size = 1.0 / np.sqrt(mode_weights(self.weights, unit.shape[1]))
+        groups = groups_of(self.together, data.labels, len(unit))
+        return MACTerm(unit, spread("MAC errors", self.sd, None, size, index), groups)
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return the number of modes."""
+        return data.n_modes
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say no: `data` have no errors of MAC values."""
+        return False
+
+
+@dataclass(frozen=True, eq=False)
+class MACTerm(ErrorTerm):
+    """Errors 1 − MAC; `unit` holds the measured shapes, shape (n_sensors, n_modes)."""
+
+    unit: FloatArray
+    spread: Spread
+    groups: Groups = ()
+    needs_shapes: ClassVar[bool] = True
+    is_least_squares: ClassVar[bool] = True
+
+    @property
+    def couples_modes(self) -> bool:
+        """Whether modes are compared in groups."""
+        return bool(self.groups)
+
+    def project(self, seen: ModalPrediction) -> ModalPrediction:
+        """Return the prediction with the shapes of groups projected, see `in_span`."""
+        return in_span(seen, self.unit, self.groups) if self.groups else seen
+
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
+        """Return the terms, see `ErrorTerm`."""
+        error, slope = self._errors(seen.shapes)
+        V = self.spread.variance(noise)
+        z = 1.0 / np.sqrt(2.0 * V)
+        terms = np.log(2.0) - 0.5 * (error**2 / V + np.log(V) + LOG_2PI) - np.log(erf(z))
+        if not gradient:
+            return Evaluated(terms)
+        by_V = 0.5 * (error**2 / V - 1.0) / V + 2.0 / np.sqrt(np.pi) * np.exp(-(z**2)) * z**3 / erf(z)
+        by_noise = {k: by_V * dV for k, dV in self.spread.slopes(noise).items()}
+        return Evaluated(terms, None, (-error / V)[:, None] * slope, by_noise)
+
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
+        """Return the residuals, see `ErrorTerm`."""
+        error, slope = self._errors(seen.shapes)
+        sd = np.sqrt(self.spread.variance(noise))
+        return Residuals((error / sd)[..., None], None, np.swapaxes(slope / sd[:, None], 1, 2)[:, :, None])
+
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Return a name for each residual, see `ErrorTerm`."""
+        return [f"{mode}, MAC" for mode in modes]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        together = {"together": [list(group) for group in self.groups]} if self.groups else {}
+        return {"error": "MAC", "spread": self.spread.as_dict(), **together}
+
+    def _errors(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return 1 − MAC, shape (n, n_modes), and its derivative by the shapes, (n, n_sensors, n_modes)."""
+        cross, size = np.sum(self.unit * s, axis=1), np.sum(s**2, axis=1)
+        a = (cross / size)[:, None]
+        return 1.0 - cross**2 / size, -2.0 * a * (self.unit - a * s)
+
+
+def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensors: int) -> Groups:
+    """Return groups of modes, given by their names, as numbers from 0.
+
+    Raises
+    ------
+    ValueError
+        If a mode is unknown or named twice, or a group is of one mode or of as many as there are sensors.
+    """
+    named = [str(name) for group in together for name in group]
+    unknown = [name for name in named if name not in labels]
+    if unknown:
+        raise ValueError(f"together: must name measured modes, {', '.join(labels)} (got {unknown[0]!r})")
+    if len(set(named)) < len(named):
+        raise ValueError(f"together: must name no mode twice (got {named})")
+    for group in together:
+        if not 2 <= len(group) < n_sensors:
+            raise ValueError(
+                f"together: a group must be of 2 modes or more, and fewer than the {n_sensors} sensors "
+                f"(got {list(group)})"
+            )
+    return tuple(tuple(list(labels).index(str(name)) for name in group) for group in together)
+
+
+def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPrediction:
+    """Return what is seen with each shape of a group replaced by what the group's span has of the measured one.
+
+    With S the computed shapes of a group at the sensors and P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i,
+    so that its MAC with u_i is ‖P u_i‖², whatever basis of the span the eigensolver returned (cf. D'Ambrogio &
+    Fregolent 2003, Higher-order MAC for the correlation of close and multiple modes, *Mech. Syst. Signal Process.*
+    17). Its slopes are ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u, from which turns of the shapes within their span
+    drop out: through a veering they stay of order one.
+
+    Parameters
+    ----------
+    seen : ModalPrediction
+    unit : ndarray, shape (n_sensors, n_modes)
+        Measured shapes of unit length.
+    groups : tuple of tuple of int
+    """
+    shapes = seen.shapes.copy()
+    slopes = None if seen.shape_slopes is None else seen.shape_slopes.copy()
+    for group in groups:
+        modes = list(group)
+        S, u = seen.shapes[:, :, modes], unit[:, modes]
+        gram = np.swapaxes(S, 1, 2) @ S
+        ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
+        pseudo = np.linalg.solve(gram + ridge[:, None, None] * np.eye(len(modes)), np.swapaxes(S, 1, 2))
+        a = pseudo @ u
+        shapes[:, :, modes] = S @ a
+        if slopes is None or seen.shape_slopes is None:
+            continue
+        dS = seen.shape_slopes[:, :, modes]
+        across = np.einsum("nqrp,nrm->nqmp", dS, a)  # ∂S S⁺u
+        across -= np.einsum("nqr,nrmp->nqmp", S, np.einsum("nrq,nqmp->nrmp", pseudo, across))
+        left = u - S @ a
+        turned = np.einsum("nrq,nrmp->nqmp", pseudo, np.einsum("nqrp,nqm->nrmp", dS, left))
+        slopes[:, :, modes] = across + turned
+    return replace(seen, shapes=shapes, shape_slopes=slopes)

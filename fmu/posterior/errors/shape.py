@@ -1,0 +1,117 @@
+"""Errors of mode shapes at the sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
+from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
+from fmu.posterior.parameters import Parameter
+from fmu.types import FloatArray
+
+
+@dataclass(frozen=True)
+class ShapeErrors:
+    """Gaussian errors of the mode shapes, scaled to unit length at the sensors.
+
+    With the measured shape u of unit length, the computed shape φ and the precisions Λ = diag(1/σ_s²) of the
+    sensors, ε = u − aφ with the scale a that fits best, and
+
+    log p = −½ εᵀΛε + ½ log det Λ − ½ log(φᵀΛφ / φᵀφ) − ½ (q − 1) log 2π.
+
+    That is the Gaussian density of the direction of u beside that of φ: the component along φ, a matter of scale,
+    is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). It has q − 1 dimensions at q
+    sensors. With one σ for all sensors εᵀΛε = (1 − MAC)/σ². Signs and scales of shapes play no part.
+
+    Attributes
+    ----------
+    sd : float, array_like of shape (n_modes,) or (n_sensors, n_modes), or Parameter, optional
+        Standard deviation of a component of a shape of unit length; that of the data if not given.
+    weights : array_like, shape (n_modes,), optional
+        Trust in each mode: its variances are sd²/w_i.
+    discrepancy : Parameter, optional
+        Standard deviation of the model error, to be inferred; in the same unit.
+    """
+
+    sd: ArrayLike | Parameter | None = None
+    weights: ArrayLike | None = None
+    discrepancy: Parameter | None = None
+
+    def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
+        """Return the error model of `data`, see `ErrorModel`.
+
+        Raises
+        ------
+        ValueError
+            If shapes were not measured at two sensors or more, or standard deviations or weights do not fit the
+            data.
+        """
+        unit = unit_shapes(data, "shape errors")
+        size = np.ones(unit.shape) / np.sqrt(mode_weights(self.weights, unit.shape[1]))
+        sd = data.shapes_sd if self.sd is None else self.sd
+        return ShapeTerm(unit, spread("shape errors", sd, self.discrepancy, size, index))
+
+    def n_errors(self, data: ModalData) -> int:
+        """Return the number of components of all measured shapes."""
+        return 0 if data.shapes is None else np.size(data.shapes)
+
+    def data_give_sd(self, data: ModalData) -> bool:
+        """Say whether `data` have standard deviations of the shapes."""
+        return data.shapes_sd is not None
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeTerm(ErrorTerm):
+    """Errors of shapes; `unit` holds the measured ones, shape (n_sensors, n_modes)."""
+
+    unit: FloatArray
+    spread: Spread
+    needs_shapes: ClassVar[bool] = True
+
+    def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
+        """Return the terms, see `ErrorTerm`."""
+        s, u = seen.shapes, self.unit
+        Lam = 1.0 / self.spread.variance(noise)
+        weighted, size = np.sum(Lam * s**2, axis=1), np.sum(s**2, axis=1)
+        a = np.sum(Lam * u * s, axis=1) / weighted
+        error = u - a[:, None] * s
+        log_det = np.sum(np.log(Lam), axis=1) - np.log(weighted / size)
+        terms = 0.5 * (log_det - np.sum(Lam * error**2, axis=1) - (len(u) - 1) * LOG_2PI)
+        if not gradient:
+            return Evaluated(terms)
+        by_shape = a[:, None] * Lam * error - Lam * s / weighted[:, None] + s / size[:, None]
+        by_Lam = 0.5 * (1.0 / Lam - error**2 - s**2 / weighted[:, None])
+        by_noise = {k: np.sum(-by_Lam * Lam**2 * dV, axis=1) for k, dV in self.spread.slopes(noise).items()}
+        return Evaluated(terms, None, by_shape, by_noise)
+
+    def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
+        """Return the residuals, see `ErrorTerm`."""
+        s, u = seen.shapes, self.unit
+        root = 1.0 / np.sqrt(self.spread.variance(noise))
+        Lam = root**2
+        weighted = np.sum(Lam * s**2, axis=1)
+        a = np.sum(Lam * u * s, axis=1) / weighted
+        values = np.swapaxes(root * (u - a[:, None] * s), 1, 2)
+        da = np.swapaxes((Lam * u - 2.0 * a[:, None] * Lam * s) / weighted[:, None], 1, 2)
+        s, root = np.swapaxes(s, 1, 2), np.swapaxes(root, 1, 2)
+        by_shape = -root[..., None] * (a[..., None, None] * np.eye(len(u)) + s[..., None] * da[..., None, :])
+        return Residuals(values, None, by_shape)
+
+    def labels(self, modes: Sequence[str]) -> list[str]:
+        """Return a name for each residual, see `ErrorTerm`."""
+        return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
+
+    def information(self, noise: FloatArray) -> FloatArray:
+        """Return Fisher's information, see `ErrorTerm`."""
+        return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        return {"error": "shape", "spread": self.spread.as_dict()}
