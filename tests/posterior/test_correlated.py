@@ -226,7 +226,7 @@ def test_draws_have_the_moments_of_closed_form(linear):
 
 def _check_leave_one_out(table, problem):
     """Each mode left out of the data: its density given the posterior of the others, in closed form."""
-    B, a = problem.model.B, problem.model.a
+    B, a = problem.model.given.B, problem.model.given.a
     joint = multivariate_normal(a, COVARIANCE + B @ np.diag(PRIOR_SD**2) @ B.T)
     for i in range(4):
         rest = np.delete(np.arange(4), i)
