@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
-
-from pydantic import ValidationError
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from fmu.formats.shown import shown, told
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 _NAME = r"[^\W\d]\w*"
 FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"

@@ -163,7 +163,9 @@ def declared(
             if annotation is not None:
                 field = Field(... if is_required else default, description=described.get(argument))
                 fields[key_of.get(argument, argument)] = (annotation, field)
-    about = (inspect.getdoc(getattr(makes[0], "__self__", makes[0])) or "").partition("\n\n")[0]
+    documented = [inspect.getdoc(getattr(make, "__self__", make)) for make in makes]
+    about = next(text for text in documented if text).partition("\n\n")[0].removeprefix("Return ")
+    about = about[:1].upper() + about[1:]
     if len(makes) > 1:
         about += f" Give either {_ways(makes)}."
     table = create_model(name, __base__=Declared, __doc__=about, **fields)

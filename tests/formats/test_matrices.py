@@ -303,7 +303,7 @@ def test_a_matrix_in_several_parts_is_the_same(tmp_path, monkeypatch):
     (tmp_path / "abaqus.mtx").write_text(f"*MATRIX\n{labels}")
     write_matrix(tmp_path / "k.mtx", big)
     write_matrix(tmp_path / "k.csv", big)
-    monkeypatch.setattr("fmu.formats.text.BLOCK", 5000)
+    monkeypatch.setattr("fmu.formats.matrices.limits.BLOCK", 5000)
     for name in ("abaqus.mtx", "k.mtx", "k.csv"):
         assert_array_equal(read_matrix(tmp_path / name).toarray(), big.toarray())
 

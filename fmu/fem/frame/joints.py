@@ -31,7 +31,7 @@ class PointMass:
     inertia : tuple of float, length 3
         About global x, y and z, kg·m².
     name : str
-        By which a parameter may have its mass or inertia.
+        What a parameter of its mass or inertia calls it; in a problem file, by default, the name of its point.
     """
 
     node: int

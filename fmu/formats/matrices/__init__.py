@@ -1,4 +1,16 @@
 """Stiffness and mass matrices from files of other programs.
 
-Reading order: read, readers, limits; then one file a format.
+Reading order: read, limits; then one file a format.
 """
+
+from fmu.formats.matrices import harwell_boeing, hdf5, matlab, matrix_market, numpy_files
+
+FORMATS = (
+    matrix_market.FORMAT,
+    numpy_files.NPZ,
+    numpy_files.NPY,
+    matlab.FORMAT,
+    hdf5.FORMAT,
+    harwell_boeing.FORMAT,
+    numpy_files.CSV,
+)

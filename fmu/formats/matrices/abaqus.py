@@ -19,8 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import entries_within, rows_within
-from fmu.formats.text import tables
+from fmu.formats.matrices.limits import entries_within, rows_within, tables
 
 DIRECTIONS = {1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 LARGEST_NUMBER = 10**9

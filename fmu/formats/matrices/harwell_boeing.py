@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import checked, entries_within, rows_within
+from fmu.formats.matrices.limits import MatrixFormat, checked, entries_within, rows_within
 
 LONGEST_LINE = 4096
 """Bytes; the format has 80."""
@@ -97,3 +98,11 @@ def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Any:
     if len(found) < expected:
         raise ValueError(f"must have {expected} numbers in the format {fortran.strip()} (got {len(found)})")
     return found
+
+
+def _read(path: Path, variable: str | None) -> Any:
+    with open(path, "rb") as file:
+        return parse(file)
+
+
+FORMAT = MatrixFormat((".hb", ".rsa", ".rua"), _read)

@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import MOST_DOFS, MOST_NAMES, RefusedError, chosen, entries_within, fitting
+from fmu.formats.matrices.limits import (
+    MOST_DOFS,
+    MOST_NAMES,
+    MatrixFormat,
+    RefusedError,
+    chosen,
+    entries_within,
+    fitting,
+)
 from fmu.formats.shown import shown
 
 DEEPEST = 20
@@ -54,7 +62,7 @@ def read(path: Path, variable: str | None) -> Any:
         return matrix.T if "MATLAB_class" in member.attrs else matrix
 
 
-def write_sparse(path: Path, matrix: Any, variable: str) -> None:
+def _write(path: Path, matrix: Any, variable: str) -> None:
     """Write a csr_array as a group of its arrays."""
     import h5py
 
@@ -156,3 +164,6 @@ def _sizes(given: Any, n: int) -> tuple[int, ...]:
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
         raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {shown(sizes.tolist())})")
     return tuple(int(size) for size in sizes)
+
+
+FORMAT = MatrixFormat((".h5", ".hdf5"), read, _write, has_names=True)

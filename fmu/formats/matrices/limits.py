@@ -1,11 +1,16 @@
-"""Limits on what a file of a matrix may hold, and how one that holds more is refused."""
+"""What every format of matrix files has: how it is read and written, limits on what a file may hold, and text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import io
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+
+from fmu.types import FloatArray
 
 LARGEST_FILE = 2**30
 """Bytes of a file; more is refused before it is read."""
@@ -16,6 +21,10 @@ MOST_ENTRIES = 2**24
 """Of one matrix: 4096 full rows, or 100 000 rows of a solid with 160 each. Reading them takes less than 1 GiB."""
 MOST_NAMES = 10_000
 """Variables in a file, and members of its groups."""
+BLOCK = 2**22
+"""Bytes that are read at a time; no line of numbers may be longer."""
+MOST_IDLE = 4
+"""Blocks without any number in a row."""
 
 
 class Labelled(NamedTuple):
@@ -23,6 +32,29 @@ class Labelled(NamedTuple):
 
     matrix: Any
     dofs: tuple[tuple[int, str], ...] | None
+
+
+@dataclass(frozen=True)
+class MatrixFormat:
+    """A format of files with matrices.
+
+    Attributes
+    ----------
+    suffixes : tuple of str
+        How names of such files end, in lower case.
+    read : callable
+        ``read(path, variable)`` returns an array, a sparse array or a `Labelled`. Of a broken file it may raise
+        anything; the text of a `RefusedError` is shown as it stands.
+    write : callable, optional
+        ``write(path, matrix, variable)`` of a csr_array, to the last bit.
+    has_names : bool
+        Whether a file may hold several matrices, each with a name.
+    """
+
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, str | None], Any]
+    write: Callable[[Path, Any, str], None] | None = None
+    has_names: bool = False
 
 
 class RefusedError(Exception):
@@ -68,3 +100,65 @@ def checked(matrix: Any) -> Any:
         raise ValueError("index pointers must not decrease")
     matrix.check_format(full_check=True)
     return matrix
+
+
+def text_blocks(file: BinaryIO) -> Iterator[str]:
+    """Give the text of a file in parts that end where a line ends; memory stays within a few blocks.
+
+    Raises
+    ------
+    ValueError
+        If the file is no text, or has a line longer than a block.
+    """
+    rest = file.read(3).removeprefix(b"\xef\xbb\xbf") if file.tell() == 0 else b""
+    while block := file.read(BLOCK):
+        if b"\0" in block:
+            raise ValueError("it is no text in ASCII or UTF-8: it has NUL bytes, as UTF-16 and binary files have")
+        block = rest + block
+        end = block.rfind(b"\n") + 1
+        rest = block[end:]
+        if len(rest) > BLOCK:
+            raise ValueError(f"it has a line of more than {BLOCK} bytes")
+        yield block[:end].decode("latin-1")
+    yield rest.decode("latin-1")
+
+
+def tables(
+    file: BinaryIO,
+    comments: str | None,
+    delimiter: str | None = None,
+    cleaned: Callable[[str], str] = str,
+) -> Iterator[FloatArray]:
+    """Give the rows of numbers in a text, some (n, columns) at a time; lines that are empty do not count.
+
+    Parameters
+    ----------
+    file : binary file
+        From where it stands.
+    comments : str or None
+        What begins a comment.
+    delimiter : str, optional
+        Between numbers; blanks if not given.
+    cleaned : callable, optional
+        What to make of each part of the text first.
+
+    Raises
+    ------
+    ValueError
+        If the file is no text, a word is no number, or a row has not as many numbers as the first.
+    """
+    columns, idle = 0, 0
+    for text in text_blocks(file):
+        text = cleaned(text)
+        if not text or text.isspace():
+            rows = np.zeros((0, columns))
+        else:
+            rows = np.loadtxt(io.StringIO(text), comments=comments, delimiter=delimiter, ndmin=2)
+        idle = 0 if len(rows) else idle + 1
+        if idle > MOST_IDLE:
+            raise ValueError(f"it has more than {MOST_IDLE * BLOCK} bytes in a row without a number")
+        if len(rows):
+            if columns and rows.shape[1] != columns:
+                raise ValueError(f"each row must have {columns} numbers, as the first has (got {rows.shape[1]})")
+            columns = rows.shape[1]
+            yield rows

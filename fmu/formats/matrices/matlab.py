@@ -1,7 +1,7 @@
 """Numeric matrices, full and sparse, in MATLAB's files of version 5 to 7 (7.3 is HDF5).
 
-MathWorks, *MAT-file format*, level 5. SciPy's reader takes the process down on some broken files; this one knows
-nothing but matrices of numbers, and reads no byte that is not there.
+MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files; this one reads
+matrices of numbers only, and raises an error where a file is cut short.
 """
 
 from __future__ import annotations
@@ -9,13 +9,22 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices import limits
-from fmu.formats.matrices.limits import MOST_NAMES, RefusedError, chosen, entries_within, fitting, rows_within
+from fmu.formats.matrices import hdf5, limits
+from fmu.formats.matrices.limits import (
+    MOST_NAMES,
+    MatrixFormat,
+    RefusedError,
+    chosen,
+    entries_within,
+    fitting,
+    rows_within,
+)
 
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -36,7 +45,7 @@ class _Variable(NamedTuple):
     compressed: bool
 
 
-def read(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
+def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
     """Return a matrix of a file.
 
     Parameters
@@ -148,3 +157,19 @@ def _numbers(kind: int, part: memoryview, order: str) -> Any:
     if len(part) % dtype.itemsize:
         raise ValueError(f"it has {len(part)} bytes of numbers that have {dtype.itemsize} each")
     return np.frombuffer(part, dtype)
+
+
+def _read(path: Path, variable: str | None) -> Any:
+    with open(path, "rb") as file:
+        if file.read(10).startswith((b"MATLAB 7.3", b"\x89HDF")):
+            return hdf5.read(path, variable)
+        return parse(file, path.stat().st_size, variable)
+
+
+def _write(path: Path, matrix: Any, variable: str) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {variable: matrix.tocsc()})
+
+
+FORMAT = MatrixFormat((".mat",), _read, _write, has_names=True)

@@ -1,18 +1,20 @@
 """Matrix Market, the text format that most programs can write.
 
 R. F. Boisvert, R. Pozo, K. A. Remington (1996), *The Matrix Market exchange formats: initial design*, NISTIR 5935.
-SciPy's reader takes the process down on some broken files.
+SciPy's reader crashes the process on some broken files; this one raises an error.
 """
 
 from __future__ import annotations
 
+import gzip
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import RefusedError, entries_within, rows_within
-from fmu.formats.text import tables
+from fmu.formats.matrices import abaqus
+from fmu.formats.matrices.limits import Labelled, MatrixFormat, RefusedError, entries_within, rows_within, tables
 
 BANNER = b"%%matrixmarket"
 LONGEST_LINE = 4096
@@ -21,6 +23,24 @@ MOST_COMMENTS = 100_000
 SHORTEST_ENTRY = {"coordinate": 6, "array": 2}
 """Bytes: ``1 1 1`` and the end of the line, or ``1`` and that."""
 _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
+
+
+def _read(path: Path, variable: str | None) -> Any:
+    """Return the matrix of a file, which may be the text that Abaqus calls ``.mtx``."""
+    is_compressed = path.suffix.lower() == ".gz"
+    with gzip.open(path) if is_compressed else open(path, "rb") as file:
+        start = file.read(len(BANNER))
+        file.seek(0)
+        if start.lower() != BANNER:
+            return Labelled(*abaqus.parse(file))  # type: ignore[arg-type]
+        return parse(file, None if is_compressed else path.stat().st_size)  # type: ignore[arg-type]
+
+
+def _write(path: Path, matrix: Any, variable: str) -> None:
+    from scipy.io import mmwrite
+
+    with gzip.open(path, "wb") if path.suffix.lower() == ".gz" else open(path, "wb") as file:
+        mmwrite(file, matrix.tocoo(), precision=17)
 
 
 def parse(file: BinaryIO, n_bytes: int | None = None) -> Any:
@@ -139,3 +159,6 @@ def _full(values: Any, rows: int, columns: int, sign: float) -> Any:
     column, row = np.triu_indices(rows, 0 if sign > 0 else 1)
     matrix[row, column], matrix[column, row] = values, sign * values
     return matrix
+
+
+FORMAT = MatrixFormat((".mtx", ".mtx.gz"), _read, _write)

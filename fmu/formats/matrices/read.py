@@ -33,14 +33,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, checked
-from fmu.formats.matrices.readers import READERS, SEVERAL
+from fmu.formats.matrices import FORMATS
+from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, MatrixFormat, RefusedError, checked
 from fmu.numbers import significant
 
 Triangle = bool | Literal["lower", "upper"]
 
 SYMMETRIC = 1e-9
 """Largest asymmetry of a pair of entries, beside the larger of them and beside √(a_ii a_jj)."""
+_FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suffix in form.suffixes}
 ENTRIES_AT_A_TIME = 2**20
 
 
@@ -86,19 +87,19 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
         matrix. The text begins with ``variable:`` or ``triangle:`` where that is at fault.
     """
     suffix = _suffix(path)
-    if suffix not in READERS:
-        raise ValueError(f"must end in {', '.join(READERS)} (got {path.name!r})")
+    if suffix not in _FORMAT_OF:
+        raise ValueError(f"must end in {', '.join(_FORMAT_OF)} (got {path.name!r})")
     why = why_no_file(path)
     if why:
         raise ValueError(f"must be a file ({why})")
     if too_large(path, LARGEST_FILE):
         raise ValueError(too_large(path, LARGEST_FILE))
-    if variable is not None and suffix not in SEVERAL:
+    if variable is not None and not _FORMAT_OF[suffix].has_names:
         raise ValueError(f"variable: a {suffix} file has one matrix, without a name (got {variable!r})")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
-            found = READERS[suffix](path, variable)
+            found = _FORMAT_OF[suffix].read(path, variable)
     except RefusedError as refused:
         raise ValueError(str(refused)) from None
     except MemoryError:
@@ -129,7 +130,7 @@ def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:
     Parameters
     ----------
     path : Path
-        Its suffix says how: ``.mtx``, ``.npz``, ``.npy``, ``.mat``, ``.h5``, ``.hdf5`` or ``.csv``.
+        Its suffix says how; all but Harwell–Boeing can be written.
     matrix : array_like or sparse, shape (n_dof, n_dof)
     variable : str
         Its name, in the files that have names.
@@ -137,30 +138,13 @@ def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:
     Raises
     ------
     ValueError
-        If the suffix is another one.
+        If files of that suffix are not written.
     """
-    sparse = sp.csr_array(matrix)
-    suffix = _suffix(path)
-    if suffix == ".mtx":
-        from scipy.io import mmwrite
-
-        mmwrite(path, sparse.tocoo(), precision=17)
-    elif suffix == ".npz":
-        sp.save_npz(path, sparse)
-    elif suffix == ".npy":
-        np.save(path, sparse.toarray())
-    elif suffix == ".mat":
-        from scipy.io import savemat
-
-        savemat(path, {variable: sparse.tocsc()})
-    elif suffix in (".h5", ".hdf5"):
-        from fmu.formats.matrices.hdf5 import write_sparse
-
-        write_sparse(path, sparse, variable)
-    elif suffix == ".csv":
-        np.savetxt(path, sparse.toarray(), delimiter=",", fmt="%.17g")
-    else:
-        raise ValueError(f"path: must end in .mtx, .npz, .npy, .mat, .h5, .hdf5 or .csv (got {path.name!r})")
+    form = _FORMAT_OF.get(_suffix(path))
+    if form is None or form.write is None:
+        known = [suffix for suffix, form in _FORMAT_OF.items() if form.write is not None]
+        raise ValueError(f"path: must end in {', '.join(known)} (got {path.name!r})")
+    form.write(path, sp.csr_array(matrix), variable)
 
 
 def _suffix(path: Path) -> str:

@@ -151,7 +151,7 @@ def load_pyoma(path: Path) -> dict[str, Any]:
         If it is no such file.
     """
     from fmu.formats.matrices.limits import RefusedError
-    from fmu.formats.matrices.readers import zipped
+    from fmu.formats.matrices.numpy_files import zipped
 
     checked_file(path)
     try:

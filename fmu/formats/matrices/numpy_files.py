@@ -1,39 +1,27 @@
-"""What reads a matrix from a file of each kind, within limits on what it may take."""
+"""Matrices as NumPy and SciPy save them: ``.npz``, ``.npy``, and text with commas between numbers, ``.csv``.
+
+Nothing is unpickled, and sizes are taken from the headers before anything is read.
+"""
 
 from __future__ import annotations
 
-import gzip
 import math
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import MOST_NAMES, Labelled, RefusedError, chosen, entries_within, fitting
-from fmu.formats.text import tables
-
-
-def _market(path: Path, variable: str | None) -> Any:
-    with open(path, "rb") as file:
-        return _from_text(file, path.stat().st_size)
-
-
-def _market_gz(path: Path, variable: str | None) -> Any:
-    with gzip.open(path) as file:
-        return _from_text(file, None)  # type: ignore[arg-type]
-
-
-def _from_text(file: BinaryIO, n_bytes: int | None) -> Any:
-    from fmu.formats.matrices import abaqus, matrix_market
-
-    start = file.read(len(matrix_market.BANNER))
-    file.seek(0)
-    if start.lower() == matrix_market.BANNER:
-        return matrix_market.parse(file, n_bytes)
-    return Labelled(*abaqus.parse(file))
+from fmu.formats.matrices.limits import (
+    MOST_NAMES,
+    MatrixFormat,
+    RefusedError,
+    chosen,
+    entries_within,
+    fitting,
+    tables,
+)
 
 
 def zipped(path: Path) -> dict[str, tuple[int, ...]]:
@@ -106,28 +94,6 @@ def _npy(path: Path, variable: str | None) -> Any:
         return np.load(file, allow_pickle=False)
 
 
-def _mat(path: Path, variable: str | None) -> Any:
-    with open(path, "rb") as file:
-        if file.read(10).startswith((b"MATLAB 7.3", b"\x89HDF")):
-            return _hdf5(path, variable)
-        from fmu.formats.matrices.matlab import read
-
-        return read(file, path.stat().st_size, variable)
-
-
-def _hdf5(path: Path, variable: str | None) -> Any:
-    from fmu.formats.matrices.hdf5 import read
-
-    return read(path, variable)
-
-
-def _harwell_boeing(path: Path, variable: str | None) -> Any:
-    from fmu.formats.matrices.harwell_boeing import parse
-
-    with open(path, "rb") as file:
-        return parse(file)
-
-
 def _csv(path: Path, variable: str | None) -> Any:
     """Return a full matrix: as many rows are read as the first one has numbers, and no more."""
     found: list[Any] = []
@@ -144,17 +110,8 @@ def _csv(path: Path, variable: str | None) -> Any:
     return np.concatenate(found) if found else np.zeros((0, 0))
 
 
-READERS: dict[str, Callable[[Path, str | None], Any]] = {
-    ".mtx": _market,
-    ".mtx.gz": _market_gz,
-    ".npz": _npz,
-    ".npy": _npy,
-    ".mat": _mat,
-    ".h5": _hdf5,
-    ".hdf5": _hdf5,
-    ".hb": _harwell_boeing,
-    ".rsa": _harwell_boeing,
-    ".rua": _harwell_boeing,
-    ".csv": _csv,
-}
-SEVERAL = (".npz", ".mat", ".h5", ".hdf5")
+NPZ = MatrixFormat((".npz",), _npz, lambda path, matrix, _: sp.save_npz(path, matrix), has_names=True)
+NPY = MatrixFormat((".npy",), _npy, lambda path, matrix, _: np.save(path, matrix.toarray()))
+CSV = MatrixFormat(
+    (".csv",), _csv, lambda path, matrix, _: np.savetxt(path, matrix.toarray(), delimiter=",", fmt="%.17g")
+)
