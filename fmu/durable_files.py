@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, whatever happens, and that tell if they were damaged afterwards."""
+"""Files that appear complete or not at all, whatever happens, and with a checksum that shows later damage."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ class DamagedError(ValueError):
 
 
 def write_durably(path: Path, content: bytes | memoryview) -> None:
-    """Write a file so that it has either its old content or all of the new one, even if the machine stops.
+    """Write a file so that it has its old content or all of its new content, even if the machine stops.
 
     Raises
     ------
     OSError
-        If it cannot be written: the disk is full, for example. What was there before still is.
+        If it cannot be written, because the disk is full for example. The old content stays.
     """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -37,7 +37,7 @@ def write_durably(path: Path, content: bytes | memoryview) -> None:
 
 
 def append_durably(path: Path, content: bytes) -> None:
-    """Append to a file, which is made if there is none; what is torn by a kill is the end of it."""
+    """Append to a file, which is made if there is none; a kill can truncate only what is being appended."""
     with open(path, "ab") as file:
         file.write(content)
         file.flush()
@@ -45,29 +45,29 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 def make_directory(path: Path) -> None:
-    """Make a directory, if there is none, that is there even if the machine stops."""
+    """Make a directory if there is none, so that it exists even if the machine stops."""
     if not path.is_dir():
         path.mkdir()
         sync_directory(path.parent)
 
 
 def digest(content: bytes) -> str:
-    """Return the SHA-256 of some bytes, hexadecimal."""
+    """Return the SHA-256 of bytes, in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 
 
 def signed(title: str, payload: bytes) -> bytes:
-    """Return the content of a file that says what it is and what its checksum is."""
+    """Return the content of a file: its title, the checksum of the payload, and the payload."""
     return f"{title}\n{digest(payload)}\n".encode() + payload
 
 
 def payload_of(title: str, content: bytes) -> bytes:
-    """Return what `signed` was given.
+    """Return the payload of such a content.
 
     Raises
     ------
     DamagedError
-        If the content is not what `signed` returned: torn, altered, or something else.
+        If the content is not one that `signed` returned with this title.
     """
     head = len(title) + 1
     if content[:head] != f"{title}\n".encode():
@@ -79,7 +79,7 @@ def payload_of(title: str, content: bytes) -> bytes:
 
 
 def sync_directory(directory: Path) -> None:
-    """Have the names in a directory on disk too, where the system can do that."""
+    """Write the names in a directory to disk, if the system can do that."""
     if hasattr(os, "O_DIRECTORY"):
         handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         try:

@@ -1,4 +1,4 @@
-"""Ctrl-C, and the signal that batch systems send before they kill: obeyed within seconds, wherever the work is."""
+"""Ctrl-C (SIGINT), and SIGTERM, which batch systems send before they kill: both stop the work within seconds."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from contextlib import contextmanager
 from typing import Any
 
 GRACE_S = 1.0
-"""How long work that stops between two steps of its own may take over the step under way."""
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM") if hasattr(signal, name))
+"""How long the current step may take after a stop was requested."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_HAS_TIMER = hasattr(signal, "setitimer")  # not on Windows
 
 
 class _Stop:
-    """What is known of a stop, and who deals with it.
+    """The handlers of the signals, and what they know.
 
     Attributes
     ----------
     asked : bool
         Whether a signal has come.
     due : bool
-        Whether a KeyboardInterrupt is to be raised as soon as nothing shields from it.
+        Whether to raise a KeyboardInterrupt as soon as no block is shielded from it.
     polling, shields : int
-        Nested blocks that ask for themselves, and nested blocks that must not be interrupted.
+        Number of nested `interruptible` blocks, and of nested `shielded` blocks.
     """
 
     def __init__(self) -> None:
@@ -33,27 +34,27 @@ class _Stop:
         self.before: dict[int, Any] = {}
 
     def listen(self, number: int) -> None:
-        """Install the handler of a signal, and remember the one before."""
+        """Install the handler of a signal, and remember the previous one."""
         self.before.setdefault(number, signal.signal(number, self.hear))
 
     def wait_no_longer(self) -> None:
-        """Let no step be interrupted any more for having taken long."""
-        if hasattr(signal, "setitimer") and signal.SIGALRM in self.before:
+        """Stop the timer that interrupts a long step."""
+        if _HAS_TIMER and signal.SIGALRM in self.before:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def leave(self) -> None:
-        """Put all handlers back."""
+        """Restore all previous handlers."""
         self.wait_no_longer()
         for number, handler in self.before.items():
-            # one that was not installed from Python cannot be put back
+            # None: it was not installed from Python, and cannot be restored
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def hear(self, number: int, frame: Any) -> None:
-        """Take a signal: the handler."""
+        """Handle a signal."""
         first, self.asked = not self.asked, True
         if first and self.polling:
-            print("Stopping after the step under way; once more to stop at once.", file=sys.stderr, flush=True)
-            if hasattr(signal, "setitimer"):  # it is heard like a second signal
+            print("Stopping after the current step; interrupt again to stop at once.", file=sys.stderr, flush=True)
+            if _HAS_TIMER:  # its signal is handled like a second one
                 self.listen(signal.SIGALRM)
                 signal.setitimer(signal.ITIMER_REAL, GRACE_S)
             return
@@ -61,7 +62,7 @@ class _Stop:
         self.obey()
 
     def obey(self) -> None:
-        """Raise the KeyboardInterrupt that is due, unless something shields from it."""
+        """Raise the KeyboardInterrupt that is due, unless a block is shielded from it."""
         if self.due and not self.shields:
             self.due = False
             raise KeyboardInterrupt
@@ -72,9 +73,9 @@ _current: _Stop | None = None
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Have SIGINT and SIGTERM raise a KeyboardInterrupt, at once, anywhere but in `interruptible` and `shielded`.
+    """Let SIGINT and SIGTERM raise a KeyboardInterrupt at once, except in `interruptible` and `shielded` blocks.
 
-    Signals reach the main thread only: elsewhere, and within another such block, nothing changes.
+    Only the main thread handles signals: in another thread, or inside another such block, this does nothing.
     """
     with _listening():
         yield
@@ -82,10 +83,11 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Give a function that says whether a stop was asked for, by SIGINT or SIGTERM: to stop between two steps.
+    """Give a function that returns whether SIGINT or SIGTERM has come, so that work can stop between two steps.
 
-    A step that takes longer than `GRACE_S` is interrupted by a KeyboardInterrupt; so is any by a second signal.
-    Within another such block both are asked. In another thread than the main one the function always says no.
+    A step that takes longer than `GRACE_S` after the signal is interrupted by a KeyboardInterrupt; a second signal
+    interrupts at once. Such blocks can be nested: one signal stops both. In another thread than the main one the
+    function always returns False.
     """
     with _listening() as stop:
         if stop is None:
@@ -96,18 +98,18 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             yield lambda: stop.asked
         finally:
             stop.polling -= 1
-            if not stop.polling:  # it was obeyed
+            if not stop.polling:  # the work has stopped
                 stop.wait_no_longer()
 
 
 def is_asked() -> bool:
-    """Say whether a stop was asked for in the block under way, of whichever kind."""
+    """Return whether a signal has come in the present block, of whichever kind."""
     return _current is not None and _current.asked
 
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Put a KeyboardInterrupt off to the end of a block: files and memory have to agree with each other."""
+    """Delay a KeyboardInterrupt to the end of a block, in which files and memory must stay consistent."""
     stop = _current if threading.current_thread() is threading.main_thread() else None
     if stop is None:
         yield
@@ -122,7 +124,7 @@ def shielded() -> Iterator[None]:
 
 @contextmanager
 def _listening() -> Iterator[_Stop | None]:
-    """Install the handlers, unless they are; give what they know, None in another thread than the main one."""
+    """Install the handlers if they are not yet; give them, or None in another thread than the main one."""
     global _current
     if threading.current_thread() is not threading.main_thread():
         yield None

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 WIDTH = 100
 _GAP = "  "
 _NARROWEST = 12
-"""Characters to which a column of words is folded at most."""
+"""Fewest characters that a column of words is wrapped to."""
 
 
 def text_table(
@@ -16,8 +16,8 @@ def text_table(
 ) -> str:
     """Return a table as text, its columns as wide as their cells.
 
-    Where it would be wider than `width`, columns of words are folded; where that is not enough, columns that have
-    no room beside the others follow below, the first column again before them.
+    If the table would be wider than `width`, columns of words are wrapped; if that is not enough, the columns that
+    do not fit follow below, with the first column repeated.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ def text_table(
 
 
 def wrapped(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
-    """Return a text in lines no longer than a terminal is wide, indented; words stay whole."""
+    """Return a text in indented lines that fit on a terminal; words are not broken."""
     return textwrap.fill(
         text, width, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
     )
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names of columns, with underscores behind those that are taken before."""
+    """Return names of columns, with underscores appended to those that occurred before."""
     found: list[str] = []
     for name in names:
         while name in found:
@@ -52,7 +52,7 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def _folded(widths: list[int], words: Collection[int], width: int) -> list[int]:
-    """Return the widths of the columns, those of words narrowed until the table fits, if it does so."""
+    """Return the widths of the columns; those of words are narrowed until the table fits, if it can."""
     widths = list(widths)
     narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are better read in one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
@@ -64,7 +64,7 @@ def _folded(widths: list[int], words: Collection[int], width: int) -> list[int]:
 
 
 def _blocks(widths: list[int], width: int) -> list[list[int]]:
-    """Return the columns in groups that fit, the first in every one of them."""
+    """Return the columns in groups that fit, each with the first column."""
     blocks = [[0]]
     for column in range(1, len(widths)):
         taken = sum(widths[i] + len(_GAP) for i in blocks[-1])

@@ -19,7 +19,7 @@ def test_the_first_signal_asks_and_the_second_stops(number, capsys):
         assert asked()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), number)
-    assert capsys.readouterr().err == "Stopping after the step under way; once more to stop at once.\n"
+    assert capsys.readouterr().err == "Stopping after the current step; interrupt again to stop at once.\n"
     assert signal.getsignal(number) is before
 
 

@@ -211,7 +211,7 @@ def _with_sampler(asked: KeptProblem, problem: UpdatingProblem, running: RunDire
     if asked.orders["samplers"]:
         return asked
     asked = replace(asked, orders={**asked.orders, "samplers": [default_sampler(problem)]})
-    running.keep(asked)
+    asked.save(running.folder)
     return asked
 
 

@@ -1,10 +1,10 @@
-"""What a run keeps of where it came from: the problem file, and what was asked for, to build and to resume it."""
+"""The problem file and the options of a run, saved so that the run can be resumed and the model built again."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,19 +24,19 @@ _ABOUT = (
 
 @dataclass(frozen=True)
 class KeptProblem:
-    """A problem file and what the run added to it.
+    """A problem file, and what a run was asked to do with it.
 
     Attributes
     ----------
     file : Path
     folder : Path
-        Where the files that it names are.
+        Directory of the files that it refers to.
     pairing : str or None
-        How the run paired modes; None to do as the file says.
+        How modes are paired; None for the pairing in the file.
     orders : mapping of str to JSON value
-        What was asked for: samplers, draws, seed and so on.
+        The options of the run: samplers, draws, seed and so on.
     finished : tuple of str
-        The samplers that are done.
+        The samplers that have finished.
     """
 
     file: Path
@@ -46,52 +46,40 @@ class KeptProblem:
     finished: tuple[str, ...] = ()
 
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
-        """Return the problem, its reduced model trained by an engine; ConfigurationError if its file is broken."""
+        """Build the problem; an engine trains its reduced model. ConfigurationError if the file is broken."""
         from fmu import config
 
         return config.read(self.file).build(self.file.name, self.folder, self.pairing, engine=engine)
 
-
-def keep(
-    source: Path,
-    directory: Path,
-    pairing: str,
-    orders: Mapping[str, Any] | None = None,
-    finished: Sequence[str] = (),
-    folder: Path | None = None,
-) -> None:
-    """Keep a problem file, verbatim, in the directory of its run, and what was asked for and is done.
-
-    `folder` is where the files that it names are: its own, if not given.
-    """
-    folder = source.parent if folder is None else folder
-    origin = {
-        "about": _ABOUT,
-        "file": source.name,
-        "folder": Path(os.path.relpath(folder.resolve(), directory.resolve())).as_posix(),
-        "pairing": pairing,
-        "orders": dict(orders or {}),
-        "finished": list(finished),
-    }
-    write_durably(directory / FILE, source.read_bytes())
-    text = json.dumps(origin, indent=1, ensure_ascii=False) + "\n"
-    write_durably(directory / ORIGIN, text.encode())
+    def save(self, directory: Path) -> None:
+        """Write a copy of the problem file and the options of the run into a directory, for `kept` to read."""
+        origin = {
+            "about": _ABOUT,
+            "file": self.file.name,
+            "folder": Path(os.path.relpath(self.folder.resolve(), directory.resolve())).as_posix(),
+            "pairing": str(self.pairing),
+            "orders": dict(self.orders),
+            "finished": list(self.finished),
+        }
+        write_durably(directory / FILE, self.file.read_bytes())
+        text = json.dumps(origin, indent=1, ensure_ascii=False) + "\n"
+        write_durably(directory / ORIGIN, text.encode())
 
 
 def kept(directory: Path, model: Path | None = None) -> KeptProblem:
-    """Return the problem that a run kept.
+    """Return the problem and the options that a run saved.
 
     Parameters
     ----------
     directory : Path
         Of the run.
     model : Path, optional
-        The problem file to take instead, where the kept one is missing or the files that it names have moved.
+        The problem file to use instead, if the saved one is missing or the files that it refers to have moved.
 
     Raises
     ------
     ValueError
-        If the run kept no problem file, or what it kept is not as `keep` wrote it.
+        If the run saved no problem file, or the files are not as `KeptProblem.save` wrote them.
     """
     if not (directory / ORIGIN).is_file() or not (directory / FILE).is_file():
         if model is None:

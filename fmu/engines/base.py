@@ -22,7 +22,7 @@ MAX_DEATHS = 3
 
 
 class RunFailedError(RuntimeError):
-    """Work cannot go on for a reason outside fmu, such as a model that fails or workers that die."""
+    """A run failed for a reason outside fmu, such as a model that fails too often or workers that die."""
 
 
 class LostTaskError(RunFailedError):

@@ -1,4 +1,4 @@
-"""What a kept run is a run of: its configuration and the versions that its draws depend on."""
+"""What the draws of a saved run depend on: its configuration, and the versions of packages."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class Identity:
-    """A run's configuration, in plain Python types, and the versions it runs with."""
+    """The configuration of a run, in plain Python types, and the versions it runs with."""
 
     configuration: Mapping[str, Any]
     versions: Mapping[str, str]
 
     @classmethod
     def of(cls, configuration: Mapping[str, Any]) -> Identity:
-        """Return the identity of a run of today."""
+        """Return the identity of a run with the installed versions."""
         now = versions()
         return cls(json.loads(canonical_json(configuration)), {name: now[name] for name in _DECISIVE})
 
     @property
     def hash(self) -> str:
-        """SHA-256 of all of it."""
+        """SHA-256 of configuration and versions."""
         return configuration_hash({"configuration": self.configuration, "versions": self.versions})
 
     def write(self, directory: Path) -> None:
-        """Write it into the directory of the run."""
+        """Write the identity into the directory of the run."""
         payload = canonical_json({"configuration": self.configuration, "versions": self.versions}).encode()
         write_durably(directory / FILE, signed(TITLE, payload))
 
@@ -54,7 +54,7 @@ class Identity:
     def check(self, directory: Path) -> None:
         """Raise ValueError if the directory holds another run.
 
-        A damaged file says nothing: every state has the hash of its run too.
+        A damaged file is ignored: every state has the hash of its run, too.
         """
         try:
             found = Identity.read(directory)
@@ -79,7 +79,7 @@ class Identity:
 
 @cache
 def arithmetic() -> str:
-    """Return what the last bits of results depend on beside versions: the BLAS, and the CPU it is at work for."""
+    """Return what the last bits of results depend on, besides versions: the BLAS, and the kind of CPU."""
     from threadpoolctl import threadpool_info
 
     blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")
@@ -88,7 +88,7 @@ def arithmetic() -> str:
 
 
 def _differences(there: Any, here: Any, where: str = "") -> Iterator[str]:
-    """Say where two configurations differ."""
+    """Yield the differences between two configurations, in words."""
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         for key in dict.fromkeys((*there, *here)):
             yield from _differences(there.get(key), here.get(key), f"{where}.{key}" if where else str(key))

@@ -1,4 +1,4 @@
-"""Who is at work in a directory: one process at a time, and a note of it, to be read without taking the lock."""
+"""The lock of a directory, which one process has at a time, and notes for ``fmu watch``, which takes no lock."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _ENDED = "ZX"
 
 @dataclass(frozen=True)
 class ProcessInfo:
-    """A process at work.
+    """The process that runs in a directory.
 
     Attributes
     ----------
     host : str
     pid : int
     began : float
-        When, in seconds since 1970.
+        When it began there, in seconds since 1970.
     birth : str
-        What tells the process from a later one of the same number; empty where the system does not say.
+        When the process was started, to tell it from a later one with the same number; empty if not known.
     """
 
     host: str
@@ -41,7 +41,7 @@ class ProcessInfo:
     birth: str
 
     def is_alive(self) -> bool | None:
-        """Say whether the process still exists; None if that cannot be known from here."""
+        """Return whether the process still exists; None if that cannot be known from here."""
         if self.host != socket.gethostname() or os.name != "posix":
             return None
         try:
@@ -54,13 +54,13 @@ class ProcessInfo:
 
 
 class DirectoryLock:
-    """The lock of a directory, which a process that dies lets go of.
+    """The lock of a directory, which the system releases when its process dies.
 
     Parameters
     ----------
     directory : Path
     refusal : str
-        What to say if another process has it.
+        Message of the error if another process has the lock.
 
     Raises
     ------
@@ -77,14 +77,14 @@ class DirectoryLock:
             raise ValueError(refusal) from None
 
     def release(self) -> None:
-        """Let others at the directory; no more is done the second time."""
+        """Release the lock; a second call does nothing."""
         if self._lock.is_locked:
             leave(self._directory)
         self._lock.release()
 
 
 def announce(directory: Path) -> None:
-    """Note that this process is at work in a directory, whose lock it holds; without room for that, do without."""
+    """Note that this process runs in a directory; if the disk is full, there is no note."""
     pid = os.getpid()
     here = ProcessInfo(socket.gethostname(), pid, time.time(), _birth(pid))
     with suppress(OSError):
@@ -92,14 +92,14 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Take the note away: whoever left it there afterwards was killed."""
+    """Remove the note: one that stays behind is that of a process that was killed."""
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)
 
 
 def present(directory: Path) -> ProcessInfo | None:
-    """Return who is at work, or was killed at it; None if nobody, or the note is damaged."""
+    """Return the process that runs in a directory or was killed there; None if there is no (readable) note."""
     try:
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
@@ -108,7 +108,7 @@ def present(directory: Path) -> ProcessInfo | None:
 
 
 class PhaseNote:
-    """A note of the phase under way in a directory, to be read without taking the lock; there is none between two.
+    """A note of the phase under way; there is none between two phases.
 
     Parameters
     ----------
@@ -120,13 +120,13 @@ class PhaseNote:
         self._noted = ("", 0.0)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Note how far a phase is, twice a second at most; an empty name for none."""
+        """Note how far a phase has got, at most twice a second; an empty name stands for no phase."""
         now = time.monotonic()
         name, at = self._noted
         if name == phase and now < at + _NOTED_S:
             return
         self._noted = phase, now
-        with suppress(OSError):  # without room for it, do without
+        with suppress(OSError):  # if the disk is full, there is no note
             if phase:
                 unfinished = self._path.with_name(f".{PHASE}.part")
                 unfinished.write_text(json.dumps({"phase": phase, "done": done, "total": total}))
@@ -136,7 +136,7 @@ class PhaseNote:
 
 
 def noted_phase(directory: Path) -> tuple[str, int, int] | None:
-    """Return the phase under way, its steps done and all; None if there is none, or the note is damaged."""
+    """Return the phase under way, its steps done and in all; None if there is no (readable) note."""
     try:
         held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
         return str(held["phase"]), int(held["done"]), int(held["total"])
@@ -145,7 +145,7 @@ def noted_phase(directory: Path) -> tuple[str, int, int] | None:
 
 
 def _birth(pid: int) -> str:
-    """Return the system's start and the process's after it; empty without /proc, and of a process that ended."""
+    """Return when the system and the process were started; empty without /proc, or if the process has ended."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]

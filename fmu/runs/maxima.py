@@ -1,4 +1,4 @@
-"""The maxima of a posterior, kept beside a run so that they need not be searched for again when it goes on."""
+"""The maxima of a posterior, saved with a run so that they are not searched for again when it is resumed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FILE = "maxima.nc"
 
 
 def keep_maxima(directory: Path, maxima: Maxima, problem: Any = None) -> None:
-    """Write the maxima into a directory, and what posterior they are of if the problem is given."""
+    """Write the maxima into a directory, with a hash of the posterior if the problem is given."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import with_maxima
@@ -25,7 +25,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: Any = None) -> None:
 
 
 def kept_maxima(directory: Path, problem: Any = None) -> Maxima | None:
-    """Return what `keep_maxima` wrote; None if there is nothing, it is damaged, or it is of another posterior."""
+    """Return what `keep_maxima` wrote; None if there is nothing, or it is damaged or of another posterior."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import maxima_of
@@ -40,21 +40,16 @@ def kept_maxima(directory: Path, problem: Any = None) -> Maxima | None:
         return None
 
 
-def searched(problem: Any, directory: str | os.PathLike[str] | None) -> Maxima | None:
-    """Return the maxima of an updating problem, those kept in a directory if there are some.
+def searched(problem: Any, directory: str | os.PathLike[str] | None) -> Maxima:
+    """Return the maxima of an updating problem: those saved in a directory, or searched for if there are none."""
+    from fmu.analysis.maxima.search import find_map
 
-    None for another density, of which nothing can be searched for.
-    """
-    from fmu.analysis.maxima.search import find_map, is_searchable
-
-    if not is_searchable(problem):
-        return None
     kept = None if directory is None else kept_maxima(Path(directory), problem)
     return find_map(problem) if kept is None else kept
 
 
 def _posterior(problem: Any) -> str:
-    """Return a hash of what defines the posterior, nothing for no problem."""
+    """Return a hash of what defines the posterior; empty if there is no problem."""
     from fmu.analysis.trace.provenance import configuration_hash, described
 
     return "" if problem is None else configuration_hash(described(problem, "", {}, {})["problem"])

@@ -1,13 +1,13 @@
-"""The directory of ``fmu run`` while the run goes on: one process at a time, and what it needs to go on later."""
+"""The directory of ``fmu run`` during the run: its lock, and what is needed to resume it."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from fmu.config.kept import ORIGIN, KeptProblem, keep
+from fmu.config.kept import ORIGIN, KeptProblem
 from fmu.runs.lock import FILE as PRESENCE
 from fmu.runs.lock import LOCK, DirectoryLock, PhaseNote, announce
 from fmu.runs.maxima import keep_maxima, kept_maxima
@@ -20,10 +20,11 @@ FOLDER = "checkpoints"
 
 
 class RunDirectory:
-    """Holds a run's directory for one process.
+    """The directory of a run, for one process at a time.
 
-    Below ``checkpoints`` there is a directory a sampler (`fmu.runs.store.Store`), the problem with what was
-    asked for, and what the search for maxima found. It is taken away when the run has ended.
+    The folder ``checkpoints`` in it holds a directory for each sampler (`fmu.runs.store.Store`), the problem and
+    the options of the run, and the maxima that were found. It is removed when the run has ended, and when a
+    ValueError shows before the first draw that the run cannot be made.
 
     Parameters
     ----------
@@ -33,52 +34,39 @@ class RunDirectory:
     Raises
     ------
     ValueError
-        If another process is at work in it.
+        If another process is running in it.
     """
 
     def __init__(self, path: Path) -> None:
         self.path, self.folder = path, path / FOLDER
         self.folder.mkdir(exist_ok=True)
-        self._hold = DirectoryLock(self.folder, f"--out: another fmu run is running in {path}")
+        self._lock = DirectoryLock(self.folder, f"--out: another fmu run is running in {path}")
         announce(self.folder)
-        self._phase = PhaseNote(self.folder)
+        self.note = PhaseNote(self.folder).note
 
-    def __enter__(self) -> RunDirectory:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and issubclass(kind, ValueError):  # the run could not be made
-            self.abandon()
-        self._hold.release()
-
-    def note(self, phase: str, done: int, total: int) -> None:
-        """Note how far a phase is that keeps nothing, for who looks on."""
-        self._phase.note(phase, done, total)
-
-    def keep(self, problem: KeptProblem) -> None:
-        """Keep the problem and what is asked for, to go on with."""
-        self._keep(problem, self.folder)
+        if kind is not None and issubclass(kind, ValueError) and not any(self.folder.glob("*/*/state-*")):
+            self.ended()
+        self._lock.release()
 
     def begin(self, problem: KeptProblem) -> None:
-        """Forget what an earlier run has left to go on from, and keep the problem and what is asked for."""
+        """Remove what an earlier run has left to resume it, and save the problem and the options of this one."""
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
             elif path.name not in (LOCK, PRESENCE):
                 path.unlink()
-        self.keep(problem)
-
-    def abandon(self) -> None:
-        """Take everything away, if nothing has been drawn: the run was not one that could be made."""
-        if not any(self.folder.glob("*/*/state-*")):
-            self.ended()
+        problem.save(self.folder)
 
     def of_sampler(self, name: str) -> Path:
-        """Return the directory where the run of a sampler is kept."""
+        """Return the directory of a sampler's checkpoint."""
         return self.folder / name
 
     def maxima(self, search: Callable[[], Maxima]) -> Maxima:
-        """Return what the search for maxima found, now or before the run was broken off."""
+        """Return the maxima: those found before the run was interrupted, or those that `search` finds now."""
         found = kept_maxima(self.folder)
         if found is None:
             found = search()
@@ -86,7 +74,7 @@ class RunDirectory:
         return found
 
     def take_ledger(self, sampler: str, to: Path) -> None:
-        """Copy a sampler's ledger of failed solves; without one, take away that of an earlier run."""
+        """Copy the list of a sampler's failed solves; if there is none, remove that of an earlier run."""
         ledger = self.of_sampler(sampler) / LEDGER
         if ledger.is_file():
             shutil.copyfile(ledger, to)
@@ -94,22 +82,18 @@ class RunDirectory:
             to.unlink(missing_ok=True)
 
     def finished(self, sampler: str, problem: KeptProblem) -> None:
-        """Note that the trace of a sampler is written, and take away what it has left to go on from."""
+        """Save that the trace of a sampler is written, and remove the sampler's checkpoint."""
         for directory in (self.path, self.folder):
-            self._keep(problem, directory)
+            problem.save(directory)
         shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)
 
     def ended(self) -> None:
-        """Take away what is only needed to go on: nothing is left to be done."""
-        (self.folder / ORIGIN).unlink(missing_ok=True)  # first: so the rest counts for nothing
-        self._hold.release()
+        """Remove what is only needed to resume the run: it has ended."""
+        (self.folder / ORIGIN).unlink(missing_ok=True)  # first: without it, the rest counts for nothing
+        self._lock.release()
         shutil.rmtree(self.folder, ignore_errors=True)
-
-    def _keep(self, problem: KeptProblem, directory: Path) -> None:
-        pairing = str(problem.pairing)
-        keep(problem.file, directory, pairing, problem.orders, problem.finished, problem.folder)
 
 
 def unfinished(directory: Path) -> Path:
-    """Return where the run in a directory keeps what it was asked for: below, as long as it is not done with."""
+    """Return where the problem and the options of a run are saved: in ``checkpoints`` until it has ended."""
     return directory / FOLDER if (directory / FOLDER / ORIGIN).is_file() else directory

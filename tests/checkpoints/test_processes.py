@@ -118,7 +118,7 @@ def test_asked_to_stop(tmp_path, whole, started, number):
         *steps, last = said.splitlines()
     drawn = int(steps[-1].split()[1]) if steps else 25  # as has been waited for
     assert last == f"stopped after {drawn} of 2000 draws, {drawn} in the trace"
-    assert complaints == "Stopping after the step under way; once more to stop at once.\n"
+    assert complaints == "Stopping after the current step; interrupt again to stop at once.\n"
     first = gone_on(tmp_path, whole)
     assert first == (None if drawn >= DRAWS else ("draws", drawn + 1))
 
@@ -127,7 +127,7 @@ def test_asked_twice_it_stops_at_once(tmp_path, whole, started):
     with started(tmp_path, DRAWS, "warmup", 15) as process:
         wait_for("warmup 15", process)
         os.kill(process.pid, signal.SIGINT)
-        assert process.stderr.readline().startswith("Stopping after the step under way")
+        assert process.stderr.readline().startswith("Stopping after the current step")
         began = time.monotonic()
         os.kill(process.pid, signal.SIGINT)
         said, complaints = said_at_last(process)

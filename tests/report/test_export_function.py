@@ -6,7 +6,7 @@ import pytest
 
 import fmu
 from fmu.analysis.trace.conversion import save_trace
-from fmu.config.kept import keep
+from fmu.config.kept import KeptProblem
 from fmu.report.export import export
 
 MODULE = """
@@ -47,7 +47,7 @@ def run(path, directory, pairing="shape", **length):
     """What `fmu run` leaves: a trace, the problem and where it was."""
     problem = fmu.load(path, pairing)
     directory.mkdir(parents=True)
-    keep(path, directory, pairing)
+    KeptProblem(path, path.parent, pairing).save(directory)
     settings = {"draws": 150, "warmup": 150, "chains": 2} | length
     trace = fmu.sample(problem, "hmc", maxima=fmu.find_map(problem, starts=8), **settings)
     save_trace(trace, directory / "hmc.nc")
