@@ -1,10 +1,9 @@
-"""``fmu watch``."""
+"""``fmu watch``: how far a run has got, as a table or as JSON."""
 
 from __future__ import annotations
 
 import math
 import sys
-import textwrap
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -15,18 +14,18 @@ import click
 
 from fmu.numbers import fixed
 from fmu.progress.words import as_json, duration, number
+from fmu.text_table import text_table, wrapped
 
 if TYPE_CHECKING:
     from fmu.runs.reading import Progress
     from fmu.runs.status import RunReading, SamplerReading
 
-_WIDTH = 100
 _HEADER = ("sampler", "group", "state", "phase", "steps", "save age", "accept", "R-hat", "ESS", "solves", "per s",
            "failed", "left")  # fmt: skip
-_WORDS = 4  # columns of words, at the left of their place
+_WORDS = _HEADER[:4]  # columns that are aligned to the left
 _PHASES = {"warmup": "warm-up", "draws": "draws"}
-_EXACT = 99_999  # steps told in full
-_LONG_S = 36_000.0  # told in hours
+_EXACT = 99_999  # the most steps that are written in full
+_LONG_S = 36_000.0  # a time from which on hours are given
 _CLEAR = "\033[H\033[2J"
 
 
@@ -62,19 +61,17 @@ def watch(directory: Path, follow: bool, every: float, is_json: bool) -> None:
 
 
 def _lines(reading: RunReading) -> Iterator[str]:
-    """Yield the lines that tell of a run."""
+    """Yield the lines to print: the state of the run, a table, verdicts, notes, and how to resume it."""
     yield f"{reading.directory}: {_state(reading)}"
     if reading.samplers:
         yield ""
-        yield from _table([_HEADER, *(row for sampler in reading.samplers for row in _rows(sampler))])
-    told = [sampler for sampler in reading.samplers if sampler.verdict]
-    if told:
-        width = max(len(sampler.name) for sampler in told) + 2
+        yield from _table([row for sampler in reading.samplers for row in _rows(sampler)]).splitlines()
+    verdicts = {sampler.name: sampler.verdict for sampler in reading.samplers if sampler.verdict}
+    if verdicts:
+        width = max(map(len, verdicts)) + 2
         yield ""
-        for sampler in told:
-            yield from textwrap.wrap(
-                sampler.verdict, _WIDTH, initial_indent=f"{sampler.name:{width}}", subsequent_indent=" " * width
-            )
+        for name, verdict in verdicts.items():
+            yield from wrapped(verdict, f"{name:{width}}", " " * width).splitlines()
     if reading.notes or reading.state not in ("running", "finished"):
         yield ""
     for note in reading.notes:
@@ -87,7 +84,7 @@ def _lines(reading: RunReading) -> Iterator[str]:
 
 
 def _state(reading: RunReading) -> str:
-    """Say what state a run is in, and whose it is."""
+    """Return the state of a run in words, with the process that runs it."""
     who = reading.at_work
     if who is None or reading.state in ("stopped", "finished"):
         return reading.state
@@ -96,12 +93,19 @@ def _state(reading: RunReading) -> str:
         return f"killed ({process})"
     if reading.state == "silent":
         return f"silent ({process} cannot be reached from here and has saved nothing for a long time)"
-    doing = f", {reading.phase}" if reading.phase else ""
-    return f"running for {duration(max(time.time() - who.began, 0.0))}{doing} ({process})"
+    phase = f", {reading.phase}" if reading.phase else ""
+    return f"running for {duration(max(time.time() - who.began, 0.0))}{phase} ({process})"
+
+
+def _table(rows: list[tuple[str, ...]]) -> str:
+    """Return a table without its empty columns."""
+    columns = [column for column in zip(_HEADER, *rows, strict=True) if any(column[1:])]
+    header, *cells = zip(*columns, strict=True)
+    return text_table(header, cells, words=[i for i, name in enumerate(header) if name in _WORDS])
 
 
 def _rows(sampler: SamplerReading) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a sampler: all groups together, then each."""
+    """Yield the rows of a sampler: all groups together, then each group."""
     yield _row(sampler.name, "all" if sampler.groups else "", sampler.state, sampler.together)
     for group in sampler.groups:
         yield _row("", group.group, "", group)
@@ -110,50 +114,37 @@ def _rows(sampler: SamplerReading) -> Iterator[tuple[str, ...]]:
 def _row(name: str, group: str, state: str, at: Progress) -> tuple[str, ...]:
     if not at.phase:
         return (name, group, state, *[""] * (len(_HEADER) - 3))
-    steps = f"{_steps(at.done)}/{'?' if at.total is None else _steps(at.total)}"
     return (
         name,
         group,
         state,
         _PHASES[at.phase],
-        steps,
-        "" if at.kept_s is None else _ago(at.kept_s),
+        f"{_steps(at.done)}/{'?' if at.total is None else _steps(at.total)}",
+        "" if at.kept_s is None else _age(at.kept_s),
         _fixed(at.accept, 2),
         _fixed(at.rhat, 3),
-        "" if math.isnan(at.ess) else number(at.ess),
+        _number(at.ess),
         number(at.solves),
-        "" if math.isnan(at.solves_per_s) else number(at.solves_per_s),
+        _number(at.solves_per_s),
         number(at.failed),
         "" if at.remaining_s is None or at.done == at.total else _left(at.remaining_s),
     )
-
-
-def _table(rows: list[tuple[str, ...]]) -> Iterator[str]:
-    """Yield a table, its columns as wide as their cells; those without any are left out."""
-    columns = [column for column in zip(*rows, strict=True) if any(column[1:])]
-    words = {column for column in columns if column[0] in _HEADER[:_WORDS]}
-    widths = [max(map(len, column)) for column in columns]
-    between = "  " if sum(widths) + 2 * (len(widths) - 1) <= _WIDTH else " "
-    for row in zip(*columns, strict=True):
-        cells = (
-            cell.ljust(width) if column in words else cell.rjust(width)
-            for cell, column, width in zip(row, columns, widths, strict=True)
-        )
-        yield between.join(cells).rstrip()
 
 
 def _steps(n: int) -> str:
     return str(n) if n <= _EXACT else number(n)
 
 
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else number(value)
+
+
 def _fixed(value: float, digits: int) -> str:
-    if math.isnan(value):
-        return ""
-    return fixed(value, digits) if abs(value) < 10.0 else number(value)
+    return fixed(value, digits) if abs(value) < 10.0 else _number(value)
 
 
-def _ago(seconds: float) -> str:
-    """Return an age, in one unit."""
+def _age(seconds: float) -> str:
+    """Return a time in one unit."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
             return f"{fixed(seconds / size, 0)} {unit}"
@@ -161,5 +152,4 @@ def _ago(seconds: float) -> str:
 
 
 def _left(seconds: float) -> str:
-    """Return a time to wait."""
     return duration(seconds) if seconds < _LONG_S else f"{number(seconds / 3600.0)} h"
