@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -65,13 +65,18 @@ def sampled(
             click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
         return find_map(problem, starts)
 
-    with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as of_groups:
+    with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
         outcome = Sampled(running.maxima(search), {}, {})
+        arguments = {key: asked.orders[key] for key in sampling.DEFAULTS if key in asked.orders}
+        arguments |= {"maxima": outcome.maxima, "workers": workers}
+        every = asked.orders["keep_draws"], asked.orders["keep_seconds"]
         for name in dict.fromkeys(asked.orders["samplers"]):
             if name in asked.finished:
                 trace = load_trace(running.path / f"{name}.nc")
             else:
-                trace = _drawn(name, problem, outcome.maxima, asked, running, of_groups, report)
+                checkpoint = Checkpoint(running.of_sampler(name), *every)
+                progress = report and labelled(report, name)
+                trace = _drawn(name, problem, running, checkpoint=checkpoint, progress=progress, **arguments)
             outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
             _write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
             if name not in asked.finished:
@@ -82,36 +87,19 @@ def sampled(
     return outcome
 
 
-def _drawn(
-    name: str,
-    problem: UpdatingProblem,
-    maxima: Maxima,
-    asked: KeptProblem,
-    running: RunDirectory,
-    engine: Engine,
-    report: Report | None,
-) -> xr.DataTree:
+def _drawn(name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
     from fmu.samplers.loop.run import TooManyFailuresError
 
-    orders, ledger = asked.orders, running.path / f"failures-{name}.csv"
-    arguments = {key: orders[key] for key in sampling.DEFAULTS if key in orders}
+    ledger, path = running.path / f"failures-{name}.csv", running.path / f"{name}.nc"
     if name == "emcee":  # whose ensembles are the groups
         del arguments["groups"]
     resume = f"To resume: fmu run --resume {running.path}"
     try:
-        trace = sampling.sample(
-            problem,
-            name,
-            **arguments,
-            maxima=maxima,
-            checkpoint=Checkpoint(running.of_sampler(name), orders["keep_draws"], orders["keep_seconds"]),
-            workers=engine,
-            progress=report and labelled(report, name),
-        )
+        trace = sampling.sample(problem, name, **arguments)
     except sampling.StoppedRun as stop:
         if stop.trace is not None:
-            _save(stop.trace, running.path / f"{name}.nc", resume)
+            _save(stop.trace, path, resume)
         raise sampling.StoppedRun(f"{name} {stop.where}", stop.trace) from None
     except TooManyFailuresError as error:
         raise TooManyFailuresError(
@@ -124,7 +112,7 @@ def _drawn(
     finally:
         with suppress(OSError):  # the failures are in the checkpoint, too
             running.take_ledger(name, ledger)
-    _save(trace, running.path / f"{name}.nc", resume)
+    _save(trace, path, resume)
     return trace
 
 

@@ -36,9 +36,10 @@ _CLEAR = "\033[H\033[2J"
               metavar="SECONDS", help="Interval with --follow.")  # fmt: skip
 @click.option("--json", "is_json", is_flag=True, help="Print one JSON object; with --follow, one per line.")
 def watch(directory: Path, follow: bool, every: float, is_json: bool) -> None:
-    """Show the progress of the run in DIRECTORY (of fmu run, or a checkpoint of fmu.sample).
+    """Show the progress of a run.
 
-    Reads only the files that the run saved last; the run is not disturbed.
+    DIRECTORY is the output directory of fmu run, or the checkpoint of a call of fmu.sample. Only the files saved
+    there are read; the run is not disturbed.
     """
     from fmu.runs.status import RUNNING, RunReader
 

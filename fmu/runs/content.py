@@ -118,24 +118,17 @@ def packed_state(state: SavedState) -> bytes:
     ValueError
         If the state contains objects of a user's own sampler.
     """
-    group_state = state.group_state
-    if group_state.group.others:
-        kind = type(group_state.group.others[0])
+    outline = state._asdict()
+    group_state = outline.pop("group_state")
+    group = group_state.group
+    if group.others:
+        kind = type(group.others[0])
         raise ValueError(f"sampler: must be one of this package to be kept on disk (got {kind!r})")
-    outline = {
-        "configuration": state.configuration,
-        "arithmetic": state.arithmetic,
-        "group": group_state.group.outline,
-        "done": dict(group_state.done),
-        "learnt": group_state.learnt,
-        "elapsed_s": dict(state.elapsed_s),
-        "segments": state.segments,
-        "total": state.total,
-    }
-    arrays = {f"group{k}": array for k, array in enumerate(group_state.group.arrays)}
+    outline |= {"group": group.outline, "done": dict(group_state.done), "learnt": group_state.learnt}
+    arrays = {f"group{k}": array for k, array in enumerate(group.arrays)}
     arrays["outline"] = np.frombuffer(json.dumps(outline).encode(), dtype=np.uint8)
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    np.savez(buffer, **arrays)
     return buffer.getvalue()
 
 
@@ -145,19 +138,12 @@ def unpacked_state(payload: bytes) -> SavedState:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         outline = json.loads(arrays.pop("outline").tobytes())
-        group = Snapshot(outline["group"], [arrays[f"group{k}"] for k in range(len(arrays))])
-        group_state = GroupState(group, outline["done"], outline["learnt"])
-        segments = [Segment(*segment) for segment in outline["segments"]]
-        return SavedState(
-            outline["configuration"],
-            outline["arithmetic"],
-            group_state,
-            outline["elapsed_s"],
-            segments,
-            outline["total"],
-        )
+        group = Snapshot(outline.pop("group"), [arrays[f"group{k}"] for k in range(len(arrays))])
+        group_state = GroupState(group, outline.pop("done"), outline.pop("learnt"))
+        segments = [Segment(*segment) for segment in outline.pop("segments")]
+        return SavedState(group_state=group_state, segments=segments, **outline)
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-        raise DamagedError(f"it holds no state ({error})") from error
+        raise DamagedError(f"it contains no state ({error})") from error
 
 
 def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:

@@ -137,7 +137,7 @@ class Store:
                 self._note([_failed(group, segment, failures)])
         except OSError as error:
             raise OSError(
-                f"checkpoint: cannot write to {self.directory} ({error.strerror or error}); what was drawn before "
+                f"checkpoint: cannot write to {self.directory} ({error.strerror or error}); everything before "
                 f"{pending.phase} step {pending.first + 1} of group {group + 1} is saved there"
             ) from error
         self._saved_at[group] = time.monotonic()

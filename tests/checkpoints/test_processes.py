@@ -142,7 +142,7 @@ def test_a_file_that_is_too_large(tmp_path, whole, started):
     with started(tmp_path, DRAWS, "draws", 25, True) as process:
         said, _ = said_at_last(process)
     assert said.splitlines()[-1] == (
-        f"OSError checkpoint: cannot write to {tmp_path} (File too large); what was drawn before draws step 21 of "
+        f"OSError checkpoint: cannot write to {tmp_path} (File too large); everything before draws step 21 of "
         "group 1 is saved there"
     )
     assert not list(tmp_path.rglob("*.part"))
@@ -165,7 +165,7 @@ def small_disk(tmp_path):
 def test_a_full_disk(small_disk, whole):
     directory, mount = small_disk
     with pytest.raises(
-        OSError, match=rf"^checkpoint: cannot write to {directory} \(No space left on device\); what "
+        OSError, match=rf"^checkpoint: cannot write to {directory} \(No space left on device\); everything "
     ):
         sampled(directory)
     assert not list(directory.rglob("*.part"))
