@@ -46,8 +46,8 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
 @click.option("--chains", type=_COUNT, default=DEFAULTS["chains"], show_default=True,
               help="Number of chains (emcee: ensembles).")  # fmt: skip
 @click.option("--groups", type=_COUNT,
-              help="Number of independent groups of chains, each with its own adaptation, for several workers. The "
-                   "draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
+              help="Number of independent groups of chains, each with its own adaptation, for several workers. "
+                   "The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
 @click.option("--seed", type=_COUNT_OR_NONE, default=DEFAULTS["seed"], show_default=True,
               help="Seed of the random numbers.")  # fmt: skip
 @click.option("--starts", type=_COUNT,
