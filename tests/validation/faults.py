@@ -353,7 +353,7 @@ IN_THE_VERDICT = (
         ("tests/analysis/test_movement.py", *DIAGNOSTICS),
     ),
 )
-DURABLE = ("tests/checkpoints/test_durable.py",)
+DURABLE = ("tests/runs/test_durable.py",)
 IN_THE_CHECKPOINTS = (
     Fault(
         "checkpoint: a file's content not forced to disk",

@@ -1,5 +1,5 @@
 """Imports all that a run needs, in the process from which others are forked."""
 
-from tests.checkpoints.watched import sampled
+from tests.runs.watched import sampled
 
 sampled(None)

@@ -13,7 +13,7 @@ import pytest
 
 from fmu.durable_files import digest
 from fmu.runs.content import numbered, read_state
-from tests.checkpoints.watched import DRAWS, STEPS, Watched, main, sampled
+from tests.runs.watched import DRAWS, STEPS, Watched, main, sampled
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 pytestmark = posix
@@ -28,7 +28,7 @@ def whole():
 def context():
     """Starts processes from one that has imported everything."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.checkpoints.warm"])
+    context.set_forkserver_preload(["tests.runs.warm"])
     return context
 
 

@@ -22,7 +22,7 @@ from fmu.runs.store import (
     read_state,
 )
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, Run, Slice, Tempering
-from tests.checkpoints.watched import STEPS, Watched
+from tests.runs.watched import STEPS, Watched
 from tests.samplers.targets import CorrelatedGaussian
 from tests.samplers.tempered_targets import LinearGaussian
 
