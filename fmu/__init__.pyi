@@ -26,7 +26,7 @@ from .fem.frame.section import Section as Section
 from .fem.frame.updates import Factor as Factor
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
-from .fem.modes.terms import Term as Term
+from .fem.modes.separable import Term as Term
 from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
 from .posterior.errors.mac import MACErrors as MACErrors

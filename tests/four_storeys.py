@@ -43,7 +43,7 @@ def four_storeys():
         mass=[MASS * np.eye(STOREYS)],
         dofs=sensors,
     )
-    paired = PairedStructure(
+    paired = PairedStructure.of(
         model, pairing="index", numbers=numbers, sensors=sensors, reference=np.ones(STOREYS), shapes=None
     )
     paired.train(np.full(STOREYS, LOWER), np.full(STOREYS, UPPER))

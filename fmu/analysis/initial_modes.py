@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.modal import frequency_hz, is_rigid, mac
+from fmu.fem.modes.modal import frequency_hz, is_rigid, mac, single_thread
 from fmu.fem.modes.separable import selection
-from fmu.fem.modes.threads import single_thread
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import assign
 from fmu.numbers import MISSING, apart, change, fixed, given, hertz, share

@@ -17,8 +17,7 @@ from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.separable import SeparableModel, selection
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.separable import SeparableModel, Term, selection
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix

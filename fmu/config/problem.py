@@ -17,7 +17,7 @@ from fmu.config.parameters import NoiseTable, ParameterTable, built
 from fmu.config.python import PythonTable
 from fmu.config.tables import Built, Name, Positive, TomlTable, by_kind
 from fmu.engines.base import Engine
-from fmu.fem.pairing.candidates import SOFTNESS
+from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.train_reduced import LOOSEST_FREQUENCY

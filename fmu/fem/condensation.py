@@ -15,8 +15,7 @@ import scipy.sparse.linalg as ssl
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.null_space import rank
+from fmu.fem.modes.eigensolver import eigen, rank
 from fmu.fem.modes.separable import SeparableModel
 from fmu.types import FloatArray, IntArray
 

@@ -77,7 +77,7 @@ def _one_of(common: tuple[Plan, Path], experiment: tuple[str, str], progress: Re
 
 def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Report | None) -> Findings:
     """Compute one experiment and write its directory and its traces below `stage`."""
-    from fmu.fem.modes.threads import single_thread
+    from fmu.fem.modes.modal import single_thread
 
     with single_thread():
         result = compute(case, pairing, plan, progress)

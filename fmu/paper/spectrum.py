@@ -10,7 +10,7 @@ import numpy as np
 from fmu.types import FloatArray, StrArray
 
 if TYPE_CHECKING:
-    from fmu.fem.modes.blocks import ModalSolution
+    from fmu.fem.modes.modal import ModalSolution
     from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 

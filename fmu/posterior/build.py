@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_model import SOFT, ModalModel, PairedStructure, as_modal_model
+from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors
@@ -68,7 +68,7 @@ def paired_model(
     shapes = None if data.shapes is None else np.asarray(data.shapes)
     paired: Any = None
     if isinstance(model, BlackBoxModel):
-        paired = PairedBlackBox(
+        paired = PairedBlackBox.of(
             model,
             pairing=pairing,
             start=start,
@@ -82,7 +82,7 @@ def paired_model(
         names = tuple(p.name for p in parameters)
         if model.names not in (None, names):
             raise ValueError(f"parameters: must be the model's, in its order {model.names} (got {names})")
-        paired = PairedStructure(
+        paired = PairedStructure.of(
             model,
             pairing=pairing,
             numbers=data.numbers,

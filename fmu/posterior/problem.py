@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.candidates import SOFTNESS
 from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
+from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel

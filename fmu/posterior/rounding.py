@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fmu.fem.modes.modal import RIGID
-from fmu.fem.modes.terms import Term, coefficients
+from fmu.fem.modes.separable import Term, coefficients
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant

@@ -10,8 +10,8 @@ import numpy as np
 
 from fmu.engines.base import Engine
 from fmu.fem.modes.modal import is_rigid
-from fmu.fem.pairing.candidates import SoftPairing
 from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.rules import SoftPairing
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points

@@ -5,8 +5,7 @@ import pytest
 import scipy.linalg as sl
 
 import fmu
-from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.modes.threads import single_thread
+from fmu.fem.modes.modal import frequency_hz, single_thread
 from tests.benchmarks.ratio import spd
 
 YOUNG, SECTION = "cantilever-young", "cantilever-section"

@@ -8,8 +8,7 @@ import numpy as np
 
 import fmu
 from fmu.fem.frame.frame import ElementGroup, Frame
-from fmu.fem.modes.blocks import BlockModel
-from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.modal import BlockModel, frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.train_reduced import plausible_points

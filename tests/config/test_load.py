@@ -11,7 +11,7 @@ import fmu
 from fmu import cases
 from fmu.config import ConfigurationError, load
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.separable import Term
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.train_reduced import Tolerance

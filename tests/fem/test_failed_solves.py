@@ -16,7 +16,7 @@ THETA = np.array([1.0, 1.0])
 def structure(stiffness, mass):
     """Return a paired structure of parameters a (stiffness) and b (mass)."""
     model = SeparableModel.from_terms(["a", "b"], stiffness, mass, dofs=DOFS)
-    return PairedStructure(model, pairing="index", numbers=(1, 2), sensors=(), reference=THETA)
+    return PairedStructure.of(model, pairing="index", numbers=(1, 2), sensors=(), reference=THETA)
 
 
 SECOND = np.diag([0.0, 1.0, 0.0])

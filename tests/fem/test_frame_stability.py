@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, JointSpring, Material, Section
 from fmu.fem.frame.stability import free_motions, require_stable
-from fmu.fem.modes import null_space
-from fmu.fem.modes.modal import FullBlock, frequency_hz
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes import eigensolver
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.separable import SeparableModel, Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 TUBE = Section.tube(0.1, 0.005)
@@ -125,7 +125,7 @@ def test_large_and_small_blocks_agree(monkeypatch):
     shaft = [(x / 30, 0.1 * x / 30, 0) for x in range(31)]
     models = [frame(shaft, {0: ("x", "y", "z"), 30: ("y", "z")}), frame(shaft, {0: DIRECTIONS}), frame(shaft, {})]
     dense = [free_motions(model, []) for model in models]
-    monkeypatch.setattr(null_space, "DENSE_LIMIT", 20)
+    monkeypatch.setattr(eigensolver, "DENSE_LIMIT", 20)
     for model, known in zip(models, dense, strict=True):
         found = free_motions(model, [])
         assert (found.count, found.rigid.shape) == (known.count, known.rigid.shape)

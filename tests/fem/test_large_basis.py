@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modes.modal import FullBlock
+from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.pairing import paired_model as structure
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import basis as reduced_basis
@@ -84,7 +84,7 @@ def test_the_few_lowest_modes_are_those_of_all(solved, monkeypatch):
 def paired(**options):
     model, lower, upper = cantilever()
     reference = 0.5 * (lower + upper)
-    structure_ = PairedStructure(model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=reference)
+    structure_ = PairedStructure.of(model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=reference)
     return structure_, structure_.train(lower, upper, **options), lower, upper
 
 
@@ -92,7 +92,7 @@ def test_a_batch_in_parts_changes_no_bit(monkeypatch):
     whole, state, lower, upper = paired(tolerance=1e-3)
     monkeypatch.setattr(structure, "_MOST_NUMBERS", 3 * max(b.size for b in whole.reduced.blocks) ** 2)
     model, *_ = cantilever()
-    parts = PairedStructure(
+    parts = PairedStructure.of(
         model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=0.5 * (lower + upper)
     )
     parts.restore(state)

@@ -9,11 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.condensation import craig_bampton
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes import eigensolver, modal, null_space
-from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.null_space import DENSE_LIMIT, SingularMassError
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes import eigensolver, full_block
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
+from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_model import PairedStructure
 from tests.fem.massless_bridge import LOWER, START, UPPER, bridge, condensed
 
@@ -22,7 +20,7 @@ ROTATIONS = ((3, "ry"), (8, "rx"), (4, "z"), (9, "y"))
 
 def paired(model, count=6, pairing="index", sensors=()):
     numbers = tuple(range(1, count + 1))
-    return PairedStructure(model, pairing=pairing, numbers=numbers, sensors=sensors, reference=START)
+    return PairedStructure.of(model, pairing=pairing, numbers=numbers, sensors=sensors, reference=START)
 
 
 def assert_same_modes(model, theta, count, rtol):
@@ -49,7 +47,7 @@ def test_modes_and_their_gradients_are_those_of_the_condensed_model(stations):
 
 
 def test_lanczos_iterations_too(monkeypatch):
-    for module in (eigensolver, modal, null_space):
+    for module in (eigensolver, full_block):
         monkeypatch.setattr(module, "DENSE_LIMIT", 60)
     assert_same_modes(bridge(12), START, 8, 1e-10)
 
@@ -140,7 +138,7 @@ def test_a_mass_matrix_that_is_singular_in_no_coordinate():
     expected = condensed(model, START, 6)[0]
     lam, _ = eigen(sp.csr_array(Q @ K @ Q.T), sp.csr_array(Q @ M @ Q.T), 6)
     assert_allclose(lam, expected, rtol=1e-7)
-    assert null_space.rank(sp.csr_array(Q @ M @ Q.T)) == int(np.sum(np.diag(M) > 0.0))
+    assert eigensolver.rank(sp.csr_array(Q @ M @ Q.T)) == int(np.sum(np.diag(M) > 0.0))
 
 
 def test_too_few_modes_of_finite_frequency():
@@ -176,5 +174,5 @@ def test_craig_bampton_keeps_the_modes_that_there_are():
     K, M = model.K(START), model.M(START)
     boundary = [model.dof(node, direction) for node in (3, 10) for direction in ("x", "y", "z", "rx", "ry", "rz")]
     reduced = craig_bampton(K, M, boundary, 100)
-    assert len(reduced.K) == len(boundary) + null_space.rank(M) - 6
+    assert len(reduced.K) == len(boundary) + eigensolver.rank(M) - 6
     assert_allclose(reduced.eigen(6)[0], condensed(model, START, 6)[0], rtol=1e-9)

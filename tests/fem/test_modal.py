@@ -9,11 +9,10 @@ from numpy.testing import assert_allclose
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
 from fmu.fem.modes import eigensolver
-from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.modal import FullBlock, frequency_gradient, frequency_hz, mac
-from fmu.fem.modes.null_space import DENSE_LIMIT, SingularMassError
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term, WeightedSum, weighted_sum
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import frequency_gradient, frequency_hz, mac
+from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, weighted_sum
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

@@ -32,7 +32,7 @@ def bracket():
 
 def paired(pairing, **options):
     model = bracket().separable({"E arm": [("E", "arm")], "E tip": [("E", "tip")], "A tip": [("A", "tip")]})
-    return PairedStructure(
+    return PairedStructure.of(
         model, pairing=pairing, numbers=(1, 2, 3, 4), sensors=SENSORS, reference=START, **options
     )
 
@@ -151,5 +151,5 @@ def test_in_one_block_a_number_is_a_rank(monkeypatch):
     structure.train(0.8 * START, 1.2 * START, tolerance=1e-9)
     assert len(structure.reduced.blocks) == 1
     expected = structure.frequencies(points(4))
-    monkeypatch.setattr("fmu.fem.modes.blocks.BlockModel.spectrum", None)
+    monkeypatch.setattr("fmu.fem.modes.modal.BlockModel.spectrum", None)
     assert_allclose(structure.observed(points(4)).frequencies, expected, rtol=1e-9)

@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modes.blocks import BlockModel
+from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.modes.separable import SeparableModel, selection
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.separable import SeparableModel, Term, selection
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, assign, reference_modes
 from tests import cantilever
 
@@ -28,7 +27,7 @@ def crossing():
     B = np.zeros((4, 4))
     B[2:, 2:] = [[4.0, -1.0], [-1.0, 4.0]]
     K_terms = [Term(sp.csr_array(A), (1.0,)), Term(sp.csr_array(B), (0.0,))]
-    return BlockModel.full(SeparableModel(K_terms, [Term(sp.csr_array(sp.eye_array(4)), (0.0,))]))
+    return full_model(SeparableModel(K_terms, [Term(sp.csr_array(sp.eye_array(4)), (0.0,))]))
 
 
 def test_spectrum_merges_the_blocks():
@@ -67,7 +66,7 @@ def test_one_failed_block_leaves_no_row_of_the_spectrum_to_trust():
         Term(sp.csr_array(np.diag(eye[2] + eye[3])), (0.0,)),
     ]
     stiffness = sp.csr_array(np.array([[2.0, -1, 0, 0], [-1, 2.0, 0, 0], [0, 0, 4.0, -1], [0, 0, -1, 4.0]]))
-    model = BlockModel.full(SeparableModel([Term(stiffness, (0.0,))], masses))
+    model = full_model(SeparableModel([Term(stiffness, (0.0,))], masses))
     modes = IndexPairing((1, 2)).bind(model)(np.array([[-1.0], [1.0]]))
     assert np.all(np.isnan(modes.eigenvalues[0]))
     assert_allclose(modes.eigenvalues[1], [1.0, 3.0], rtol=1e-14)
@@ -91,7 +90,7 @@ def test_a_failed_block_does_not_hand_its_measured_modes_to_another(failing):
         for i, power in ((0, (1.0 - failing,)), (2, (1.0 * failing,)))
     ]
     stiffness = sp.csr_array(np.array([[2.0, -1, 0, 0], [-1, 2.0, 0, 0], [0, 0, 4.0, -1], [0, 0, -1, 4.0]]))
-    model = BlockModel.full(SeparableModel([Term(stiffness, (0.0,))], masses))
+    model = full_model(SeparableModel([Term(stiffness, (0.0,))], masses))
     shapes = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     modes = ShapePairing(selection(np.arange(4), 4), shapes).bind(model)(np.array([[1.0], [-1.0]]))
     assert_allclose(modes.eigenvalues[0], [1.0, 3.0], rtol=1e-14)
@@ -145,7 +144,7 @@ CASES = {
 def test_rank_in_the_weak_plane_is_the_assignment_by_shape(case):
     frame, updates, start, lower, upper = CASES[case]
     model = frame.separable(updates)
-    full = BlockModel.full(model)
+    full = full_model(model)
     sensors = np.array([model.dof(cantilever.SENSOR_NODE, "z")])
     everywhere = selection(model.translations, model.n_dof)
     by_shape = reference_modes(full, np.array(start), selection(sensors, model.n_dof), everywhere, 5)
@@ -177,7 +176,7 @@ def test_shape_is_followed_through_a_crossing_inside_one_block():
     """Where Iy grows beyond Iz the first two modes change places in the spectrum, but not as shapes."""
     model, *_ = turned_cantilever(1.0)
     assert len(model.blocks) == 1
-    full = BlockModel.full(model)
+    full = full_model(model)
     reference = np.array([0.8 * 4e-8])
     everywhere = selection(model.translations, model.n_dof)
     pairing = reference_modes(full, reference, everywhere, everywhere, 2)
@@ -206,7 +205,7 @@ def test_gradient_of_pairing_by_shape_in_a_coupled_frame():
         {"E": [("E", "0")], "A": [("A", "1")], "I": [("Iy", "0")]}
     )
     assert len(model.blocks) == 1
-    full, start = BlockModel.full(model), np.array([2.1e11, 3e-3, 4e-6])
+    full, start = full_model(model), np.array([2.1e11, 3e-3, 4e-6])
     everywhere = selection(model.translations, model.n_dof)
     solve = reference_modes(full, start, everywhere, everywhere, 5).bind(full)
     theta = start * [1.1, 0.9, 1.05]
@@ -236,7 +235,7 @@ def test_numbers_of_modes(numbers):
 
 def test_constant_assignment_is_told_from_one_that_changes():
     model, *_ = turned_cantilever(1.0)
-    full = BlockModel.full(model)
+    full = full_model(model)
     everywhere = selection(model.translations, model.n_dof)
     pairing = reference_modes(full, np.array([3.2e-8]), everywhere, everywhere, 2)
 

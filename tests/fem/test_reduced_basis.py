@@ -6,9 +6,9 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
-from fmu.fem.modes.modal import FullBlock, frequency_hz
-from fmu.fem.modes.separable import SeparableModel, selection
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.separable import SeparableModel, Term, selection
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.snapshots import Snapshots, proper_orthogonal_basis, smallest_basis
 

@@ -7,9 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modes.blocks import BlockModel
-from fmu.fem.modes.separable import SeparableModel, selection
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.separable import SeparableModel, Term, selection
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import ShapePairing, count_rigid, reference_modes
 from tests import cantilever
@@ -20,7 +19,7 @@ STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 @pytest.mark.parametrize(("directions", "planes"), [("z", "z"), ("y", "y"), ("x", "x"), ("zy", "zyz")])
 def test_reference_modes_are_those_that_move_a_sensor(directions, planes):
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
-    full = BlockModel.full(model)
+    full = full_model(model)
     sensors = np.array([model.dof(30, d) for d in directions])
     everywhere = selection(model.translations, model.n_dof)
     pairing = reference_modes(full, np.array([2.1e11]), selection(sensors, model.n_dof), everywhere, len(planes))
@@ -38,7 +37,7 @@ def test_torsion_moves_no_translation_in_any_orientation():
         section = Section.rectangle(width=0.06, height=0.01)
         group = ElementGroup("b", elements, section, STEEL, tuple(rotation[:, 1]))
         model = Frame(nodes, [group], {0: DIRECTIONS}).separable({"E": [("E", "b")]})
-        full = BlockModel.full(model)
+        full = full_model(model)
         everywhere = selection(model.translations, model.n_dof)
         pairing = reference_modes(full, np.array([2.1e11]), everywhere, everywhere, 4)
         modes = pairing.bind(full)(np.array([[2.1e11]]))
@@ -50,7 +49,7 @@ def test_torsion_moves_no_translation_in_any_orientation():
 def test_sensors_that_see_too_little():
     stiffness = np.array([[2.0, -1, 0, 0], [-1, 2.0, 0, 0], [0, 0, 4.0, -1], [0, 0, -1, 4.0]])
     K, M = Term(sp.csr_array(stiffness), (1.0,)), Term(sp.csr_array(np.eye(4)), (0.0,))
-    two_pairs = BlockModel.full(SeparableModel([K], [M]))
+    two_pairs = full_model(SeparableModel([K], [M]))
     with pytest.raises(ValueError, match=r"^sensors: must see the 3 measured modes \(they see 2\)$"):
         reference_modes(two_pairs, np.array([2.0]), selection([3], 4), selection(np.arange(4), 4), 3)
 
@@ -58,7 +57,7 @@ def test_sensors_that_see_too_little():
 def test_shapes_measured_at_few_sensors_pair_as_well():
     """Reference shapes from outside, any scale and sign, at three nodes."""
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
-    full = BlockModel.full(model)
+    full = full_model(model)
     theta = np.array([[2.1e11]])
     dofs = np.array([model.dof(node, "z") for node in (15, 30, 49)])
     weak = next(b for b, block in enumerate(full.blocks) if dofs[0] in block.dofs)
@@ -76,7 +75,7 @@ def test_rigid_body_modes_of_a_free_structure_were_not_measured():
     elements = np.stack([np.arange(8), np.arange(1, 9)], axis=1)
     group = ElementGroup("b", elements, Section(A=4e-4, Iy=3e-8, Iz=5e-8, J=2e-8), STEEL)
     model = Frame(nodes, [group]).separable({"E": [("E", "b")]})
-    full, theta = BlockModel.full(model), np.array([2.1e11])
+    full, theta = full_model(model), np.array([2.1e11])
     sensors = np.array([model.dof(node, "z") for node in (0, 3, 8)])
     everywhere = selection(model.translations, model.n_dof)
     modes = reference_modes(full, theta, selection(sensors, model.n_dof), everywhere, 2).bind(full)(theta[None])
@@ -101,13 +100,13 @@ def free_frame():
 def test_rigid_body_modes_leave_room_for_all_measured_ones(measured):
     """They are of the same block as the elastic ones, and below them."""
     model, n, theta = free_frame(), 6, np.array([2.1e11])
-    full = BlockModel.full(model)
+    full = full_model(model)
     assert len(full.blocks) == 1
     assert count_rigid(full, theta, n) == 6
     lam, phi = full.blocks[0].modes(theta[None], 6 + n)
     sensors = tuple((node, direction) for node in (0, 5, 8, 10) for direction in "xyz")
     shapes = model.observation(sensors) @ phi[0, :, 6:] if measured else None
-    structure = PairedStructure(
+    structure = PairedStructure.of(
         model,
         pairing="shape",
         numbers=tuple(range(1, n + 1)),
@@ -121,10 +120,10 @@ def test_rigid_body_modes_leave_room_for_all_measured_ones(measured):
 def test_measured_modes_may_answer_to_others_than_the_lowest_in_order():
     """Counted among the elastic modes that the sensors see."""
     model, theta = free_frame(), np.array([2.1e11])
-    lam = BlockModel.full(model).spectrum(theta[None], 12).eigenvalues[0, 6:]
+    lam = full_model(model).spectrum(theta[None], 12).eigenvalues[0, 6:]
 
     def paired(counterparts):
-        return PairedStructure(
+        return PairedStructure.of(
             model, pairing="shape", numbers=(1, 2, 3), sensors=(), reference=theta, counterparts=counterparts
         )
 

@@ -18,7 +18,9 @@ def beam_in_halves(pairing):
     model = cantilever.beam(2).separable(
         {"I1": [("Iy", "1")], "I2": [("Iy", "2")], "A1": [("A", "1")], "A2": [("A", "2")]}
     )
-    return PairedStructure(model, pairing=pairing, numbers=(1, 3, 5, 7, 9), sensors=((49, "z"),), reference=START)
+    return PairedStructure.of(
+        model, pairing=pairing, numbers=(1, 3, 5, 7, 9), sensors=((49, "z"),), reference=START
+    )
 
 
 def coupled_frame(pairing):
@@ -34,7 +36,7 @@ def coupled_frame(pairing):
     ]
     model = Frame(nodes, groups, {0: DIRECTIONS}).separable({"E": [("E", "0")], "A": [("A", "1")]})
     reference = np.array([2.1e11, 3e-3])
-    return PairedStructure(model, pairing=pairing, numbers=(1, 2, 4), sensors=(), reference=reference)
+    return PairedStructure.of(model, pairing=pairing, numbers=(1, 2, 4), sensors=(), reference=reference)
 
 
 BUILD = {
@@ -141,7 +143,7 @@ def test_fingerprint_tells_structures_apart():
     heavier = Frame(heavier.nodes, heavier.groups, heavier.supports).separable(
         {"I1": [("Iy", "1")], "I2": [("Iy", "2")], "A1": [("A", "1")], "A2": [("A", "2")]}
     )
-    other = PairedStructure(heavier, pairing="index", numbers=(1, 3, 5, 7, 9), sensors=(), reference=START)
+    other = PairedStructure.of(heavier, pairing="index", numbers=(1, 3, 5, 7, 9), sensors=(), reference=START)
     assert other.fingerprint() != prints[1].fingerprint()
 
 
@@ -149,9 +151,9 @@ def test_unknown_pairing_and_sensor():
     model = cantilever.beam(1).separable({"E": [("E", "1")]})
     options = {"numbers": (1,), "reference": np.array([2.1e11])}
     with pytest.raises(ValueError, match=r"^pairing: must be one of \('shape', 'index', 'soft'\) \(got 'mac'\)$"):
-        PairedStructure(model, pairing="mac", sensors=(), **options)
+        PairedStructure.of(model, pairing="mac", sensors=(), **options)
     with pytest.raises(ValueError, match=r"^sensor: the model has no free degree of freedom \(got node 0, 'z'\)$"):
-        PairedStructure(model, pairing="shape", sensors=((0, "z"),), **options)
+        PairedStructure.of(model, pairing="shape", sensors=((0, "z"),), **options)
 
 
 @pytest.mark.parametrize("pairing", ["shape", "index"])

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modes.blocks import BlockModel
-from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.modal import BlockModel, frequency_hz
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, reference_modes
@@ -64,11 +64,11 @@ def coupled_pair():
 
 def shape_rule(model, theta, n_modes):
     everywhere = selection(model.translations, model.n_dof)
-    return reference_modes(BlockModel.full(model), theta, everywhere, everywhere, n_modes)
+    return reference_modes(full_model(model), theta, everywhere, everywhere, n_modes)
 
 
 def full_and_trained(model, rule, lower, upper, tolerance=1e-6, **options):
-    full = BlockModel.full(model)
+    full = full_model(model)
     trained = Training(full, rule, lower, upper, tolerance, **options).run()
     return full, trained
 
@@ -159,7 +159,7 @@ def test_by_number_each_block_shows_one_mode_more_than_was_ever_among_the_lowest
 def test_a_mode_that_a_reduced_block_does_not_show_makes_the_row_fall_back():
     """Sorting only what is shown would hand the next mode's frequency to the missing one's number."""
     model, lower, upper = two_groups()
-    structure = PairedStructure(
+    structure = PairedStructure.of(
         model, pairing="index", numbers=(1, 2, 3, 5), sensors=(), reference=0.5 * (lower + upper)
     )
     state = structure.train(lower, upper)
@@ -262,7 +262,7 @@ def test_a_tighter_tolerance_is_kept():
 def test_refining_adds_the_points_and_tightens_the_tolerance():
     model, lower, upper = two_groups()
     rule = shape_rule(model, lower * 1.2, 4)
-    full = BlockModel.full(model)
+    full = full_model(model)
     learner = Training(full, rule, lower, upper, 1e-3)
     trained, errors = learner.run(), []
     for step in range(4):
@@ -285,6 +285,6 @@ def test_rule_by_shape_offers_a_margin_of_candidates():
     model, lower, _ = two_groups()
     rule = shape_rule(model, lower, 4)
     assert isinstance(rule, ShapePairing)
-    learner = Training(BlockModel.full(model), rule, lower, lower * 2, 1e-6)
+    learner = Training(full_model(model), rule, lower, lower * 2, 1e-6)
     solved = learner._solved(lower[None])
     assert {s.eigenvalues.shape[1] for s in solved.values()} == {4 + rule.margin}

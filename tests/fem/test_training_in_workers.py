@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 import fmu
 from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
-from fmu.fem.modes.null_space import DENSE_LIMIT
+from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.pairing.paired_model import PairedStructure
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
@@ -34,7 +34,7 @@ def test_the_basis_is_the_same(engine, n_elements, pairing):
     assert (model.n_dof > DENSE_LIMIT) == (n_elements == 100)  # so that both solvers have their turn
     states = []
     for at in (None, engine):
-        structure = PairedStructure(
+        structure = PairedStructure.of(
             model, pairing=pairing, numbers=(1, 2, 3), sensors=(), reference=np.full(2, 2.1e11)
         )
         calls = []

@@ -5,8 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from fmu import cases
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.separable import SeparableModel, Term
 
 
 class Oscillators:

@@ -87,7 +87,7 @@ def system(gap, top):
 @cache
 def paired(gap, reduced, top=10.0):
     data = measured(gap)
-    structure = PairedStructure(
+    structure = PairedStructure.of(
         system(gap, top),
         pairing="shape",
         numbers=(1, 2),
@@ -180,7 +180,7 @@ def test_a_reduced_block_leaves_out_the_rotation_of_modes_as_good_as_repeated():
 def test_modes_repeated_to_the_last_bit():
     """Their shapes are any two of their plane: a reduced block gives small slopes, the full model useless ones."""
     model = system(0.0, 10.0)
-    structure = PairedStructure(
+    structure = PairedStructure.of(
         model, pairing="shape", numbers=(1, 2), sensors=SENSORS, reference=point(0.0), shapes=Q[:, :2]
     )
     full = structure.observed(point(0.0)[None], True)

@@ -6,8 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from scipy.integrate import quad
 
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
@@ -39,7 +38,7 @@ def storeys():
 
 @pytest.fixture(scope="module")
 def structure():
-    return PairedStructure(storeys(), pairing="index", numbers=(1, 2, 3), sensors=SENSORS, reference=START)
+    return PairedStructure.of(storeys(), pairing="index", numbers=(1, 2, 3), sensors=SENSORS, reference=START)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,8 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu import cases
-from fmu.fem.modes.blocks import BlockModel
-from fmu.fem.modes.modal import frequency_gradient, frequency_hz
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
+from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock

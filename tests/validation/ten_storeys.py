@@ -76,7 +76,7 @@ def structure() -> PairedStructure:
         mass=[MASS * np.eye(STOREYS)],
         dofs=[(j, "x") for j in range(1, STOREYS + 1)],
     )
-    paired = PairedStructure(
+    paired = PairedStructure.of(
         model, pairing="index", numbers=NUMBERS, sensors=SENSORS, reference=np.ones(STOREYS), shapes=None
     )
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in PARAMETERS]).T

@@ -20,8 +20,7 @@ from fmu.fem.frame.section import Section as Section
 from fmu.fem.frame.updates import PROPERTIES as PROPERTIES
 from fmu.fem.frame.updates import Factor as Factor
 from fmu.fem.frame.updates import Ownership, Quantity, Target, ownership
-from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel
-from fmu.fem.modes.terms import Term, merge_terms
+from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel, Term, merge_terms
 from fmu.types import FloatArray
 
 # What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.

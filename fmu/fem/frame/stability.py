@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from fmu.fem.frame.motion import rigid_in_words, rigid_motions, what_moves
-from fmu.fem.modes.null_space import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
+from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
 from fmu.fem.modes.separable import SeparableModel
 from fmu.types import FloatArray
 

@@ -1,34 +1,29 @@
-"""Modes of K φ = λ M φ, how alike two shapes are, and how eigenvalues move with the parameters."""
+"""Modes of a structure as the union of the modes of its decoupled blocks, full or reduced."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
+from threadpoolctl import ThreadpoolController
 
-from fmu.fem.modes.derivatives import by_bordered_system
-from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.null_space import DENSE_LIMIT, SingularMassError, rank
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.shape_maps import Mapped, Picked
-from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum, coefficient_gradients, weighted_sum
+from fmu.fem.modes.separable import Term, coefficient_gradients, monomial
 from fmu.types import BoolArray, FloatArray, IntArray
 
-# An eigenvalue this small beside the highest of interest is that of a rigid-body mode. Where K is singular to the
-# last digit it is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits leave more.
+# An eigenvalue this small relative to the highest of interest is that of a rigid-body mode. Where K is singular to
+# the last digit it is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits leave more.
 RIGID = 1e-9
-# Below zero by more than this, beside the largest of a set of eigenvalues, is no rounding. The set is that of the
-# measured modes, far below the highest of the structure, to which rounding is relative.
+# An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set is that of the
+# measured modes, far below the highest mode of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
-# Up to this size a dense solve for a shape's slopes takes less time than a sparse one.
-_DENSE_SLOPES = 128
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
-    """Say which of the lowest modes of a structure, shape (..., m), move it as a rigid body."""
+    """Say which of the lowest modes of a structure, shape (..., m), are rigid-body modes."""
     return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 
 
@@ -38,8 +33,8 @@ def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
     Parameters
     ----------
     eigenvalue : ndarray, shape (..., m), (rad/s)²
-        Modes of one structure along the last axis. A λ below zero by less than 1e-6 of the largest |λ| beside it
-        is a rigid-body mode that rounding left there, and counts as zero.
+        Modes of one structure along the last axis. A λ below zero by less than 1e-6 of the largest |λ| of these
+        modes is a rigid-body mode with rounding, and counts as zero.
     """
     if np.count_nonzero(eigenvalue < 0.0):
         scale = np.fmax.reduce(np.abs(eigenvalue), axis=-1, keepdims=True)
@@ -78,8 +73,38 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     return np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0)
 
 
+class CoefficientMap:
+    """The coefficients of a set of terms and their derivatives, with the common case (c_k = theta_j) made fast."""
+
+    def __init__(self, terms: Sequence[Term]) -> None:
+        self.terms = tuple(terms)
+        self.n_parameters = len(self.terms[0].powers)
+        self._linear = [k for k, t in enumerate(self.terms) if sorted(filter(None, t.powers)) == [1]]
+        self._source = [self.terms[k].powers.index(1) for k in self._linear]
+        self._general = [k for k, t in enumerate(self.terms) if k not in self._linear and not t.constant]
+        self._slopes = np.zeros((len(self.terms), self.n_parameters))
+        self._slopes[self._linear, self._source] = 1.0
+
+    def __call__(self, theta: FloatArray) -> FloatArray:
+        """Return c_k(theta), shape (n, n_terms)."""
+        if len(self._linear) == len(self.terms):
+            return theta.take(self._source, axis=1)
+        value = np.ones((len(theta), len(self.terms)))
+        value[:, self._linear] = theta[:, self._source]
+        for k in self._general:
+            value[:, k] = monomial(theta, self.terms[k].powers)
+        return value
+
+    def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
+        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
+        # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
+        if self._general:
+            return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
+        return np.einsum("nkm,kj->nmj", forms, self._slopes)
+
+
 class BlockPrediction(NamedTuple):
-    """Modes of one block as sensors see them.
+    """Modes of one block as the sensors see them.
 
     Attributes
     ----------
@@ -95,84 +120,88 @@ class BlockPrediction(NamedTuple):
     shape_slopes: FloatArray | None = None
 
 
-class FullBlock:
-    """One decoupled part of a structure, solved as it stands, a theta at a time.
+class Block:
+    """One decoupled part of a structure: an independent eigenproblem, full or reduced.
 
     Parameters
     ----------
-    model : SeparableModel
-    dofs : ndarray of int
-        The block's degrees of freedom in the model, one of ``model.blocks``.
+    dofs : ndarray of int, shape (n,)
+        Its degrees of freedom in the model.
+    K_terms, M_terms : sequence of Term
+        Its stiffness and mass terms.
 
     Attributes
     ----------
-    n_modes : int
-        How many modes have a finite frequency: fewer than `size` where degrees of freedom have no mass.
+    size : int
+        Unknowns of the eigenproblem.
+    n_modes, n_trained : int
+        How many modes have a finite frequency, and how many of the lowest ones are accurate.
+    is_reduced : bool
+        Whether it approximates a full block.
+    massless : bool
+        Whether degrees of freedom of the full block have no mass.
+    constant_mass : bool
+        Whether no parameter changes its mass.
     """
 
     is_reduced = False
+    size: int
+    n_modes: int
+    n_trained: int
+    massless: bool
 
-    def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
+    def __init__(self, dofs: IntArray, K_terms: Sequence[Term], M_terms: Sequence[Term]) -> None:
         self.dofs = dofs
-        self.n_parameters = model.n_parameters
-        self.K_terms = _restricted(model.K_terms, dofs)
-        self.M_terms = _restricted(model.M_terms, dofs)
-        self._K_map = CoefficientMap(self.K_terms)
-        self._M_map = CoefficientMap(self.M_terms)
-        self.size = len(dofs)
-        self.n_modes = self.n_trained = _finite_modes(self.M_terms)
-        self.massless = self.n_modes < self.size
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is prepared when needed."""
-        return {name: value for name, value in self.__dict__.items() if name != "_sums"}
-
-    @cached_property
-    def _sums(self) -> tuple[WeightedSum, WeightedSum]:
-        """What puts K and M together."""
-        dense = self.size <= DENSE_LIMIT
-        return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
-
-    def _matrices(self, theta: FloatArray) -> Iterator[tuple[Any, Any]]:
-        """Give K and M at each theta (n, n_parameters) in turn."""
-        K_sum, M_sum = self._sums
-        return zip(map(K_sum, self._K_map(theta)), map(M_sum, self._M_map(theta)), strict=True)
+        self.n_parameters = len(K_terms[0].powers)
+        self._K_map, self._M_map = CoefficientMap(K_terms), CoefficientMap(M_terms)
+        self.constant_mass = all(term.constant for term in M_terms)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and M-normalised shapes (n, size, count) at theta (n, n_parameters).
+        """Return the lowest eigenvalues (n, count) and mass-normalised shapes (n, size, count).
 
-        A theta at which the solver fails gives NaN.
+        At theta (n, n_parameters); NaN where the solver fails.
         """
-        lam = np.full((len(theta), count), np.nan)
-        phi = np.full((len(theta), self.size, count), np.nan)
-        if count == 0:
-            return lam, phi
-        constant_mass, finite = all(term.constant for term in self.M_terms), None
-        for i, (K, M) in enumerate(self._matrices(theta)):
-            if not (_is_finite(K) and _is_finite(M)):
-                continue
-            try:
-                if finite is None or not constant_mass:
-                    finite = rank(M)
-                lam[i], phi[i] = eigen(K, M, count, finite)
-            except SingularMassError:
-                continue
-        return lam, phi
+        raise NotImplementedError
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
-        """Return the lowest eigenvalues, shape (n, count)."""
+        """Return the lowest eigenvalues, shape (n, count), (rad/s)²; NaN where the solver fails."""
         return self.modes(theta, count)[0]
 
     def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂λ/∂θ, shape (n, m, n_parameters), for modes from `modes` (Fox & Kapoor 1968, eq. 5).
+        """Return ∂λ/∂θ, shape (n, m, n_parameters), of modes from `modes` (Fox & Kapoor 1968, eq. 5).
 
         ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1; for simple eigenvalues.
         """
-        gradient = self._K_map.contract(theta, _quadratic_forms(self.K_terms, phi))
-        return gradient - lam[..., None] * self._M_map.contract(theta, _quadratic_forms(self.M_terms, phi))
+        gradient = self._K_map.contract(theta, self._forms(phi, of_mass=False))
+        if self.constant_mass:
+            return gradient
+        return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))
+
+    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
+        """Return φᵀ K_k φ, or φᵀ M_k φ, of every term, shape (n, n_terms, m)."""
+        raise NotImplementedError
+
+    def coordinates(self, rows: Any) -> Any:
+        """Return sparse sensor rows (n_sensors, n) on the block's degrees of freedom as rows on its unknowns."""
+        return rows
+
+    def compressed(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
+        """Return fewer rows and references (_, n_modes), from `coordinates`, with the same norms and products."""
+        return rows, reference
+
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return how shapes are compared with references: a map of shapes (n, size, m), and the references there.
+
+        Parameters
+        ----------
+        rows : sparse, shape (q, n)
+            The coordinates of comparison on the block's degrees of freedom.
+        reference : ndarray, shape (q, n_modes)
+        """
+        raise NotImplementedError
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return `count`."""
+        """Return how many modes `seen` needs to return the lowest `count`, with derivatives if `gradient`."""
         return count
 
     def seen(
@@ -183,62 +212,195 @@ class FullBlock:
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
     ) -> BlockPrediction:
-        """Return the lowest modes as sensors see them, derivatives by a bordered system a mode."""
-        lam, phi = self.modes(theta, count) if solved is None else (solved[0][:, :count], solved[1][:, :, :count])
-        shapes = np.stack([rows @ shape for shape in phi]) if len(phi) else np.empty((0, rows.shape[0], count))
-        if not gradient:
-            return BlockPrediction(lam, shapes)
-        lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
-        shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
-        for i, (K, M) in enumerate(self._matrices(theta)):
-            if not np.all(np.isfinite(phi[i])):
-                continue
-            if self.size > _DENSE_SLOPES:
-                K, M = sp.csc_array(K), sp.csc_array(M)
-            dK, dM = (_slopes_times(terms, theta[i], phi[i]) for terms in (self.K_terms, self.M_terms))
-            for k in range(count):
-                slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
-                shape_slopes[i, :, k] = rows @ slope
-        return BlockPrediction(lam, shapes, lam_slopes, shape_slopes)
+        """Return the lowest modes as sensors see them, with derivatives if `gradient`.
 
-    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-        """Return what takes shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
-        if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
-            return Picked(rows.indices), reference
-        return Mapped(rows.toarray()), reference
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        count : int
+        rows : array or sparse, shape (n_sensors, size)
+            From `coordinates`.
+        gradient : bool
+        solved : tuple of ndarray, optional
+            The result of `modes` for `n_required` modes or more, if it is at hand.
+        """
+        raise NotImplementedError
 
 
-def _finite_modes(M_terms: tuple[Term, ...]) -> int:
-    """Return how many modes of finite frequency a structure has, the rank of M where no term vanishes."""
-    total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
-    try:
-        return rank(total)
-    except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
-        empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
-        return int(np.sum(~empty))
+@dataclass(frozen=True, eq=False)
+class Picked:
+    """Maps shapes (n, size, m) to some of their degrees of freedom (q,); travels to other processes."""
+
+    dofs: IntArray
+
+    def __call__(self, phi: FloatArray) -> FloatArray:
+        """Return the shapes there, (n, q, m)."""
+        return phi[:, self.dofs]
 
 
-def _is_finite(matrix: Any) -> bool:
-    return bool(np.all(np.isfinite(matrix.data if sp.issparse(matrix) else matrix)))
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """Maps shapes (n, size, m) by a matrix (q, size); travels to other processes."""
+
+    matrix: FloatArray
+
+    def __call__(self, phi: FloatArray) -> FloatArray:
+        """Return the shapes there, (n, q, m)."""
+        return self.matrix @ phi
 
 
-def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes (size, m)."""
-    forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
-    return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
+@dataclass(frozen=True)
+class ModalSolution:
+    """Chosen modes of a structure at n parameter vectors.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray, shape (n, m), (rad/s)²; NaN where a solve failed or is not accurate
+    gradient : ndarray, shape (n, m, n_parameters), or None
+    block, rank : ndarray of int, shape (n, m)
+        The mode's block and its number (from 0) within it.
+    """
+
+    eigenvalues: FloatArray
+    gradient: FloatArray | None
+    block: IntArray
+    rank: IntArray
+
+    def columns(self, picked: IntArray) -> ModalSolution:
+        """Return the modes at the given columns alone."""
+        gradient = None if self.gradient is None else self.gradient[:, picked]
+        return ModalSolution(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
 
 
-def _quadratic_forms(terms: tuple[Term, ...], phi: FloatArray) -> FloatArray:
-    """Return φᵀ K_k φ, shape (n, n_terms, m), for shapes (n, size, m)."""
-    return np.stack(
-        [np.stack([np.sum(shape * (term.matrix @ shape), axis=0) for shape in phi]) for term in terms], axis=1
-    )
+@dataclass(frozen=True, eq=False)
+class BlockModel:
+    """A structure as its independent blocks, full (`fmu.fem.modes.full_block.full_model`) or reduced.
+
+    Attributes
+    ----------
+    blocks : tuple of Block
+    n_parameters : int
+    """
+
+    blocks: tuple[Block, ...]
+    n_parameters: int
+
+    @property
+    def n_modes(self) -> int:
+        """How many modes have a finite frequency."""
+        return sum(block.n_modes for block in self.blocks)
+
+    def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> ModalSolution:
+        """Return the lowest `count` modes of the whole structure, ascending over the blocks.
+
+        A reduced block gives only the modes that it was trained for. Where one more of them might have been
+        among the lowest, the row is NaN: the full model is needed there.
+
+        Raises
+        ------
+        ValueError
+            If the structure has fewer modes.
+        """
+        available = sum(min(count, block.n_modes) for block in self.blocks)
+        if not 1 <= count <= available:
+            raise ValueError(f"count: must lie in 1..{available}, the modes of the structure (got {count})")
+        values, slopes = [], []
+        for block in self.blocks:
+            n_trained = min(count, block.n_trained)
+            if gradient:
+                lam, phi = block.modes(theta, n_trained)
+                slopes.append(block.eigenvalue_gradient(theta, lam, phi))
+            else:
+                lam = block.eigenvalues(theta, n_trained)
+            values.append(lam)
+        merged = np.concatenate(values, axis=1)
+        order = np.argsort(merged, axis=1, kind="stable")[:, :count]
+        row = np.arange(len(theta))[:, None]
+        lowest = merged[row, order]
+        known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last: the modes above would move down
+        for block, lam in zip(self.blocks, values, strict=True):
+            if lam.shape[1] < min(count, block.n_modes):
+                known &= lowest[:, -1] < lam[:, -1]
+        if np.count_nonzero(known) < len(known):
+            lowest[~known] = np.nan
+        widths = [lam.shape[1] for lam in values]
+        owner, rank = np.repeat(np.arange(len(widths)), widths), np.concatenate([np.arange(w) for w in widths])
+        chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
+        return ModalSolution(lowest, chosen, owner[order], rank[order])
 
 
-def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
-    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: nothing to have, or to send, twice
-        restricted = terms
-    else:
-        restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
-    nonzero = tuple(t for t in restricted if abs(t.matrix).max() > 0.0)
-    return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), terms[0].powers),)
+class FixedModes:
+    """Fixed ranks of fixed blocks of a model; everything that does not depend on theta is prepared once.
+
+    Parameters
+    ----------
+    model : BlockModel
+    block, rank : sequence of int
+        Of each mode: its block, and its number (from 0) within it.
+    """
+
+    def __init__(self, model: BlockModel, block: Sequence[int], rank: Sequence[int]) -> None:
+        self.block, self.rank = np.array(block), np.array(rank)
+        self._parts: list[tuple[Block, int, Any]] = []
+        columns = []
+        for b in np.unique(self.block):
+            columns.append(np.flatnonzero(self.block == b))
+            ranks = self.rank[columns[-1]]
+            self._parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
+        self._order = np.argsort(np.concatenate(columns))
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
+        """Return these modes at theta (n, n_parameters); eigenvalues alone are cheaper."""
+        values, slopes = [], []
+        for block, count, ranks in self._parts:
+            if gradient:
+                lam, phi = block.modes(theta, count)
+                slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
+            else:
+                lam = block.eigenvalues(theta, count)
+            values.append(lam[:, ranks])
+        labels = self.labels(len(theta))
+        return ModalSolution(self._joined(values), self._joined(slopes) if gradient else None, *labels)
+
+    def labels(self, n: int) -> tuple[IntArray, IntArray]:
+        """Return block and rank for n parameter vectors, shapes (n, m)."""
+        return self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0)
+
+    def _joined(self, parts: list[FloatArray]) -> FloatArray:
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]
+
+
+def _as_slice(indices: IntArray) -> Any:
+    """Return consecutive indices as a slice, which NumPy takes without copying, others as they are."""
+    first = int(indices[0])
+    consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
+    return slice(first, first + len(indices)) if consecutive else indices
+
+
+def single_thread() -> AbstractContextManager[None]:
+    """Return a context in which BLAS uses one thread: many small eigenproblems are slower with more.
+
+    The process has its own setting back afterwards. Where there is one thread already nothing is touched:
+    threadpoolctl's own context takes as long as a reduced eigenproblem.
+    """
+    return _OneThread()
+
+
+class _OneThread:
+    def __enter__(self) -> None:
+        self._limited = [(blas, n) for blas in _libraries() if (n := blas.num_threads) not in (None, 1)]
+        for blas, _ in self._limited:
+            blas.set_num_threads(1)
+
+    def __exit__(self, *exception: object) -> None:
+        for blas, n in self._limited:
+            blas.set_num_threads(n)
+
+
+@cache
+def _libraries() -> tuple[Any, ...]:
+    # NumPy and SciPy each bring a BLAS of their own: both must be loaded before the controller looks for them
+    import numpy.linalg  # noqa: F401
+    import scipy.linalg  # noqa: F401
+
+    return tuple(ThreadpoolController().select(user_api="blas").lib_controllers)

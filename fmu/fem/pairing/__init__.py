@@ -1,4 +1,4 @@
-"""Which computed mode answers a measured one.
+"""Which computed mode answers to a measured one.
 
-Reading order: rules, candidates, prediction, paired_model; paired_black_box for a user's function.
+Reading order: rules, prediction, paired_model; paired_black_box for a user's function, failed_solves for reasons.
 """

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.modal import NEGATIVE, FullBlock
-from fmu.fem.modes.null_space import SingularMassError
-from fmu.fem.modes.terms import coefficients, weighted_sum
-from fmu.fem.modes.threads import single_thread
+from fmu.fem.modes.eigensolver import SingularMassError, eigen
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import NEGATIVE, single_thread
+from fmu.fem.modes.separable import coefficients, weighted_sum
 from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.numbers import significant, typed
 from fmu.types import FloatArray

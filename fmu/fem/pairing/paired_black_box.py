@@ -8,25 +8,27 @@ from typing import Any
 import numpy as np
 
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
-from fmu.fem.modes.memory import Memory
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_model import PAIRINGS, ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import assign
 from fmu.types import FloatArray, IntArray
 
+# What is remembered of a slow function, and what an entry takes beside its numbers, in bytes.
+_MOST_BYTES, _OVERHEAD = 2**28, 300
+
 
 class PairedBlackBox(ModalModel):
-    """The frequencies of a black-box model's modes that answer to the measured ones.
+    """The frequencies of a black-box model's modes that answer to the measured ones; `of` builds one.
 
     Parameters
     ----------
     black_box : BlackBoxModel
+    answer : Answer
+        What the function gives at the start: it tells what the function can give.
     pairing : {"shape", "index"}
         ``"shape"``: by MAC, one to one, where shapes are measured and the function gives them; otherwise, and with
         ``"index"``, by number.
-    start : ndarray, shape (n_parameters,)
-        The function has to work here.
     numbers : tuple of int
         Number (from 1) of each measured mode in the order in which the function returns them.
     shapes : ndarray, shape (n_sensors, n_modes), optional
@@ -42,47 +44,56 @@ class PairedBlackBox(ModalModel):
         Whether the function gives shapes, at as many sensors as were measured.
     solves_per_gradient : int
         What a gradient with its frequencies costs: 1, or 2 n_parameters + 1 by central differences.
-
-    Raises
-    ------
-    ValueError
-        For an unknown pairing, or if the function fails at the start or gives too few modes.
     """
 
     def __init__(
         self,
         black_box: BlackBoxModel,
+        answer: Answer,
         *,
         pairing: str,
-        start: FloatArray,
         numbers: tuple[int, ...],
         shapes: FloatArray | None,
         lower: FloatArray,
         upper: FloatArray,
         scale: FloatArray,
     ) -> None:
-        if pairing not in PAIRINGS:
-            raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
         self.black_box: BlackBoxModel = black_box
         self.name = black_box.name
-        self.n_parameters = black_box.n_parameters
-        self.n_modes = len(numbers)
+        self.n_parameters, self.n_modes = black_box.n_parameters, len(numbers)
         self.numbers = numbers
         self.lower, self.upper, self.scale = lower, upper, scale
         self._memory = Memory()
+        self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
+        self.by_shape = self.reference is not None
+        both = answer.shapes is not None and shapes is not None
+        self._n_sensors = len(shapes) if both and len(answer.shapes) == len(shapes) else None  # type: ignore[arg-type]
+        self.gives_shapes = self._n_sensors is not None
+        self.solves_per_shape_gradient = 2 * self.n_parameters + 1
+        self.solves_per_gradient = 1 if answer.gradient is not None else self.solves_per_shape_gradient
+
+    @classmethod
+    def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
+        """Return a function paired with a measurement; it is called once, at the start (n_parameters,).
+
+        The other parameters are those of the class.
+
+        Raises
+        ------
+        ValueError
+            For an unknown pairing, or if the function fails at the start or gives too few modes.
+        """
+        if pairing not in PAIRINGS:
+            raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
         try:
             answer = black_box.at(start)
-            self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
-            self._columns(answer)
-            has_shapes = answer.shapes is not None and shapes is not None and len(answer.shapes) == len(shapes)
-            self._n_sensors = len(shapes) if has_shapes else None  # type: ignore[arg-type]
-            self.by_shape, self.gives_shapes = self.reference is not None, has_shapes
+            paired = cls(black_box, answer, pairing=pairing, **measured)
+            paired._columns(answer)
         except AnswerError as error:
             raise ValueError(f"model.function: {error} at the start {start.tolist()}") from error
         except ValueError as error:
             raise ValueError(f"model.function: {error}") from error
-        self.solves_per_shape_gradient = 2 * self.n_parameters + 1
-        self.solves_per_gradient = 1 if answer.gradient is not None else self.solves_per_shape_gradient
+        return paired
 
     def __repr__(self) -> str:
         return f"PairedBlackBox({self.black_box!r}, by {'MAC' if self.by_shape else 'number'})"
@@ -224,3 +235,34 @@ class PairedBlackBox(ModalModel):
         with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
         return np.asarray(np.swapaxes(slopes, 1, 2))
+
+
+class Memory:
+    """What a slow function gave at the latest theta; a copy in another process starts empty.
+
+    Parameters
+    ----------
+    most_bytes : int
+        Beyond this size the oldest entries are dropped.
+    """
+
+    def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
+        self.most_bytes = most_bytes
+        self._rows: dict[bytes, FloatArray] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Memory, (self.most_bytes,)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def row(self, theta: FloatArray) -> FloatArray | None:
+        """Return what is known at a theta (n_parameters,), None if nothing is."""
+        return self._rows.get(theta.tobytes())
+
+    def keep(self, theta: FloatArray, row: FloatArray) -> None:
+        """Remember a row."""
+        key = theta.tobytes()
+        if len(self._rows) * (row.nbytes + len(key) + _OVERHEAD) >= self.most_bytes:
+            del self._rows[next(iter(self._rows))]
+        self._rows[key] = row

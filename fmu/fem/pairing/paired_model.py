@@ -10,20 +10,27 @@ import numpy as np
 
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel, Failure
-from fmu.fem.modes.blocks import BlockModel, ModalSolution
-from fmu.fem.modes.modal import frequency_gradient, frequency_hz
+from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel, selection
-from fmu.fem.modes.threads import single_thread
-from fmu.fem.pairing.candidates import SOFTNESS, Candidates, CandidateView, SoftPairing
-from fmu.fem.pairing.prediction import ModalPrediction, SensorView, with_rows
-from fmu.fem.pairing.rules import SPARE, IndexPairing, Pairing, ShapePairing, count_rigid, reference_modes
+from fmu.fem.pairing.prediction import Candidates, CandidateView, ModalPrediction, SensorView, joined, with_rows
+from fmu.fem.pairing.rules import (
+    SOFTNESS,
+    SPARE,
+    IndexPairing,
+    RankPairing,
+    ShapePairing,
+    SoftPairing,
+    count_rigid,
+    reference_modes,
+)
 from fmu.fem.reduced.training import Trained, Training
 from fmu.progress.phases import solved
 from fmu.types import BoolArray, FloatArray, IntArray
 
 PAIRINGS = ("shape", "index")
 SOFT = "soft"
-# Of an array in a batch of reduced solves: 128 MiB.
+# Numbers of an array in a batch of reduced solves: 128 MiB.
 _MOST_NUMBERS = 2**24
 
 
@@ -67,7 +74,7 @@ class ModalModel:
     gives_shapes : bool
         Whether `observed` tells what the sensors see.
     is_soft : bool
-        Whether all candidates answer to every measured mode, with weights (`fmu.fem.pairing.candidates`).
+        Whether all candidates answer to every measured mode, with weights (`fmu.fem.pairing.rules.SoftPairing`).
     by_shape : bool
         Whether modes are paired by MAC, not by number.
     solves_per_gradient, solves_per_shape_gradient : int
@@ -171,48 +178,63 @@ def as_modal_model(given: Any) -> ModalModel:
 
 
 class PairedStructure(ModalModel):
-    """The frequencies of a SeparableModel's modes that answer to the measured ones.
+    """The frequencies of a SeparableModel's modes that answer to the measured ones; `of` builds one.
 
     Parameters
     ----------
     model : SeparableModel
-    pairing : {"shape", "index", "soft"}
-        ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
-        measured, at all translations with the modes of the model at `reference` that the sensors can see.
-        ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates` gives
-        all that might have answered.
-    numbers : tuple of int
-        Number (from 1) of each measured mode.
-    sensors : tuple of (node, direction)
-        What was measured; all translations if empty.
-    reference : ndarray, shape (n_parameters,)
-        The model before updating.
-    shapes : ndarray, shape (n_sensors, n_modes), optional
-        Measured shapes.
-    counterparts : tuple of int, optional
-        Where no shapes were measured: which of the modes at `reference` that the sensors can see, from 1, each
-        measured one answers to; the lowest in ascending order if empty.
-
-    softness : float
-        Temperature of the weights of ``"soft"``: `fmu.fem.pairing.candidates`.
+    full : BlockModel
+        Its unreduced blocks.
+    rule : IndexPairing or ShapePairing
+    n_modes : int
+        How many modes were measured.
+    sensors : sparse, shape (n_sensors, n_dof)
+        From `SeparableModel.observation`.
+    at_sensors : bool
+        Whether the rule compares shapes at the sensors.
 
     Attributes
     ----------
     reduced : BlockModel or None
         Set by `train`: it answers inside the trained box, the full model elsewhere.
+    pairing : IndexPairing, ShapePairing or RankPairing
+        The rule, or fixed ranks where training found it constant.
     confirmed : bool
         Whether training ended because fresh points of the box were within the tolerance.
     full_solves : int
         How often the full model had to answer since `train`.
-
-    Raises
-    ------
-    ValueError
-        For an unknown pairing, a sensor off the model, or modes that the sensors cannot see.
+    softness : float
+        Temperature of the weights of a soft pairing, else 0.
     """
+
+    gives_shapes = True
 
     def __init__(
         self,
+        model: SeparableModel,
+        full: BlockModel,
+        rule: IndexPairing | ShapePairing,
+        n_modes: int,
+        sensors: Any,
+        at_sensors: bool,
+    ) -> None:
+        self.structure: SeparableModel = model
+        self.n_parameters, self.n_modes = model.n_parameters, n_modes
+        self.full, self.rule = full, rule
+        self.by_shape, self.is_soft, self.softness = rule.by_shape, rule.is_soft, rule.softness
+        self.reduced: BlockModel | None = None
+        self.confirmed = True
+        self.full_solves = 0
+        self.pairing: IndexPairing | ShapePairing | RankPairing = rule
+        self._sensors, self._at_sensors = sensors, at_sensors
+        self._solve_full = rule.bind(full)
+        self._see_full = self._see_reduced = SensorView(full, self._solve_full, sensors)
+        if rule.by_shape:
+            self._full_candidates = self._reduced_candidates = CandidateView(full, rule, at_sensors)
+
+    @classmethod
+    def of(
+        cls,
         model: SeparableModel,
         *,
         pairing: str,
@@ -222,50 +244,61 @@ class PairedStructure(ModalModel):
         shapes: FloatArray | None = None,
         counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
-    ) -> None:
+    ) -> PairedStructure:
+        """Return a model paired with a measurement; the reference modes are solved for.
+
+        Parameters
+        ----------
+        model : SeparableModel
+        pairing : {"shape", "index", "soft"}
+            ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
+            measured, at all translations with the modes of the model at `reference` that the sensors can see.
+            ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates`
+            gives all modes that might have answered.
+        numbers : tuple of int
+            Number (from 1) of each measured mode.
+        sensors : tuple of (node, direction)
+            What was measured; all translations if empty.
+        reference : ndarray, shape (n_parameters,)
+            The model before updating.
+        shapes : ndarray, shape (n_sensors, n_modes), optional
+            Measured shapes.
+        counterparts : tuple of int, optional
+            Where no shapes were measured: which of the modes at `reference` that the sensors can see, from 1, each
+            measured one answers to; the lowest in ascending order if empty.
+        softness : float
+            Temperature of the weights of ``"soft"``: `fmu.fem.pairing.rules.SoftPairing`.
+
+        Raises
+        ------
+        ValueError
+            For an unknown pairing, a sensor off the model, or modes that the sensors cannot see.
+        """
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
-        self.structure: SeparableModel = model
-        self.gives_shapes = True
-        self.n_parameters = model.n_parameters
-        self.n_modes = len(numbers)
-        self.full = BlockModel.full(model)
-        self.reduced: BlockModel | None = None
-        self.confirmed = True
-        self.full_solves = 0
-        self.rule: IndexPairing | ShapePairing
-        if self.full.n_modes < self.n_modes:
+        full, n_modes = full_model(model), len(numbers)
+        if full.n_modes < n_modes:
             raise ValueError(
-                f"mass: the {self.n_modes} measured modes need as many of finite frequency: the mass matrix gives "
-                f"{self.full.n_modes}; give mass to more degrees of freedom"
+                f"mass: the {n_modes} measured modes need as many of finite frequency: the mass matrix gives "
+                f"{full.n_modes}; give mass to more degrees of freedom"
             )
+        seen = model.observation(sensors)
+        rule: IndexPairing | ShapePairing
         if pairing == "index":
-            self.rule = IndexPairing(numbers)
-            if max(numbers) > self.full.n_modes:
-                raise ValueError(
-                    f"numbers: must lie in 1..{self.full.n_modes}, the modes of the model (got {numbers})"
-                )
-        elif shapes is not None:
-            with single_thread():
-                rigid = count_rigid(self.full, reference, self.n_modes)
-            self.rule = ShapePairing(model.observation(sensors), shapes, SPARE + rigid)
-        else:
-            rows = selection(model.translations, model.n_dof)
-            seen = model.observation(sensors) if sensors else rows
-            with single_thread():
-                self.rule = reference_modes(self.full, reference, seen, rows, self.n_modes, counterparts)
-        if pairing == SOFT and isinstance(self.rule, ShapePairing):
-            self.rule = SoftPairing(self.rule.rows, self.rule.shapes, self.rule.margin, softness)
-        self.softness = softness
-        self.by_shape, self.is_soft = self.rule.by_shape, self.rule.is_soft
-        self.pairing: Pairing = self.rule
-        self._solve_full = self.rule.bind(self.full)
-        self._sensors = model.observation(sensors)
-        self._at_sensors = shapes is not None
-        # until a reduced model is trained
-        self._see_full = self._see_reduced = SensorView(self.full, self.rule, self._sensors)
-        if isinstance(self.rule, ShapePairing):
-            self._full_candidates = self._reduced_candidates = self._candidates_of(self.full, self.rule)
+            rule = IndexPairing(numbers)
+            if max(numbers) > full.n_modes:
+                raise ValueError(f"numbers: must lie in 1..{full.n_modes}, the modes of the model (got {numbers})")
+            return cls(model, full, rule, n_modes, seen, shapes is not None)
+        with single_thread():
+            if shapes is not None:
+                rule = ShapePairing(seen, shapes, SPARE + count_rigid(full, reference, n_modes))
+            else:
+                rows = selection(model.translations, model.n_dof)
+                visible = seen if sensors else rows
+                rule = reference_modes(full, reference, visible, rows, n_modes, counterparts)
+        if pairing == SOFT:
+            rule = SoftPairing(rule.rows, rule.shapes, rule.margin, softness)
+        return cls(model, full, rule, n_modes, seen, shapes is not None)
 
     def __repr__(self) -> str:
         reduced = "not reduced" if self.reduced is None else f"reduced to {list(self.reduced_sizes)}"
@@ -333,13 +366,15 @@ class PairedStructure(ModalModel):
             if everywhere:
                 modes = self._reduced_modes(theta, gradient)
             else:
-                # the reduced model may overflow far outside its box, where it has no say: the corner stands in
+                # far outside its box the reduced model may overflow: a corner stands in for such points
                 inside = within.all(axis=1, keepdims=True)
                 modes = self._reduced_modes(np.where(inside, theta, self._lower), gradient)
             failed = np.isnan(modes.eigenvalues)
             if everywhere and np.count_nonzero(failed) == 0:
                 return modes
-            return self._repaired(theta, modes, failed.any(axis=1) | ~within.all(axis=1))
+            rows = failed.any(axis=1) | ~within.all(axis=1)
+            self.full_solves += int(np.sum(rows))
+            return with_rows(modes, rows, self._solve_full(theta[rows], gradient))
 
     def within(self, theta: FloatArray) -> BoolArray:
         """Say, shape (n,), where the reduced model answers; nowhere if there is none."""
@@ -376,10 +411,8 @@ class PairedStructure(ModalModel):
         return found, np.repeat(list(counts), list(counts.values())), ranks
 
     def full_modes(self, theta: FloatArray) -> ModalSolution:
-        """Return the modes of the full model, paired by the rule itself: the yardstick of every certificate."""
-        solved(len(theta))
-        with single_thread():
-            return self._solve_full(theta)
+        """Return the modes of the full model, paired by the rule itself: what every certificate compares with."""
+        return self._by_full(self._solve_full, theta)
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
         """Return `frequencies` by the full model."""
@@ -403,26 +436,22 @@ class PairedStructure(ModalModel):
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        return self._looked_at(self._see_reduced, self._see_full, theta, gradient)
+        return self._answered(self._see_reduced, self._see_full, theta, gradient)
 
     def full_observed(self, theta: FloatArray) -> ModalPrediction:
         """Return frequencies and shapes at the sensors by the full model, paired by the rule itself."""
-        solved(len(theta))
-        with single_thread():
-            return self._see_full(theta)
+        return self._by_full(self._see_full, theta)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all modes that might answer to a measured one, at theta (n, n_parameters).
 
         With derivatives if wanted; for a pairing by shape, soft or not.
         """
-        return self._looked_at(self._reduced_candidates, self._full_candidates, theta, gradient)
+        return self._answered(self._reduced_candidates, self._full_candidates, theta, gradient)
 
     def full_seen_candidates(self, theta: FloatArray) -> Candidates:
         """Return all modes that might answer to a measured one by the full model."""
-        solved(len(theta))
-        with single_thread():
-            return self._full_candidates(theta)
+        return self._by_full(self._full_candidates, theta)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
@@ -439,12 +468,9 @@ class PairedStructure(ModalModel):
         """Return a hash of everything that the frequencies depend on."""
         digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
         matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
-        if isinstance(self.rule, ShapePairing):
-            digest.update(repr(self.rule.margin).encode() + np.ascontiguousarray(self.rule.shapes).tobytes())
-            matrices.append(((), self.rule.rows))
-        else:
-            digest.update(repr(self.rule).encode())
-        for powers, matrix in matrices:
+        of_rule, its_matrices = self.rule.identity()
+        digest.update(of_rule)
+        for powers, matrix in (*matrices, *(((), matrix) for matrix in its_matrices)):
             entries = matrix.tocsr()
             digest.update(repr((powers, entries.shape)).encode())
             for part in (entries.indptr, entries.indices, entries.data):
@@ -466,9 +492,9 @@ class PairedStructure(ModalModel):
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
-        self._see_reduced = SensorView(trained.model, trained.pairing, self._sensors)
-        if isinstance(self.rule, ShapePairing):
-            self._reduced_candidates = self._candidates_of(trained.model, self.rule)
+        self._see_reduced = SensorView(trained.model, self._solve_reduced, self._sensors)
+        if self.rule.by_shape:
+            self._reduced_candidates = CandidateView(trained.model, self.rule, self._at_sensors)
         self.full_solves = 0
 
     def _reduced_modes(self, theta: FloatArray, gradient: bool) -> ModalSolution:
@@ -476,22 +502,21 @@ class PairedStructure(ModalModel):
         if len(theta) <= self._at_once:
             return self._solve_reduced(theta, gradient)
         starts = range(0, len(theta), self._at_once)
-        parts = [self._solve_reduced(theta[i : i + self._at_once], gradient) for i in starts]
-        return ModalSolution(
-            np.concatenate([part.eigenvalues for part in parts]),
-            np.concatenate([part.gradient for part in parts]) if gradient else None,
-            np.concatenate([part.block for part in parts]),
-            np.concatenate([part.rank for part in parts]),
-        )
+        return joined([self._solve_reduced(theta[i : i + self._at_once], gradient) for i in starts])
 
-    def _looked_at[Look: (ModalPrediction, Candidates)](
+    def _by_full[Solution](self, solve: Callable[[FloatArray], Solution], theta: FloatArray) -> Solution:
+        solved(len(theta))
+        with single_thread():
+            return solve(theta)
+
+    def _answered[Prediction: (ModalPrediction, Candidates)](
         self,
-        reduced: Callable[[FloatArray, bool], Look],
-        full: Callable[[FloatArray, bool], Look],
+        reduced: Callable[[FloatArray, bool], Prediction],
+        full: Callable[[FloatArray, bool], Prediction],
         theta: FloatArray,
         gradient: bool,
-    ) -> Look:
-        """Return what the reduced model shows, and the full one where that has no say or failed."""
+    ) -> Prediction:
+        """Return the reduced model's prediction, and the full one's outside the trained box and on failure."""
         solved(len(theta))
         with single_thread():
             if self.reduced is None:
@@ -503,17 +528,3 @@ class PairedStructure(ModalModel):
                 return found
             self.full_solves += int(np.sum(rows))
             return with_rows(found, rows, full(theta[rows], gradient))
-
-    def _candidates_of(self, model: BlockModel, rule: ShapePairing) -> CandidateView:
-        return CandidateView(model, rule, self._at_sensors)
-
-    def _repaired(self, theta: FloatArray, modes: ModalSolution, rows: BoolArray) -> ModalSolution:
-        exact = self._solve_full(theta[rows], modes.gradient is not None)
-        self.full_solves += int(np.sum(rows))
-        lam, block, rank = modes.eigenvalues.copy(), modes.block.copy(), modes.rank.copy()
-        lam[rows], block[rows], rank[rows] = exact.eigenvalues, exact.block, exact.rank
-        gradient = None
-        if modes.gradient is not None:
-            gradient = modes.gradient.copy()
-            gradient[rows] = exact.gradient
-        return ModalSolution(lam, gradient, block, rank)

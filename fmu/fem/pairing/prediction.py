@@ -1,24 +1,23 @@
-"""The paired modes of a structure as its sensors see them, with their derivatives."""
+"""What the sensors see of a structure: its paired modes, or all candidates with their MAC."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fmu.fem.modes.blocks import BlockModel
-from fmu.fem.modes.modal import BlockPrediction, frequency_gradient, frequency_hz
-from fmu.fem.pairing.rules import IndexPairing, Observation, PairedSolve, Pairing, RankPairing, ShapePairing
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.fem.modes.modal import Block, BlockModel, BlockPrediction, frequency_gradient, frequency_hz
+from fmu.fem.pairing.rules import PairedSolve, ShapePairing
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-
-Solved = dict[int, tuple[FloatArray, FloatArray]]
-"""Eigenvalues and shapes by block."""
+UNSEEN = 1e-12
+"""Squared length at the sensors, relative to the longest, below which a shape moves by rounding alone."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,30 @@ class ModalPrediction:
     shape_slopes: FloatArray | None = None
 
 
+@dataclass(frozen=True)
+class Candidates:
+    """Modes at n parameter vectors that might answer to m measured ones.
+
+    Attributes
+    ----------
+    frequencies : ndarray, shape (n, k), Hz; NaN where a solve failed
+    shapes : ndarray, shape (n, n_sensors, k)
+        At the sensors where shapes were measured, else empty: n_sensors = 0.
+    mac : ndarray, shape (n, m, k)
+        With the measured shapes or the references; −inf of a mode that moves none of the coordinates compared.
+    frequency_slopes : ndarray, shape (n, k, n_parameters), or None
+    shape_slopes : ndarray, shape (n, n_sensors, k, n_parameters), or None
+    mac_slopes : ndarray, shape (n, m, k, n_parameters), or None
+    """
+
+    frequencies: FloatArray
+    shapes: FloatArray
+    mac: FloatArray
+    frequency_slopes: FloatArray | None = None
+    shape_slopes: FloatArray | None = None
+    mac_slopes: FloatArray | None = None
+
+
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
     """Return a dataclass of arrays (n, …) with those of `other` in the rows given; None stays None."""
     replaced = {}
@@ -52,49 +75,46 @@ def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: 
     return type(batch)(**replaced)
 
 
+def joined[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
+    """Return dataclasses of arrays (n, …) one below the other; None stays None."""
+    columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
+    return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
+
+
 class SensorView:
-    """A model, full or reduced, with its pairing and the sensors that look at it.
+    """The paired modes of a model, full or reduced, as its sensors see them.
 
     Parameters
     ----------
     model : BlockModel
-    pairing : Pairing
+    solve : PairedSolve
+        The pairing bound to the model.
     sensors : scipy.sparse.csr_array, shape (n_sensors, n_dof)
-        See `fmu.fem.modes.separable.SeparableModel.observation`.
+        From `fmu.fem.modes.separable.SeparableModel.observation`.
     """
 
-    def __init__(self, model: BlockModel, pairing: Pairing, sensors: Any) -> None:
-        self.model, self.pairing, self._sensors = model, pairing, sensors
-        self._n_sensors = sensors.shape[0]
+    def __init__(self, model: BlockModel, solve: PairedSolve, sensors: Any) -> None:
+        self.model, self._solve, self._sensors = model, solve, sensors
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is prepared when needed."""
-        prepared = ("_solve", "_compared", "_rows")
-        return {name: value for name, value in self.__dict__.items() if name not in prepared}
-
-    # prepared when they are first needed: many problems have no errors of shapes, and never look
-
-    @cached_property
-    def _solve(self) -> PairedSolve:
-        return self.pairing.bind(self.model)
-
-    @cached_property
-    def _compared(self) -> dict[int, Observation]:
-        return self.pairing.observe(self.model) if isinstance(self.pairing, ShapePairing) else {}
+        return {name: value for name, value in self.__dict__.items() if name != "_rows"}
 
     @cached_property
     def _rows(self) -> list[Any]:
-        return [self._sensors[:, block.dofs] for block in self.model.blocks]
+        """The sensors on each block; many problems have no errors of shapes, and never need them."""
+        return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return what the sensors see at theta (n, n_parameters)."""
-        block, rank, solved = self._paired(theta, gradient)
+        """Return what the sensors see at theta (n, n_parameters), with derivatives if `gradient`."""
+        block, rank, solved = self._solve.located(theta, gradient)
         n, m = block.shape
-        p = self.model.n_parameters
-        seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, self._n_sensors, m), np.nan))
+        q, p = self._sensors.shape[0], self.model.n_parameters
+        seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, q, m), np.nan))
         if gradient:
-            slopes = np.full((n, m, p), np.nan), np.full((n, self._n_sensors, m, p), np.nan)
-            seen = seen._replace(eigenvalue_slopes=slopes[0], shape_slopes=slopes[1])
+            seen = seen._replace(
+                eigenvalue_slopes=np.full((n, m, p), np.nan), shape_slopes=np.full((n, q, m, p), np.nan)
+            )
         for b in np.unique(block[block >= 0]):
             row, column = np.nonzero(block == b)
             ranks = rank[row, column]
@@ -106,38 +126,90 @@ class SensorView:
                 seen.eigenvalue_slopes[row, column] = found.eigenvalue_slopes[row, ranks]  # type: ignore[index]
                 seen.shape_slopes[row, :, column] = found.shape_slopes[row, :, ranks]  # type: ignore[index]
         frequencies = frequency_hz(seen.eigenvalues)
-        if not gradient:
+        if seen.eigenvalue_slopes is None:
             return ModalPrediction(frequencies, seen.shapes)
-        assert seen.eigenvalue_slopes is not None  # narrowed for the type checker: asked for above
         slopes_hz = frequency_gradient(frequencies, seen.eigenvalue_slopes)
         return ModalPrediction(frequencies, seen.shapes, slopes_hz, seen.shape_slopes)
 
-    def _paired(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved on the way.
 
-        Block and rank are −1 in rows where a solve failed.
+class _View(NamedTuple):
+    """A block, how many modes it offers, the coordinates of comparison, and the references there."""
+
+    block: Block
+    n_candidates: int
+    rows: Any
+    reference: FloatArray
+
+
+class CandidateView:
+    """All modes of a model, full or reduced, that might answer to a measured one.
+
+    Parameters
+    ----------
+    model : BlockModel
+    rule : ShapePairing
+    at_sensors : bool
+        Whether the rule compares at the sensors, so that shapes there are of use beside their MAC. Where they are
+        not, a reduced block is compared in a basis of all that it can show.
+    """
+
+    def __init__(self, model: BlockModel, rule: ShapePairing, at_sensors: bool) -> None:
+        self._model, self._rule, self._at_sensors = model, rule, at_sensors
+        self._reference_size = np.sum(rule.shapes**2, axis=0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is prepared when needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_views"}
+
+    @cached_property
+    def _views(self) -> list[_View]:
+        views = []
+        for b in self._rule.observe(self._model):
+            block = self._model.blocks[b]
+            rows, reference = block.coordinates(self._rule.rows[:, block.dofs]), self._rule.shapes
+            if not self._at_sensors:
+                rows, reference = block.compressed(rows, reference)
+            views.append(_View(block, self._rule.n_candidates(self._model, b), rows, reference))
+        return views
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> Candidates:
+        """Return the candidates at theta (n, n_parameters), with derivatives if `gradient`."""
+        parts = [self._of_block(view, theta, gradient) for view in self._views]
+        names = [field.name for field in fields(Candidates)][: None if gradient else 3]
+        # the candidates are on the second axis of frequencies and their slopes, on the third of all others
+        axes = {"frequencies": 1, "frequency_slopes": 1}
+        return Candidates(
+            **{name: np.concatenate([getattr(p, name) for p in parts], axis=axes.get(name, 2)) for name in names}
+        )
+
+    def _of_block(self, view: _View, theta: FloatArray, gradient: bool) -> Candidates:
+        seen = view.block.seen(theta, view.n_candidates, view.rows, gradient)
+        kept = slice(None) if self._at_sensors else slice(0)
+        f = frequency_hz(seen.eigenvalues)
+        mac, mac_slopes = self._alike(view, seen)
+        if seen.eigenvalue_slopes is None or seen.shape_slopes is None:
+            return Candidates(f, seen.shapes[:, kept], mac)
+        slopes = frequency_gradient(f, seen.eigenvalue_slopes)
+        return Candidates(f, seen.shapes[:, kept], mac, slopes, seen.shape_slopes[:, kept], mac_slopes)
+
+    def _alike(self, view: _View, seen: BlockPrediction) -> tuple[FloatArray, FloatArray | None]:
+        """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), with slopes if those of shapes are known.
+
+        With c = ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
         """
-        fixed = self._fixed()
-        if fixed is not None:
-            block, rank = np.array(fixed.block), np.array(fixed.rank)
-            return np.tile(block, (len(theta), 1)), np.tile(rank, (len(theta), 1)), {}
-        if not isinstance(self.pairing, ShapePairing):
-            modes = self._solve(theta)
-            failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
-            return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
-        solved, shapes = {}, {}
-        for b in self._compared:
-            n_candidates = self.pairing.n_candidates(self.model, b)
-            solved[b] = self.model.blocks[b].modes(theta, self.model.blocks[b].n_required(n_candidates, gradient))
-            shapes[b] = solved[b][1][:, :, :n_candidates]
-        block, rank, _ = self.pairing.assigned(self._compared, shapes)
-        values = [lam[:, : shapes[b].shape[2]] for b, (lam, _) in solved.items()]
-        failed = np.isnan(np.concatenate(values, axis=1)).any(axis=1, keepdims=True)
-        return np.where(failed, -1, block), np.where(failed, -1, rank), solved
-
-    def _fixed(self) -> RankPairing | None:
-        """Return the pairing if it is the same everywhere: in a single block a number is a rank."""
-        if isinstance(self.pairing, IndexPairing) and len(self.model.blocks) == 1:
-            numbers = self.pairing.numbers
-            return RankPairing((0,) * len(numbers), tuple(number - 1 for number in numbers))
-        return self.pairing if isinstance(self.pairing, RankPairing) else None
+        phi, psi = np.ascontiguousarray(seen.shapes), view.reference
+        length = np.sum(phi**2, axis=1)
+        unseen = (length <= UNSEEN * np.max(length, axis=1, keepdims=True))[:, None]
+        length = np.where(unseen[:, 0], 1.0, length)[:, None]
+        cross = psi.T @ phi
+        scale = self._reference_size[:, None] * length
+        mac = cross**2 / scale
+        alike = np.where(unseen, -np.inf, mac)
+        if seen.shape_slopes is None:
+            return alike, None
+        n, q, k, p = seen.shape_slopes.shape
+        d_phi = np.ascontiguousarray(seen.shape_slopes)
+        d_cross = (psi.T @ d_phi.reshape(n, q, k * p)).reshape(n, -1, k, p)
+        half_d_length = np.sum(phi[..., None] * d_phi, axis=1)[:, None]
+        slopes = 2.0 * (cross / scale)[..., None] * d_cross - 2.0 * (mac / length)[..., None] * half_d_length
+        return alike, np.where(unseen[..., None], 0.0, slopes)

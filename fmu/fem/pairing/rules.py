@@ -10,71 +10,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
-from fmu.fem.modes.blocks import Block, BlockModel, ModalSolution
-from fmu.fem.modes.modal import is_rigid
+from fmu.fem.modes.modal import BlockModel, FixedModes, ModalSolution, is_rigid
 from fmu.types import FloatArray, IntArray
 
 SPARE = 3
 """How many modes beyond the highest reference of a block may be candidates."""
+SOFTNESS = 0.02
+"""Temperature τ of the weights exp(MAC/τ): a shape that is nothing like the measured one costs 1/τ = 50 nats."""
+AT_ONCE = 16
+"""Points whose shapes are compared at once: it bounds the memory."""
 
 # what maps a block's shapes to the coordinates of comparison, and the reference shapes there
 Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
+Solved = dict[int, tuple[FloatArray, FloatArray]]
+"""Eigenvalues and shapes by block."""
 
 
 class PairedSolve(Protocol):
-    """A pairing rule bound to a model: solve at theta (n, n_parameters), and pick the measured modes."""
+    """A pairing bound to a model: it solves at theta (n, n_parameters) and picks the measured modes."""
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
         ...
 
+    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+        """Return block and rank of the paired modes, (n, n_modes), and the blocks solved to find them.
 
-class Pairing(Protocol):
-    """A rule that picks one computed mode for each measured one.
-
-    Attributes
-    ----------
-    is_constant : bool
-        Whether it picks the same mode of the same block at every theta.
-    """
-
-    is_constant: ClassVar[bool]
-
-    def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver that pairs the modes of `model`."""
+        Block and rank are −1 in rows where a solve failed. With `gradient` as many modes are solved for as
+        `Block.seen` needs for derivatives.
+        """
         ...
-
-
-@dataclass(frozen=True)
-class IndexPairing:
-    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum."""
-
-    numbers: tuple[int, ...]
-    name: ClassVar[str] = "index"
-    by_shape: ClassVar[bool] = False
-    is_soft: ClassVar[bool] = False
-    is_constant: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
-            raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
-
-    def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
-        return partial(self._pair, model)
-
-    def counts(self, model: BlockModel) -> dict[int, int]:
-        """Return how many of the lowest modes of which blocks may be among those paired."""
-        return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
-
-    def _pair(self, model: BlockModel, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        picked = np.array(self.numbers) - 1
-        return model.spectrum(theta, max(self.numbers), gradient).columns(picked)
 
 
 @dataclass(frozen=True)
@@ -87,45 +56,69 @@ class RankPairing:
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
-        return _RankSolve(self, model)
+        return _RankSolve(model, self.block, self.rank)
 
 
-class _RankSolve:
-    """Fixed ranks of fixed blocks of a model; everything that does not depend on theta is prepared once."""
+class _RankSolve(FixedModes):
+    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+        return *self.labels(len(theta)), {}
 
-    def __init__(self, pairing: RankPairing, model: BlockModel) -> None:
-        self.n_parameters = model.n_parameters
-        self.block, self.rank = np.array(pairing.block), np.array(pairing.rank)
-        self.parts: list[tuple[Block, int, Any]] = []
-        columns = []
-        for b in np.unique(self.block):
-            columns.append(np.flatnonzero(self.block == b))
-            ranks = self.rank[columns[-1]]
-            self.parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
-        self.order = np.argsort(np.concatenate(columns))
+
+@dataclass(frozen=True)
+class IndexPairing:
+    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum."""
+
+    numbers: tuple[int, ...]
+    name: ClassVar[str] = "index"
+    by_shape: ClassVar[Literal[False]] = False
+    is_soft: ClassVar[bool] = False
+    softness = 0.0
+    is_constant: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if not self.numbers or min(self.numbers) < 1 or len(set(self.numbers)) < len(self.numbers):
+            raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
+
+    def bind(self, model: BlockModel) -> PairedSolve:
+        """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
+        return _IndexSolve(self, model)
+
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return how many of the lowest modes of which blocks may be among those paired."""
+        return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
+
+    def needed(
+        self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
+    ) -> tuple[RankPairing | None, dict[int, int]]:
+        """Return None, and how many modes of each block the pairing needs; see `ShapePairing.needed`."""
+        values = [eigenvalues[b] for b in sorted(eigenvalues)]
+        highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.numbers) - 1]
+        # one mode more than was ever among the lowest: it shows that none is missing
+        counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
+        return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
+
+    def identity(self) -> tuple[bytes, tuple[Any, ...]]:
+        """Return what identifies the rule beside its name: bytes, and sparse matrices."""
+        return repr(self).encode(), ()
+
+
+@dataclass(frozen=True)
+class _IndexSolve:
+    pairing: IndexPairing
+    model: BlockModel
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        values, slopes = [], []
-        for block, count, ranks in self.parts:
-            if gradient:
-                lam, phi = block.modes(theta, count)
-                slopes.append(block.eigenvalue_gradient(theta, lam[:, ranks], phi[:, :, ranks]))
-            else:
-                lam = block.eigenvalues(theta, count)
-            values.append(lam[:, ranks])
-        n = len(theta)
-        labels = self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0)
-        return ModalSolution(self._joined(values), self._joined(slopes) if gradient else None, *labels)
+        numbers = self.pairing.numbers
+        return self.model.spectrum(theta, max(numbers), gradient).columns(np.array(numbers) - 1)
 
-    def _joined(self, parts: list[FloatArray]) -> FloatArray:
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self.order]
-
-
-def _as_slice(indices: IntArray) -> Any:
-    """Return consecutive indices as the slice that NumPy takes without copying, others as they are."""
-    first = int(indices[0])
-    consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
-    return slice(first, first + len(indices)) if consecutive else indices
+    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+        numbers = self.pairing.numbers
+        if len(self.model.blocks) == 1:  # a number is a rank: nothing to solve for
+            rank = np.tile(np.array(numbers) - 1, (len(theta), 1))
+            return np.zeros_like(rank), rank, {}
+        modes = self(theta)
+        failed = np.isnan(modes.eigenvalues).any(axis=1, keepdims=True)
+        return np.where(failed, -1, modes.block), np.where(failed, -1, modes.rank), {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,35 +141,14 @@ class ShapePairing:
     shapes: FloatArray
     margin: int = SPARE
     name: ClassVar[str] = "shape"
-    by_shape: ClassVar[bool] = True
+    by_shape: ClassVar[Literal[True]] = True
     is_soft: ClassVar[bool] = False
+    softness = 0.0
     is_constant: ClassVar[bool] = False
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""
-        return partial(self._pair, model, self.observe(model))
-
-    def _pair(
-        self,
-        model: BlockModel,
-        observed: Mapping[int, Observation],
-        theta: FloatArray,
-        gradient: bool = False,
-    ) -> ModalSolution:
-        values, shapes = {}, {}
-        for b in observed:
-            values[b], shapes[b] = model.blocks[b].modes(theta, self.n_candidates(model, b))
-        block, rank, column = self.assigned(observed, shapes)
-        merged = np.concatenate(list(values.values()), axis=1)
-        # a block that failed must not leave its references to the others
-        merged[np.any(np.isnan(merged), axis=1)] = np.nan
-        lam = np.take_along_axis(merged, column, axis=1)
-        if not gradient:
-            return ModalSolution(lam, None, block, rank)
-        slopes = np.concatenate(
-            [model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in observed], axis=1
-        )
-        return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+        return _ShapeSolve(self, model)
 
     def n_candidates(self, model: BlockModel, b: int) -> int:
         """Return how many modes block `b` offers as candidates."""
@@ -196,18 +168,36 @@ class ShapePairing:
                 observed[b] = block.observe(seen[inside], self.shapes[inside])
         return observed
 
-    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return the assignment by MAC as fixed ranks if it is the same at every theta sampled, else None.
+    def needed(
+        self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
+    ) -> tuple[RankPairing | None, dict[int, int]]:
+        """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed.
 
         Parameters
         ----------
+        model : BlockModel
+        eigenvalues : mapping of int to ndarray, shape (n, n_candidates)
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
-            Modes of each observed block at points that cover the parameter box, its corners among them.
+            Modes of each block of `counts` at points that cover the parameter box, its corners among them.
         """
-        block, rank, _ = self.assigned(self.observe(model), shapes)
-        if np.any(block != block[0]) or np.any(rank != rank[0]):
-            return None
-        return RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
+        fixed = self.constant(model, shapes)
+        if fixed is None:
+            return None, {b: lam.shape[1] for b, lam in eigenvalues.items()}
+        ranks = list(zip(fixed.block, fixed.rank, strict=True))
+        return fixed, {b: 1 + max(r for owner, r in ranks if owner == b) for b in fixed.block}
+
+    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+        """Return the assignment by MAC as fixed ranks if it is the same at every theta sampled, else None."""
+        observed = self.observe(model)
+        found: RankPairing | None = None
+        for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):
+            part = {b: of_block[first : first + AT_ONCE] for b, of_block in shapes.items()}
+            block, rank, _ = self.assigned(observed, part)
+            fixed = RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
+            if np.any(block != block[0]) or np.any(rank != rank[0]) or found not in (None, fixed):
+                return None
+            found = fixed
+        return found
 
     def assigned(
         self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
@@ -217,7 +207,7 @@ class ShapePairing:
         Parameters
         ----------
         observed : mapping of int to Observation
-            As `observe` returns it.
+            From `observe`.
         shapes : mapping of int to ndarray, shape (n, size, n_candidates)
             Modes of each of these blocks.
         """
@@ -231,6 +221,69 @@ class ShapePairing:
             label += [(b, r) for r in range(seen.shape[2])]
         column = assign(np.nan_to_num(np.concatenate(similarity, axis=2)))
         return np.array(label)[column, 0], np.array(label)[column, 1], column
+
+    def identity(self) -> tuple[bytes, tuple[Any, ...]]:
+        """Return what identifies the rule beside its name: bytes, and sparse matrices."""
+        return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
+
+
+@dataclass(frozen=True, eq=False)
+class SoftPairing(ShapePairing):
+    """Every candidate answers to every measured mode, with the weight exp(MAC/τ) over the sum of all.
+
+    Solved as `ShapePairing`, it gives the modes of the one-to-one assignment. It is never constant: all candidates
+    are needed everywhere.
+
+    Attributes
+    ----------
+    softness : float
+        τ.
+    """
+
+    softness: float = SOFTNESS
+    name: ClassVar[str] = "soft"
+    is_soft: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.softness) and self.softness > 0.0):
+            raise ValueError(f"softness: must be positive and finite (got {self.softness})")
+
+    def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
+        """Return None."""
+        return None
+
+
+class _ShapeSolve:
+    def __init__(self, pairing: ShapePairing, model: BlockModel) -> None:
+        self.pairing, self.model = pairing, model
+        self.observed = pairing.observe(model)
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
+        values, shapes = {}, {}
+        for b in self.observed:
+            values[b], shapes[b] = self.model.blocks[b].modes(theta, self.pairing.n_candidates(self.model, b))
+        block, rank, column = self.pairing.assigned(self.observed, shapes)
+        merged = np.concatenate(list(values.values()), axis=1)
+        # a block that failed must not leave its references to the others
+        merged[np.any(np.isnan(merged), axis=1)] = np.nan
+        lam = np.take_along_axis(merged, column, axis=1)
+        if not gradient:
+            return ModalSolution(lam, None, block, rank)
+        slopes = np.concatenate(
+            [self.model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in self.observed], axis=1
+        )
+        return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
+
+    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+        solved, values, shapes = {}, [], {}
+        for b in self.observed:
+            block, count = self.model.blocks[b], self.pairing.n_candidates(self.model, b)
+            lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
+            values.append(lam[:, :count])
+            shapes[b] = phi[:, :, :count]
+        owner, rank, _ = self.pairing.assigned(self.observed, shapes)
+        failed = np.isnan(np.concatenate(values, axis=1)).any(axis=1, keepdims=True)
+        return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
 
 
 def reference_modes(

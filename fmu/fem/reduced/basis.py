@@ -20,9 +20,9 @@ import numpy as np
 import scipy.linalg as sl
 
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
-from fmu.fem.modes.modal import BlockPrediction, FullBlock
-from fmu.fem.modes.shape_maps import Mapped
-from fmu.fem.modes.terms import CoefficientMap, Term
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import Block, BlockPrediction, CoefficientMap, Mapped
+from fmu.fem.modes.separable import Term
 from fmu.types import FloatArray
 
 # A term that touches few of more degrees of freedom than this is projected by its own rows alone.
@@ -33,7 +33,7 @@ _PARTIAL = 128
 _FINITE = 1e-14
 
 
-class ReducedBlock:
+class ReducedBlock(Block):
     """One block of a structure, projected onto a basis and solved in batches.
 
     Parameters
@@ -62,18 +62,13 @@ class ReducedBlock:
     is_reduced = True
 
     def __init__(self, block: FullBlock, basis: FloatArray, n_trained: int) -> None:
-        self.dofs = block.dofs
+        super().__init__(block.dofs, block.K_terms, block.M_terms)
         self.basis = basis
         self.size = basis.shape[1]
         self.n_trained = n_trained
         self.n_modes = min(block.n_modes, self.size)
-        self.massless = block.n_modes < block.size
-        self.n_parameters = block.n_parameters
+        self.massless = block.massless
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
-        self._K_map = CoefficientMap(block.K_terms)
-        self._M_map = CoefficientMap(block.M_terms)
-        # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
-        self.constant_mass = all(term.constant for term in block.M_terms)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is another view of the same numbers."""
@@ -96,6 +91,7 @@ class ReducedBlock:
         if self.massless:
             return self.modes(theta, count)[0]
         A = _assemble(self._K, self._K_map(theta))
+        # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
         if not self.constant_mass:
             A = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))[0]
         return _row_by_row(_values, A)[0][:, :count]
@@ -116,16 +112,20 @@ class ReducedBlock:
         lam, y = _row_by_row(solve, A)
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
-    def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂λ/∂θ, shape (n, m, n_parameters), from the reduced terms (Fox & Kapoor 1968, eq. 5)."""
-        gradient = self._K_map.contract(theta, self._forms(self._K_rows, phi))
-        if not self.constant_mass:
-            gradient -= lam[..., None] * self._M_map.contract(theta, self._forms(self._M_rows, phi))
-        return gradient
-
     def n_required(self, count: int, gradient: bool) -> int:
         """Return how many modes `seen` takes: for the derivatives all of them, where all are finite."""
         return self.size if gradient and not self.massless else count
+
+    def coordinates(self, rows: Any) -> Any:
+        """Return sensor rows on the basis, a dense array."""
+        return rows @ self.basis
+
+    def compressed(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
+        """Return rows and references in an orthonormal basis of all that the block can show there."""
+        if len(rows) <= self.size:
+            return rows, reference
+        Q, R = np.linalg.qr(rows)
+        return R, Q.T @ reference
 
     def seen(
         self,
@@ -135,26 +135,15 @@ class ReducedBlock:
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
     ) -> BlockPrediction:
-        """Return the lowest modes as sensors see them, derivatives as sums over all modes of the basis."""
-        return self.seen_in_basis(theta, count, rows @ self.basis, gradient, solved)
-
-    def seen_in_basis(
-        self,
-        theta: FloatArray,
-        count: int,
-        sensors: FloatArray,
-        gradient: bool = False,
-        solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> BlockPrediction:
-        """Return `seen` for sensors that are given by what they see of the basis, shape (n_sensors, size)."""
+        """Return the lowest modes as sensors see them; derivatives as sums over all modes of the basis."""
         lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
         if not gradient:
-            return BlockPrediction(lam[:, :count], sensors @ phi[:, :, :count])
+            return BlockPrediction(lam[:, :count], rows @ phi[:, :, :count])
         if self.massless:
             lam, phi = lam[:, :count], phi[:, :, :count]
             slopes = self._bordered_slopes(theta, lam, phi)
             lam_slopes = self.eigenvalue_gradient(theta, lam, phi)
-            return BlockPrediction(lam, sensors @ phi, lam_slopes, _seen_slopes(sensors, slopes))
+            return BlockPrediction(lam, rows @ phi, lam_slopes, _seen_slopes(rows, slopes))
         dK, dM = (
             self._slopes(theta, coefficient, matrices, phi, count)
             for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
@@ -162,9 +151,7 @@ class ReducedBlock:
         i = np.arange(count)
         slopes = by_all_modes(lam, phi, dK, dM, count)
         lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
-        return BlockPrediction(
-            lam[:, :count], sensors @ phi[:, :, :count], lam_slopes, _seen_slopes(sensors, slopes)
-        )
+        return BlockPrediction(lam[:, :count], rows @ phi[:, :, :count], lam_slopes, _seen_slopes(rows, slopes))
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
         """Return ∂φ, shape (n, r, m, n_parameters), a mode at a time; NaN where its eigenvalue is repeated."""
@@ -192,19 +179,16 @@ class ReducedBlock:
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
-        seen = rows @ self.basis
-        if len(seen) <= self.size:
-            return Mapped(seen), reference
-        Q, R = np.linalg.qr(seen)
-        return Mapped(R), Q.T @ reference
+        seen, reference = self.compressed(self.coordinates(rows), reference)
+        return Mapped(seen), reference
 
     def _set_terms(self, K: FloatArray, M: FloatArray) -> None:
         self._K, self._M = K, M
         self._K_rows, self._M_rows = K.reshape(-1, K.shape[-1]), M.reshape(-1, M.shape[-1])
 
-    def _forms(self, rows: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return φᵀ K_k φ, shape (n, n_terms, m), for symmetric K_k one below the other in `rows`."""
+    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
         n, r, m = phi.shape
+        rows = self._M_rows if of_mass else self._K_rows  # the symmetric terms one below the other
         shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
         products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fmu.fem.modes.modal import RIGID, FullBlock, frequency_hz, is_rigid
-from fmu.fem.modes.terms import coefficients, weighted_sum
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import RIGID, frequency_hz, is_rigid
+from fmu.fem.modes.separable import coefficients, weighted_sum
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import FloatArray, IntArray
 

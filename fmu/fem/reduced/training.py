@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from fmu.engines.base import Engine, InProcess
-from fmu.fem.modes.blocks import Block, BlockModel
-from fmu.fem.modes.modal import FullBlock
-from fmu.fem.modes.null_space import DENSE_LIMIT
-from fmu.fem.pairing.rules import IndexPairing, Pairing, RankPairing, ShapePairing
+from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import Block, BlockModel
+from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.snapshots import (
     AT_ONCE,
@@ -43,7 +43,7 @@ def affordable(n_dof: int) -> int:
 
     A reduced solve takes about 60 ns · r², more from r = 1000 on, and a sparse full one about 30 µs a degree of
     freedom (results/scale.md): at 12 √n the first is a third of the second. Dense blocks, up to
-    `fmu.fem.modes.null_space.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
+    `fmu.fem.modes.eigensolver.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
@@ -55,14 +55,14 @@ class Trained:
     Attributes
     ----------
     model : BlockModel
-    pairing : Pairing
+    pairing : IndexPairing, ShapePairing or RankPairing
     lower, upper : ndarray, shape (n_parameters,)
     confirmed : bool
         Whether fresh points of the box were all within the tolerance, those of all candidate modes.
     """
 
     model: BlockModel
-    pairing: Pairing
+    pairing: IndexPairing | ShapePairing | RankPairing
     lower: FloatArray
     upper: FloatArray
     confirmed: bool = True
@@ -102,7 +102,7 @@ class Training:
         self.n_sobol = n_sobol
         self._engine = engine or InProcess()
         self.snapshots: dict[int, Snapshots] = {}
-        self.pairing: Pairing = rule
+        self.fixed: RankPairing | None = None
         self.basis: dict[int, FloatArray] = {}
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
@@ -138,8 +138,8 @@ class Training:
     def state(self) -> dict[str, FloatArray]:
         """Return the outcome as arrays."""
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
-        if isinstance(self.pairing, RankPairing):
-            state["pairing"] = np.array([self.pairing.block, self.pairing.rank], dtype=float)
+        if self.fixed is not None:
+            state["pairing"] = np.array([self.fixed.block, self.fixed.rank], dtype=float)
         for b, basis in self.basis.items():
             state[f"basis{b}"] = basis
             state[f"n_trained{b}"] = np.array(float(self.n_trained[b]))
@@ -153,7 +153,7 @@ class Training:
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
         if "pairing" in state:
             block, rank = state["pairing"].astype(int).tolist()
-            training.pairing = RankPairing(tuple(block), tuple(rank))
+            training.fixed = RankPairing(tuple(block), tuple(rank))
         for b in range(len(full.blocks)):
             if f"basis{b}" in state:
                 training.basis[b] = state[f"basis{b}"]
@@ -165,7 +165,7 @@ class Training:
         for b, basis in self.basis.items():
             blocks[b] = ReducedBlock(self._block(b), basis, self.n_trained[b])
         model = BlockModel(tuple(blocks), self.full.n_parameters)
-        return Trained(model, self.pairing, self.lower, self.upper, self.confirmed)
+        return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed)
 
     def _solved(self, theta: FloatArray) -> dict[int, Snapshots]:
         """Solve the blocks that the rule looks at, for all modes that might be needed."""
@@ -177,38 +177,14 @@ class Training:
             solved(len(theta))
         return {b: Snapshots.joined(list(islice(outcome, len(parts)))) for b in counts}
 
-    def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[Pairing, dict[int, int]]:
-        """Return the pairing in its cheapest exact form, and how many modes of each block it needs."""
-        if isinstance(self.rule, ShapePairing):
-            rank = self._constant(snapshots)
-            if rank is None:
-                return self.rule, {b: s.eigenvalues.shape[1] for b, s in snapshots.items()}
-            needed = {
-                b: 1 + max(r for o, r in zip(rank.block, rank.rank, strict=True) if o == b) for b in rank.block
-            }
-            return rank, needed
-        values = [snapshots[b].eigenvalues for b in sorted(snapshots)]
-        highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.rule.numbers) - 1]
-        # one mode more than was ever among the lowest: it shows that none is missing
-        counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
-        return self.rule, {
-            b: min(c, snapshots[b].eigenvalues.shape[1]) for b, c in zip(sorted(snapshots), counts, strict=True)
-        }
-
-    def _constant(self, snapshots: dict[int, Snapshots]) -> RankPairing | None:
-        """Return the rule's assignment as fixed ranks if it is the same at every theta; a few theta at a time."""
-        found: RankPairing | None = None
-        for parts in zip(*(s.parts(AT_ONCE) for s in snapshots.values()), strict=True):
-            shapes = {b: part.shapes for b, part in zip(snapshots, parts, strict=True)}
-            rank = self.rule.constant(self.full, shapes)  # type: ignore[union-attr]
-            if rank is None or found not in (None, rank):
-                return None
-            found = rank
-        return found
+    def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[RankPairing | None, dict[int, int]]:
+        """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
+        eigenvalues = {b: s.eigenvalues for b, s in snapshots.items()}
+        return self.rule.needed(self.full, eigenvalues, {b: s.shapes for b, s in snapshots.items()})
 
     def _compress(self, share: float = 1.0) -> None:
         """Make the basis as small as the `share` of the tolerance allows at the points that are known."""
-        self.pairing, self.n_trained = self._needed(self.snapshots)
+        self.fixed, self.n_trained = self._needed(self.snapshots)
         tolerance = share * self.tolerance
         self.basis = {b: self._compressed(b, needed, tolerance) for b, needed in self.n_trained.items()}
 
@@ -235,8 +211,8 @@ class Training:
         return smallest_basis(ReducedBlock(block, largest, needed), acceptable, smallest).basis
 
     def _good_for(self, fresh: dict[int, Snapshots]) -> bool:
-        pairing, needed = self._needed(fresh)
-        if isinstance(self.pairing, RankPairing) and pairing != self.pairing:
+        fixed, needed = self._needed(fresh)
+        if self.fixed is not None and fixed != self.fixed:
             return False
         for b, n_trained in self.n_trained.items():
             if needed[b] > n_trained:
@@ -252,8 +228,8 @@ class Training:
             s.eigenvalues.shape[0] * self.n_trained[b] > MANY_SHAPES and self._block(b).size > LARGE
             for b, s in self.snapshots.items()
         )
-        pairing, needed = self._needed(fresh)
-        if not many or pairing != self.pairing or any(needed[b] > n for b, n in self.n_trained.items()):
+        fixed, needed = self._needed(fresh)
+        if not many or fixed != self.fixed or any(needed[b] > n for b, n in self.n_trained.items()):
             return fresh
         bad = np.zeros(len(next(iter(fresh.values())).theta), dtype=bool)
         for b, n_trained in self.n_trained.items():

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu.fem.pairing.candidates import Candidates
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Evaluated
 from fmu.posterior.errors.likelihood import ModalLikelihood
@@ -48,9 +47,9 @@ class MixtureLikelihood(ModalLikelihood):
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
     over the candidates k: the lowest modes of all blocks that a measured shape moves in
-    (`fmu.fem.pairing.candidates`). The weights depend on the computed shapes, and so on θ, their slopes are part
-    of the gradient. Where two modes of a block veer, shapes turn into each other continuously, and so does this; a
-    pairing one to one jumps there.
+    (`fmu.fem.pairing.prediction.CandidateView`). The weights depend on the computed shapes, and so on θ, their
+    slopes are part of the gradient. Where two modes of a block veer, shapes turn into each other continuously, and
+    so does this; a pairing one to one jumps there.
 
     Parameters
     ----------

@@ -9,8 +9,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.condensation import SingularCondensationError, StaticCondensation
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
+from fmu.fem.modes.modal import CoefficientMap
+from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Likelihood, checked_beta
 from fmu.types import FloatArray

@@ -1,0 +1,147 @@
+"""A decoupled block solved as it stands, one theta at a time, with the derivatives of its modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.fem.modes.derivatives import by_bordered_system
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
+from fmu.fem.modes.modal import Block, BlockModel, BlockPrediction, Mapped, Picked
+from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, coefficient_gradients, weighted_sum
+from fmu.types import FloatArray, IntArray
+
+# Up to this size a dense solve for a shape's slopes takes less time than a sparse one.
+_DENSE_SLOPES = 128
+
+
+def full_model(model: SeparableModel) -> BlockModel:
+    """Return the unreduced blocks of `model`."""
+    return BlockModel(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
+
+
+class FullBlock(Block):
+    """One decoupled part of a structure, unreduced.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    dofs : ndarray of int
+        The block's degrees of freedom in the model, one of ``model.blocks``.
+
+    Attributes
+    ----------
+    K_terms, M_terms : tuple of Term
+    n_modes : int
+        How many modes have a finite frequency: fewer than `size` where degrees of freedom have no mass.
+    """
+
+    def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
+        self.K_terms, self.M_terms = _restricted(model.K_terms, dofs), _restricted(model.M_terms, dofs)
+        super().__init__(dofs, self.K_terms, self.M_terms)
+        self.size = len(dofs)
+        self.n_modes = self.n_trained = _finite_modes(self.M_terms)
+        self.massless = self.n_modes < self.size
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what is prepared when needed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_sums"}
+
+    @cached_property
+    def _sums(self) -> tuple[WeightedSum, WeightedSum]:
+        dense = self.size <= DENSE_LIMIT
+        return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
+
+    def _matrices(self, theta: FloatArray) -> Iterator[tuple[Any, Any]]:
+        """Yield K and M at each theta (n, n_parameters) in turn."""
+        K_sum, M_sum = self._sums
+        return zip(map(K_sum, self._K_map(theta)), map(M_sum, self._M_map(theta)), strict=True)
+
+    def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure."""
+        lam = np.full((len(theta), count), np.nan)
+        phi = np.full((len(theta), self.size, count), np.nan)
+        if count == 0:
+            return lam, phi
+        finite = None
+        for i, (K, M) in enumerate(self._matrices(theta)):
+            if not (_is_finite(K) and _is_finite(M)):
+                continue
+            try:
+                if finite is None or not self.constant_mass:  # the rank of M costs a factorisation
+                    finite = rank(M)
+                lam[i], phi[i] = eigen(K, M, count, finite)
+            except SingularMassError:
+                continue
+        return lam, phi
+
+    def seen(
+        self,
+        theta: FloatArray,
+        count: int,
+        rows: Any,
+        gradient: bool = False,
+        solved: tuple[FloatArray, FloatArray] | None = None,
+    ) -> BlockPrediction:
+        """Return the lowest modes as sensors see them; derivatives by a bordered system a mode."""
+        lam, phi = self.modes(theta, count) if solved is None else (solved[0][:, :count], solved[1][:, :, :count])
+        shapes = np.stack([rows @ shape for shape in phi]) if len(phi) else np.empty((0, rows.shape[0], count))
+        if not gradient:
+            return BlockPrediction(lam, shapes)
+        lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
+        shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
+        for i, (K, M) in enumerate(self._matrices(theta)):
+            if not np.all(np.isfinite(phi[i])):
+                continue
+            if self.size > _DENSE_SLOPES:
+                K, M = sp.csc_array(K), sp.csc_array(M)
+            dK, dM = (_slopes_times(terms, theta[i], phi[i]) for terms in (self.K_terms, self.M_terms))
+            for k in range(count):
+                slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
+                shape_slopes[i, :, k] = rows @ slope
+        return BlockPrediction(lam, shapes, lam_slopes, shape_slopes)
+
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return a map of shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
+        if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
+            return Picked(rows.indices), reference
+        return Mapped(rows.toarray()), reference
+
+    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
+        terms = self.M_terms if of_mass else self.K_terms
+        return np.stack(
+            [np.stack([np.sum(shape * (term.matrix @ shape), axis=0) for shape in phi]) for term in terms], axis=1
+        )
+
+
+def _finite_modes(M_terms: tuple[Term, ...]) -> int:
+    """Return how many modes of finite frequency a structure has, the rank of M where no term vanishes."""
+    total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
+    try:
+        return rank(total)
+    except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
+        empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
+        return int(np.sum(~empty))
+
+
+def _is_finite(matrix: Any) -> bool:
+    return bool(np.all(np.isfinite(matrix.data if sp.issparse(matrix) else matrix)))
+
+
+def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
+    """Return ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes (size, m)."""
+    forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
+    return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
+
+
+def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
+    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: nothing to have, or to send, twice
+        restricted = terms
+    else:
+        restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
+    nonzero = tuple(t for t in restricted if abs(t.matrix).max() > 0.0)
+    return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), terms[0].powers),)
