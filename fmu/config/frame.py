@@ -99,7 +99,7 @@ class FrameTable(TomlTable):
             name, _, rule = str(error).partition(": ")
             places = [f"parameters.{i}" for i, table in enumerate(parameters) if table.name == name]
             raise BrokenError([Mistake(places[0], rule) if places else Mistake("model", str(error))]) from error
-        return Built(model, mesh.node_of)
+        return Built(model, mesh.node_of, model.n_dof)
 
     @property
     def groups(self) -> list[str]:

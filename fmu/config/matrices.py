@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable
+from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, one_length
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.separable import SeparableModel, Term, selection
 from fmu.formats.matrices.abaqus import HELD
@@ -35,7 +35,7 @@ class TermTable(TomlTable):
 
     file: FileName | None = None
     """From the folder of this file."""
-    matrix: Annotated[list[list[float]], Field(min_length=1)] | None = None
+    matrix: Annotated[list[list[float]], Field(min_length=1), one_length("column")] | None = None
     """Instead of a file, of a small model: its rows."""
     variable: FileName | None = None
     """Which matrix, where a file holds several."""
@@ -63,10 +63,7 @@ class TermTable(TomlTable):
         """Return the matrix; ValueError with what is wrong with it."""
         if self.file is not None:
             return read_labelled(folder / self.file, self.variable, self.triangle)
-        rows = self.matrix or []
-        if len({len(row) for row in rows}) > 1:
-            raise ValueError(got("must have rows of one length", [len(row) for row in rows]))
-        return Labelled(symmetric_matrix(np.array(rows), self.triangle), None)
+        return Labelled(symmetric_matrix(np.array(self.matrix), self.triangle), None)
 
 
 class MatricesTable(TomlTable):
@@ -118,7 +115,7 @@ class MatricesTable(TomlTable):
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
             raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error
-        return Built(model, {})
+        return Built(model, {}, model.n_dof)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
         """Return the terms with their places in the file, stiffness first."""

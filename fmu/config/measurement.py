@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from fmu.config.tables import (
     SensorTable,
     TomlTable,
     declared,
+    one_length,
     required,
     with_keys,
 )
@@ -30,10 +32,9 @@ from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, Place, Sens
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.types import FloatArray
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
-"""A frequency, or nan where a test missed the mode."""
+"""A number, or nan where a test missed the mode."""
 Test = Annotated[list[Missed], Field(max_length=MOST_MODES)]
 MOST_SENSORS = 10_000
 NodeNumber = Annotated[str, StringConstraints(pattern=r"^\d{1,9}$")]
@@ -42,18 +43,6 @@ _TESTS = ("tests", "tests_file")
 _SHAPES = ("shapes", "shapes_file", "test_shapes")
 _TRUST = ("sd", "beta", "covariance")
 _ONE_TRUST = "must have either sd or beta or covariance"
-
-
-class _Read(NamedTuple):
-    """What the source says; the uncertainty of its own as arguments of `ModalData`."""
-
-    frequencies: FloatArray
-    uncertainty: dict[str, Any]
-    sensors: tuple[tuple[Any, str], ...]
-    labels: tuple[str, ...]
-    numbers: tuple[int, ...]
-    shapes: FloatArray | None
-    tests: RepeatedTests | None = None
 
 
 _IN_A_FILE: dict[Any, Any] = {
@@ -82,7 +71,7 @@ class MeasurementTable(TomlTable):
 
     frequencies: Annotated[list[Positive], Field(min_length=1, max_length=MOST_MODES)] | None = None
     """Natural frequencies, Hz."""
-    tests: Annotated[list[Test], Field(min_length=2)] | None = None
+    tests: Annotated[list[Test], Field(min_length=2), one_length("mode")] | None = None
     """Frequencies of repeated tests, Hz: a row a test, in order of time, nan where it missed a mode."""
     tests_file: FileName | None = None
     """A CSV table of repeated tests, from the folder of this file: a row a test in order of time, a column a mode
@@ -105,7 +94,7 @@ class MeasurementTable(TomlTable):
     """Names of the modes."""
     sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
     """Place and direction: x, y, z, rx, ry, rz; with a minus before it if it counts the other way."""
-    shapes: list[list[float]] | None = None
+    shapes: Annotated[list[list[float]], one_length("sensor")] | None = None
     """A row a mode, a number a sensor, in any scale."""
     shapes_file: FileName | None = None
     """A table of shapes with their sensors, from the folder of this file."""
@@ -151,10 +140,6 @@ class MeasurementTable(TomlTable):
 
     def _check_lengths(self) -> None:
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
-        if len({len(row) for row in rows}) > 1:
-            raise ValueError(
-                got("tests must have rows of one length, one value per mode", [len(row) for row in rows])
-            )
         if not rows:
             return
         for key in ("sd", "beta", "covariance", "numbers", "counterparts", "labels", "shapes"):
@@ -185,32 +170,22 @@ class MeasurementTable(TomlTable):
         needs_trust : bool
             Whether no error model says how large errors are.
         """
-        read = self._read(folder)
-        sensors = self._sensors(read.sensors, built)
-        n, most = len(read.frequencies), getattr(built.model, "n_dof", np.inf)
+        given = self._read(folder)
+        given["sensors"] = self._sensors(given.get("sensors", ()), built)
+        n, most = len(given["frequencies_hz"]), built.most_modes
         if n > most:
             rule = f"must have at most {most} modes, one per degree of freedom of the model (got {n})"
             raise BrokenError([Mistake("measurement", rule)])
-        given = {"sd": "sd_hz", "covariance": "covariance_hz2"}
-        trust = {argument: getattr(self, key) for key, argument in given.items() if getattr(self, key) is not None}
-        if not trust and self.beta is None:
-            trust = read.uncertainty
-            if not trust and needs_trust:
-                raise BrokenError(
-                    [Mistake("measurement", f"{_ONE_TRUST}, as the file has no standard deviations")]
-                )
-        numbers, labels = tuple(self.numbers) or read.numbers, tuple(self.labels) or read.labels
+        trust = {"sd_hz": self.sd, "covariance_hz2": self.covariance}
+        if any(getattr(self, key) is not None for key in _TRUST):
+            given |= trust
+        elif needs_trust and all(given.get(key) is None for key in trust):
+            rule = f"{_ONE_TRUST}, as the file has no standard deviations"
+            raise BrokenError([Mistake("measurement", rule)])
+        keys = ("numbers", "labels", "counterparts")
+        given |= {key: tuple(getattr(self, key)) for key in keys if getattr(self, key)}
         try:
-            return ModalData(
-                read.frequencies,
-                numbers,
-                sensors,
-                labels,
-                read.shapes,
-                counterparts=tuple(self.counterparts),
-                tests=read.tests,
-                **trust,
-            )
+            return ModalData(**given)
         except ValueError as error:
             raise BrokenError([Mistake("measurement", str(error))]) from None
 
@@ -230,99 +205,80 @@ class MeasurementTable(TomlTable):
             raise BrokenError(found)
         return tuple(sensors)
 
-    def _read(self, folder: Path) -> _Read:
+    def _read(self, folder: Path) -> dict[str, Any]:
+        """Return what the source says, as arguments of `ModalData`."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         if self._source in READERS:
             table: Declared = getattr(self, self._source)
             others = {"sensors": sensors} if sensors else {}
-            try:
-                modes = table.build(file=folder / table.given()["file"], **others)
-            except (ModesError, OSError, ImportError) as error:
-                raise _broken(f"measurement.{self._source}", error) from None
-            own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
-            return _Read(modes.frequencies_hz, own, modes.sensors, modes.labels, (), modes.shapes)
-        read = self._frequencies(folder)._replace(sensors=sensors)
+            with _at(f"measurement.{self._source}"):
+                return dict(vars(table.build(file=folder / table.given()["file"], **others)))
+        given = self._frequencies(folder) | {"sensors": sensors}
         if self.shapes is not None:
-            return read._replace(shapes=_columns(self.shapes))
+            given["shapes"] = np.array(self.shapes, dtype=float).T
         if self.test_shapes is not None:
-            shapes, spread = _repeated_shapes(self.test_shapes, read)
-            return read._replace(shapes=shapes, uncertainty={**read.uncertainty, "shapes_sd": spread})
-        if self.shapes_file is None:
-            return read
-        try:
-            labels = read.labels or tuple(self.labels) or _counted(read.frequencies)
-            modes = read_shapes(folder / self.shapes_file, labels)
-        except (ModesError, OSError) as error:
-            raise _broken("measurement.shapes_file", error) from None
-        return read._replace(sensors=modes.sensors, shapes=modes.shapes)
+            given |= _repeated_shapes(self.test_shapes, given["tests"])
+        if self.shapes_file is not None:
+            n_modes = len(given["frequencies_hz"])
+            labels = given.get("labels") or tuple(self.labels) or tuple(str(i + 1) for i in range(n_modes))
+            with _at("measurement.shapes_file"):
+                modes = read_shapes(folder / self.shapes_file, labels)
+            given |= {"sensors": modes.sensors, "shapes": modes.shapes}
+        return given
 
-    def _frequencies(self, folder: Path) -> _Read:
+    def _frequencies(self, folder: Path) -> dict[str, Any]:
         """Return the frequencies and their own uncertainty, with labels, numbers and tests where there are any."""
         if self.frequencies is not None:
-            return _Read(np.array(self.frequencies), {}, (), (), (), None)
+            return {"frequencies_hz": np.array(self.frequencies)}
         if self.tests is not None:
             return _mean("tests", self.tests, self.scatter)
-        key, name = ("file", self.file) if self.file is not None else ("tests_file", self.tests_file)
-        try:
-            if key == "tests_file":
-                values, labels = read_tests(folder / str(name))
-                return _mean(key, values, self.scatter)._replace(labels=labels)
-            modes, numbers = read_frequencies(folder / str(name))
-        except (ModesError, OSError) as error:
-            raise _broken(f"measurement.{key}", error) from None
-        own = {} if modes.sd_hz is None else {"sd_hz": modes.sd_hz}
-        return _Read(modes.frequencies_hz, own, (), modes.labels, numbers, None)
+        with _at(f"measurement.{self._source}"):
+            if self.file is not None:
+                return dict(vars(read_frequencies(folder / self.file)))
+            values, labels = read_tests(folder / str(self.tests_file))
+        return _mean("tests_file", values, self.scatter) | {"labels": labels}
 
 
-def _broken(where: str, error: Exception) -> BrokenError:
-    """Return what is wrong with a file, each mistake at the key that names it."""
-    if isinstance(error, ModesError):
-        return BrokenError([Mistake(where, mistake) for mistake in error.mistakes])
-    return BrokenError([Mistake(where, str(error).removeprefix("path: "))])
+@contextmanager
+def _at(where: str) -> Iterator[None]:
+    """Turn what is wrong with a file into mistakes at the key that names it."""
+    try:
+        yield
+    except ModesError as error:
+        raise BrokenError([Mistake(where, mistake) for mistake in error.mistakes]) from None
+    except (OSError, ImportError) as error:
+        raise BrokenError([Mistake(where, str(error).removeprefix("path: "))]) from None
 
 
-def _mean(key: str, values: ArrayLike, scatter: str) -> _Read:
-    """Return the mean of repeated tests."""
+def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
+    """Return the mean of repeated tests, as arguments of `ModalData`."""
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
         place, _, rule = str(error).partition(": ")
         raise BrokenError([Mistake(place.replace("frequencies", f"measurement.{key}"), rule)]) from None
-    mean, sd, covariance = tests.mean()
-    return _Read(mean, {"sd_hz": sd, "covariance_hz2": covariance}, (), (), (), None, tests)
+    return {**tests.mean()._asdict(), "tests": tests}
 
 
-def _repeated_shapes(shapes: list[list[list[float]]], read: _Read) -> tuple[FloatArray, FloatArray | None]:
-    """Return the mean of the tests' shapes, (n_sensors, n_modes), and its standard deviation if they tell one."""
-    where, n_modes = "measurement.test_shapes", len(read.frequencies)
-    n_tests = len(np.asarray(read.tests.frequencies_hz)) if read.tests is not None else 0
-    if len(shapes) != n_tests:
-        raise BrokenError([Mistake(where, f"must be {n_tests}, one per test (got {len(shapes)})")])
-    wrong = [i for i, test in enumerate(shapes) if len(test) != n_modes]
+def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> dict[str, Any]:
+    """Return the mean of the tests' shapes and its standard deviation, as arguments of `ModalData`."""
+    where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
+    wrong = (
+        [Mistake(where, f"must be {n_tests}, one per test (got {len(shapes)})")] if len(shapes) != n_tests else []
+    )
+    wrong = wrong or [
+        Mistake(f"{where}.{i}", f"must be {n_modes}, one per mode (got {len(test)})")
+        for i, test in enumerate(shapes)
+        if len(test) != n_modes
+    ]
+    lengths = sorted({len(row) for test in shapes for row in test})
+    if not wrong and len(lengths) > 1:
+        wrong = [Mistake(where, got("must have rows of one length, one value per sensor", lengths))]
     if wrong:
-        raise BrokenError(
-            [Mistake(f"{where}.{i}", f"must be {n_modes}, one per mode (got {len(shapes[i])})") for i in wrong]
-        )
-    lengths = {len(row) for test in shapes for row in test}
-    if len(lengths) > 1:
-        raise BrokenError(
-            [Mistake(where, got("must have rows of one length, one value per sensor", sorted(lengths)))]
-        )
+        raise BrokenError(wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
-        return mean_shapes(values), shapes_sd(values)
+        return {"shapes": mean_shapes(values), "shapes_sd": shapes_sd(values)}
     except ValueError as error:
         place, _, rule = str(error).partition(": ")
         raise BrokenError([Mistake(place.replace("shapes", where, 1), rule)]) from None
-
-
-def _columns(shapes: list[list[float]]) -> FloatArray:
-    """Return shapes given a row a mode, a column a mode."""
-    if len({len(shape) for shape in shapes}) > 1:
-        rule = got("must have rows of one length, one value per sensor", [len(shape) for shape in shapes])
-        raise BrokenError([Mistake("measurement.shapes", rule)])
-    return np.array(shapes, dtype=float).T
-
-
-def _counted(frequencies: FloatArray) -> tuple[str, ...]:
-    return tuple(str(i + 1) for i in range(len(frequencies)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
@@ -51,6 +52,7 @@ class Built(NamedTuple):
 
     model: SeparableModel | BlackBoxModel
     places: Mapping[str, Any]
+    most_modes: float = math.inf
 
 
 def kind_of(value: Any) -> str | None:
@@ -74,6 +76,18 @@ Numbers = Annotated[list[Positive], Tag("<list>")]
 NumberOrNumbers = Annotated[Number | Numbers, by_kind("a number or a list of numbers")]
 SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 """A place and a direction."""
+
+
+def one_length(what: str) -> AfterValidator:
+    """Return what refuses rows that differ in length: each has a value per mode, sensor or the like."""
+
+    def checked(rows: list[list[float]]) -> list[list[float]]:
+        lengths = [len(row) for row in rows]
+        if len(set(lengths)) > 1:
+            raise ValueError(got(f"must have rows of one length, one value per {what}", lengths))
+        return rows
+
+    return AfterValidator(checked)
 
 
 class TomlTable(BaseModel):

@@ -163,7 +163,11 @@ BROKEN = [
     (K, "", "model.stiffness.0: must have either file or matrix"),
     (K, f"{K}\nmatrix = [[1.0, 0.0], [0.0, 0.0]]", "model.stiffness.0: must have either file or matrix"),
     (K, 'matrix = [[1.0]]\nvariable = "K"', "model.stiffness.0: variable must not be given together with matrix"),
-    (K, "matrix = [[1.0, 2.0], [3.0]]", "model.stiffness.0.matrix: must have rows of one length (got [2, 1])"),
+    (
+        K,
+        "matrix = [[1.0, 2.0], [3.0]]",
+        "matrix: must have rows of one length, one value per column (got [2, 1])",
+    ),
     (K, "matrix = [[1.0, 2.0]]", "model.stiffness.0.matrix: must hold a real square matrix (got float64 of shape"),
     (K, "matrix = []", "model.stiffness.0.matrix: must have at least 1 item"),
     (K, "matrix = [[]]", "model.stiffness.0.matrix: must hold a real square matrix (got float64 of shape (1, 0))"),

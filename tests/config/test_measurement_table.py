@@ -222,7 +222,7 @@ BROKEN = {
         "measurement: must have at most 2 modes, one per degree of freedom of the model (got 3)"
     ),
     "tests = [[3.1, 9.8]]": "measurement.tests: must have at least 2 items",
-    "tests = [[3.1, 9.8], [3.2]]": "measurement: tests must have rows of one length, one value per mode (got "
+    "tests = [[3.1, 9.8], [3.2]]": "measurement.tests: must have rows of one length, one value per mode (got "
     "[2, 1",
     "tests = [[3.1, 9.8], [3.2, 9.9]]\nsd = 0.1": "measurement: sd must not be given together with tests",
     "tests = [[3.1, 9.8], [3.2, -9.9]]": "measurement.tests.1.1: must be positive and finite, or NaN (got -9.9",

@@ -38,7 +38,7 @@ from fmu.formats.shown import shown
 from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
-"""MeasuredModes, or sensors."""
+"""Modes, sensors or tests."""
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
 _TEST = "test"
 _MISSED = ("", "nan")
@@ -52,8 +52,8 @@ class _Row(NamedTuple):
     values: dict[str, str]
 
 
-def read_frequencies(path: Path) -> tuple[MeasuredModes, tuple[int, ...]]:
-    """Return the modes of a table of frequencies, and their numbers, none if it has no such column.
+def read_frequencies(path: Path) -> MeasuredModes:
+    """Return the modes of a table of frequencies.
 
     Raises
     ------
@@ -83,9 +83,8 @@ def read_frequencies(path: Path) -> tuple[MeasuredModes, tuple[int, ...]]:
     ]
     if found:
         raise ModesError(path.name, found)
-    return MeasuredModes(np.array(frequencies), tuple(labels), None if sd is None else np.array(sd)), tuple(
-        numbers
-    )
+    deviations = None if sd is None else np.array(sd)
+    return MeasuredModes(np.array(frequencies), tuple(labels), deviations, numbers=tuple(numbers))
 
 
 def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:

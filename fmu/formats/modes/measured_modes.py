@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -48,7 +48,7 @@ class ModesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Frequencies, and what there is of shapes and uncertainty.
+    """Frequencies, and what there is of shapes and uncertainty: arguments of `fmu.ModalData`.
 
     Attributes
     ----------
@@ -59,10 +59,8 @@ class MeasuredModes:
     sensors : tuple of (place, direction)
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Real; see `real_shapes`.
-    mpc : ndarray, shape (n_modes,), optional
-        Modal phase collinearity of the shapes, where they were complex.
-    positions : mapping of place to (x, y, z)
-        Coordinates of the places, where they are told.
+    numbers : tuple of int
+        Of the modes in the spectrum of the model, where they are told.
     """
 
     frequencies_hz: FloatArray
@@ -70,8 +68,7 @@ class MeasuredModes:
     sd_hz: FloatArray | None = None
     sensors: tuple[tuple[Any, str], ...] = ()
     shapes: FloatArray | None = None
-    mpc: FloatArray | None = None
-    positions: Mapping[Any, tuple[float, float, float]] | None = None
+    numbers: tuple[int, ...] = ()
 
 
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:

@@ -33,7 +33,7 @@ from fmu.formats.modes.measured_modes import (
 from fmu.formats.shown import in_words
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
-SHAPES, NODES = 55, (15, 2411)
+SHAPES = 55
 REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
 MOST_DATASETS = 10_000
@@ -71,8 +71,7 @@ def read_uff(
     -------
     MeasuredModes
         Labels are the numbers of the modes in the file. Of a complex mode the frequency is |s|/2π of its
-        eigenvalue s. Coordinates come from datasets 15 and 2411; shapes are in global directions, as the format
-        says they are.
+        eigenvalue s. Shapes are in global directions, as the format says they are.
 
     Raises
     ------
@@ -83,7 +82,7 @@ def read_uff(
     ModesError
         If the file cannot be read, or has no such modes, nodes or sensors.
     """
-    mode_sets, node_sets = datasets(checked_file(file))
+    mode_sets = datasets(checked_file(file))
     by_number = {int(mode["mode_n"]): mode for mode in mode_sets}
     if not mode_sets:
         raise ModesError(file.name, ["must have mode shapes, dataset 55 of analysis type 2, 3 or 7 (got none)"])
@@ -105,19 +104,12 @@ def read_uff(
     if not seen:
         raise ModesError(file.name, ["shapes: must move at one of the nodes (got zeros)"])
     try:
-        shapes, mpc = real_shapes(table, least_mpc)
+        shapes = real_shapes(table, least_mpc)[0]
     except ValueError as error:
         raise ModesError(file.name, [str(error)]) from None
     is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
-    positions = {place_of[node]: xyz for node, xyz in _positions(node_sets).items() if node in place_of}
     return MeasuredModes(
-        frequencies,
-        tuple(map(str, chosen)),
-        None,
-        tuple(seen),
-        shapes if is_complex else table.real,
-        mpc if is_complex else None,
-        positions,
+        frequencies, tuple(map(str, chosen)), None, tuple(seen), shapes if is_complex else table.real
     )
 
 
@@ -215,14 +207,6 @@ def _frequency(mode: dict[str, Any]) -> float:
     return float(mode["freq"]) if mode["analysis_type"] in REAL else float(abs(mode["eig"]) / (2.0 * np.pi))
 
 
-def _positions(sets: list[dict[str, Any]]) -> dict[int, tuple[float, float, float]]:
-    return {
-        int(node): (float(x), float(y), float(z))
-        for one in sets
-        for node, x, y, z in zip(one["node_nums"], one["x"], one["y"], one["z"], strict=True)
-    }
-
-
 def _short(numbers: Sequence[int]) -> str:
     return str(list(numbers)) if len(numbers) <= 12 else f"[{', '.join(map(str, numbers[:12]))}, …]"
 
@@ -239,8 +223,8 @@ def imported_pyuff() -> Iterator[Any]:
         yield pyuff
 
 
-def datasets(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the datasets with modes, and those with nodes.
+def datasets(path: Path) -> list[dict[str, Any]]:
+    """Return the datasets with modes.
 
     Raises
     ------
@@ -252,9 +236,9 @@ def datasets(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:
         raise ModesError(path.name, [f"must have at most {MOST_DATASETS} datasets"])
-    kinds = [[str(kind).encode()] for kind in (SHAPES, *NODES)]
-    if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] in kinds for part in content.split(_TAG)):
-        raise ModesError(path.name, [f"must have modes and nodes in datasets of at most {LARGEST_DATASET} bytes"])
+    kind = [str(SHAPES).encode()]
+    if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] == kind for part in content.split(_TAG)):
+        raise ModesError(path.name, [f"must have modes in datasets of at most {LARGEST_DATASET} bytes"])
     with imported_pyuff() as pyuff:
         try:
             file = pyuff.UFF(str(path))
@@ -263,28 +247,22 @@ def datasets(path: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
             raise ModesError(path.name, [f"must be a universal file ({in_words(error)})"]) from error
         if not types:
             raise ModesError(path.name, ["must be a universal file (it has no dataset)"])
-        read, found = {}, []
-        for i, kind in enumerate(types):
-            if kind in (SHAPES, *NODES):
-                try:
-                    read[i] = file.read_sets(i)
-                    found += [f"dataset {i + 1}: {rule}" for rule in _wrong(read[i])]
-                except Exception:
-                    where = f"its dataset {i + 1}, of type {kind}"
-                    found.append(f"must be a universal file ({where}, has lines of another format)")
+        sets, found = [], []
+        for i in (i for i, kind in enumerate(types) if kind == SHAPES):
+            try:
+                one = file.read_sets(i)
+                found += [f"dataset {i + 1}: {rule}" for rule in _wrong(one)]
+                sets.append(one)
+            except Exception:
+                where = f"its dataset {i + 1}, of type {SHAPES}"
+                found.append(f"must be a universal file ({where}, has lines of another format)")
     if found:
         raise ModesError(path.name, found)
-    sets = [one for i, one in read.items() if types[i] == SHAPES and one["analysis_type"] in REAL + COMPLEX]
-    return sets, [one for i, one in read.items() if types[i] in NODES]
+    return [one for one in sets if one["analysis_type"] in REAL + COMPLEX]
 
 
 def _wrong(one: Mapping[str, Any]) -> list[str]:
-    """Say what is wrong with what pyuff made of a dataset: it takes whatever number of values there is."""
-    if one["type"] in NODES:
-        lengths = {len(one[key]) for key in ("node_nums", "x", "y", "z")}
-        if len(lengths) > 1 or not np.all(np.isfinite(one["node_nums"])):
-            return ["must have a number and three coordinates a node"]
-        return []
+    """Return what is wrong with a dataset that pyuff read: it accepts any number of values."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"

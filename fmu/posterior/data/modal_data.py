@@ -184,9 +184,11 @@ class ModalData:
         FileNotFoundError
             If there is no such file.
         """
-        modes, numbers = read_frequencies(Path(frequencies))
-        shown = modes if shapes is None else read_shapes(Path(shapes), modes.labels)
-        return cls(modes.frequencies_hz, numbers, shown.sensors, modes.labels, shown.shapes, modes.sd_hz)
+        modes = read_frequencies(Path(frequencies))
+        if shapes is None:
+            return cls.from_modes(modes)
+        shown = read_shapes(Path(shapes), modes.labels)
+        return cls.from_modes(modes, sensors=shown.sensors, shapes=shown.shapes)
 
     @classmethod
     def from_uff(
@@ -282,9 +284,8 @@ class ModalData:
         **options
             What else the class takes, as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace those of the modes.
         """
-        own = {} if {"sd_hz", "covariance_hz2"} & set(options) else {"sd_hz": modes.sd_hz}
-        given = {"sensors": modes.sensors, "labels": modes.labels, "shapes": modes.shapes, **own}
-        return cls(modes.frequencies_hz, **(given | options))
+        own = {} if "covariance_hz2" not in options else {"sd_hz": None}
+        return cls(**(vars(modes) | own | options))
 
     @property
     def n_modes(self) -> int:
