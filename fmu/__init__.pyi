@@ -43,9 +43,9 @@ from .report.export import export as export
 from .report.pages import write_report as write_report
 from .runs import Checkpoint as Checkpoint
 from .samplers.ensemble import Ensemble as Ensemble
-from .samplers.hmc.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
+from .samplers.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .samplers.metropolis import MetropolisHastings as MetropolisHastings
-from .samplers.proposals import RandomWalk as RandomWalk
+from .samplers.metropolis import RandomWalk as RandomWalk
 from .samplers.slice import Slice as Slice
 from .samplers.tempering.tempering import Tempering as Tempering
 from .sampling import StoppedRun as StoppedRun

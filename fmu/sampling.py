@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from fmu.samplers.registry import SAMPLERS as SAMPLERS
+
 if TYPE_CHECKING:
     import os
 
@@ -19,11 +21,9 @@ if TYPE_CHECKING:
     from fmu.runs import Checkpoint
     from fmu.runs.store import Store
     from fmu.samplers.kernel import Sampler
-    from fmu.samplers.loop.draws import RunResult
+    from fmu.samplers.loop.record import RunResult
     from fmu.types import LogDensity
 
-SAMPLERS = ("mh", "slice", "hmc", "emcee", "tempering")
-"""The names of the samplers, without importing them."""
 INITS = ("maxima", "prior", "start")
 """Words for where the chains start."""
 GROWTH_LIMIT = 32
@@ -152,9 +152,8 @@ def sample(
     from fmu.progress.phases import solves, told_to
     from fmu.runs import Checkpoint
     from fmu.runs.maxima import keep_maxima, searched
-    from fmu.samplers import Run
-    from fmu.samplers.loop.run import Interrupted
-    from fmu.samplers.loop.settings import whole_number
+    from fmu.samplers.loop.run import Interrupted, Run
+    from fmu.samplers.settings import whole_number
 
     # 1. Whether the arguments make sense, before maxima are searched for.
     settings = _settings(default_sampler(problem) if sampler is None else sampler)
@@ -239,11 +238,12 @@ DEFAULTS: Mapping[str, Any] = sample.__kwdefaults__ or {}
 
 def _settings(sampler: str | Sampler) -> Sampler:
     """Return the settings of a sampler; ValueError if it is neither a name nor a settings object."""
-    from fmu.samplers import named
+    from fmu.samplers.kernel import Sampler
+    from fmu.samplers.registry import named
 
     if isinstance(sampler, str):
         return named(sampler)
-    if not (hasattr(sampler, "bind") and hasattr(sampler, "walkers")):
+    if not isinstance(sampler, Sampler):
         raise ValueError(
             f"sampler: must be one of {', '.join(SAMPLERS)}, or a settings object such as fmu.Slice() "
             f"(got {sampler!r})"
@@ -258,7 +258,7 @@ def _checked(
     from fmu.analysis.trace.conversion import names_of
     from fmu.posterior.parameters import require_name
     from fmu.samplers.loop.run import n_groups
-    from fmu.samplers.loop.settings import whole_number
+    from fmu.samplers.settings import whole_number
 
     for name in names_of(problem):
         require_name(name)
@@ -277,7 +277,7 @@ def _store(
     from fmu.analysis.trace.provenance import described
     from fmu.runs.identity import Identity
     from fmu.runs.store import Store
-    from fmu.samplers.loop.settings import describe
+    from fmu.samplers.settings import describe
 
     run = {**arguments, "walkers": settings.walkers, "init": says}
     configuration = described(problem, settings.name, describe(settings), run)
@@ -322,7 +322,7 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, ful
 
 def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> int:
     """Return the most steps that `sample` keeps; ValueError if the numbers contradict each other."""
-    from fmu.samplers.loop.settings import positive_number, whole_number
+    from fmu.samplers.settings import positive_number, whole_number
 
     if until_ess is None:
         if max_draws is not None:

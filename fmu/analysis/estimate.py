@@ -15,14 +15,6 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
     from fmu.samplers.kernel import Sampler
 
-_PER_STEP = {  # of a chain, or of a walker: evaluations in warm-up, in draws; and distinct draws
-    "mh": (1.5, 0.7, 0.3),
-    "slice": (3.0, 2.3, 1.0),
-    "hmc": (7.0, 4.0, 0.9),
-    "emcee": (0.85, 0.85, 0.5),
-    "tempering": (50.0, 35.0, 1.0),
-}
-"""Means over the shipped cases, and over functions of two and three parameters."""
 _CLIMB = 12  # evaluations with gradient
 _WEIGHED = 1024  # draws for each maximum
 _SLOW_S = 0.005
@@ -55,7 +47,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     workers : int
         Processes that share the work.
     """
-    from fmu.samplers import named
+    from fmu.samplers.registry import named
 
     per_gradient = problem.solves_per_gradient
     is_function = problem.model.black_box is not None
@@ -67,10 +59,10 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         solves = (starts * _CLIMB + 6 * problem.ndim) * per_gradient + _WEIGHED
         found.append(Estimate("search", solves, solves * one_s / at_once))
     for name in orders["samplers"]:
-        settings: Any = named(name)
+        settings = named(name)
         lines = orders["chains"] * settings.walkers
-        warmup, draws, distinct = _PER_STEP[name]
-        per_step = per_gradient if name == "hmc" else 1
+        warmup, draws, distinct = settings.cost
+        per_step = per_gradient if settings.takes_gradients else 1
         solves = lines * (orders["warmup"] * warmup + orders["draws"] * draws) * per_step
         if not is_slow:
             side_by_side, each_s = 1, one_s + _OVERHEAD_S
@@ -121,7 +113,7 @@ def _timed(work: Callable[[], object]) -> float:
 
 def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any]) -> float:
     """Return how long a solve takes in a sampler, its own work counted, from the first steps of its warm-up."""
-    from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, RunContext, advance, first_snapshot
+    from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, GroupState, RunContext, advance
     from fmu.samplers.loop.run import n_groups
 
     context = RunContext(problem, settings, max(orders["warmup"], 1))
@@ -130,14 +122,14 @@ def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: M
     shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
     theta = problem.sample_prior(rng, chains * settings.walkers).reshape(shape)
     phase = WARMUP if orders["warmup"] else DRAWS
-    group = first_snapshot(context, rng, context.scaled.to_scaled(theta), 0)
+    group = GroupState.at(context.scaled.to_scaled(theta), rng)
     each_s = []
     for _ in range(_PROBES):
         began = time.perf_counter()
         done = advance(context, Chunk(group, phase, max(orders[phase], 1), _PROBE_S, 1))
         solves = int(done.steps.stats["n_solves"].sum())
         each_s.append((time.perf_counter() - began) / max(solves, 1))
-        group = done.group_state.group
+        group = done.group
     return float(np.median(each_s))  # the first has something to load, and others may be at the machine
 
 

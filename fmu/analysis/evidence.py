@@ -13,7 +13,7 @@ import numpy as np
 from fmu.analysis.convergence import effective
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
 from fmu.numbers import apart, given, significant, with_sd
-from fmu.samplers.tempering.ladder import rejections
+from fmu.samplers.tempering.tempering import rejections
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:

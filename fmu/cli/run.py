@@ -156,12 +156,12 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
     problem = problem_of(case, pairing)
     most_draws(orders["draws"], orders["until_ess"], orders["max_draws"])
     if orders["groups"] is not None:
-        from fmu.samplers import named
         from fmu.samplers.loop.run import n_groups
+        from fmu.samplers.registry import named
 
-        for name in orders["samplers"] or ("mh",):
-            if name != "emcee":  # whose ensembles are the groups
-                n_groups(orders["groups"], orders["chains"], named(name))
+        for sampler in map(named, orders["samplers"] or ("mh",)):
+            if sampler.walkers == 1:  # each ensemble is a group
+                n_groups(orders["groups"], orders["chains"], sampler)
     return replace(problem, orders=orders)
 
 

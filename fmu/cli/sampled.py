@@ -90,9 +90,10 @@ def sampled(
 def _drawn(name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
     from fmu.samplers.loop.run import TooManyFailuresError
+    from fmu.samplers.registry import named
 
     ledger, path = running.path / f"failures-{name}.csv", running.path / f"{name}.nc"
-    if name == "emcee":  # whose ensembles are the groups
+    if named(name).walkers > 1:  # each ensemble is a group
         del arguments["groups"]
     resume = f"To resume: fmu run --resume {running.path}"
     try:

@@ -8,17 +8,18 @@ import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu.durable_files import DamagedError, digest, payload_of, signed
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
-from fmu.samplers.loop.snapshot import Snapshot
 
-TITLE = "fmu state 2"
+TITLE = "fmu state 3"
+_EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
@@ -111,24 +112,23 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: SavedState) -> bytes:
-    """Return a state as the bytes of an ``.npz`` file, in which one array is the outline as JSON.
+    """Return a state as bytes: NumPy arrays in a zip file, one of them everything else as JSON.
 
     Raises
     ------
     ValueError
-        If the state contains objects of a user's own sampler.
+        If the sampler knows something that is neither array, number nor text.
     """
     outline = state._asdict()
-    group_state = outline.pop("group_state")
-    group = group_state.group
-    if group.others:
-        kind = type(group.others[0])
-        raise ValueError(f"sampler: must be one of this package to be kept on disk (got {kind!r})")
-    outline |= {"group": group.outline, "done": dict(group_state.done), "learnt": group_state.learnt}
-    arrays = {f"group{k}": array for k, array in enumerate(group.arrays)}
-    arrays["outline"] = np.frombuffer(json.dumps(outline).encode(), dtype=np.uint8)
+    outline["group_state"], arrays = _apart(state.group_state.tree())
+    try:
+        arrays["outline"] = np.frombuffer(json.dumps(outline).encode(), dtype=np.uint8)
+    except TypeError as error:
+        raise ValueError(
+            f"sampler: its state must be arrays, numbers and texts to be kept on disk ({error})"
+        ) from error
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
     return buffer.getvalue()
 
 
@@ -138,8 +138,7 @@ def unpacked_state(payload: bytes) -> SavedState:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         outline = json.loads(arrays.pop("outline").tobytes())
-        group = Snapshot(outline.pop("group"), [arrays[f"group{k}"] for k in range(len(arrays))])
-        group_state = GroupState(group, outline.pop("done"), outline.pop("learnt"))
+        group_state = GroupState.of_tree(_together(outline.pop("group_state"), arrays))
         segments = [Segment(*segment) for segment in outline.pop("segments")]
         return SavedState(group_state=group_state, segments=segments, **outline)
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
@@ -158,8 +157,24 @@ def state_file(state: SavedState) -> bytes:
 
 
 def read_state(path: Path) -> SavedState:
-    """Return the state in a file; DamagedError if it is not as it was written, OSError if it cannot be read."""
-    return unpacked_state(payload_of(TITLE, path.read_bytes()))
+    """Return the state in a file.
+
+    Raises
+    ------
+    DamagedError
+        If it is not as it was written.
+    OSError
+        If it cannot be read.
+    ValueError
+        If an earlier version of fmu wrote it.
+    """
+    content = path.read_bytes()
+    if content.startswith(_EARLIER):
+        raise ValueError(
+            f"checkpoint: {path} was written by an earlier version of fmu and cannot be resumed by this one; "
+            "finish the run with that version, or use another directory"
+        )
+    return unpacked_state(payload_of(TITLE, content))
 
 
 def read_segment(directory: Path, segment: Segment) -> bytes:
@@ -171,3 +186,29 @@ def read_segment(directory: Path, segment: Segment) -> bytes:
     if digest(content) != segment.sha256:
         raise DamagedError(f"the checksum of {segment.name} is wrong")
     return content
+
+
+def _apart(tree: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return a tree without its arrays, and the arrays by their paths in it, such as ``state/position``."""
+    plain: dict[str, Any] = {}
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            plain[name], inner = _apart(value, f"{path}{name}/")
+            arrays |= inner
+        elif isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
+            arrays[path + name] = np.asarray(value)
+        else:
+            plain[name] = value
+    return plain, arrays
+
+
+def _together(plain: dict[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the tree that `_apart` took apart."""
+    for path, array in arrays.items():
+        *folders, name = path.split("/")
+        tree = plain
+        for folder in folders:
+            tree = tree[folder]
+        tree[name] = array
+    return plain

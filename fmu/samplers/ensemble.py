@@ -1,4 +1,4 @@
-"""emcee's affine-invariant ensembles behind the same face as the other samplers."""
+"""emcee's affine-invariant ensembles, with the interface of the other samplers."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import Info, State
-from fmu.samplers.loop.settings import one_of, positive_number, whole_number
+from fmu.samplers.kernel import Info, Sampler, State, Target
+from fmu.samplers.settings import one_of, positive_number, whole_number
 from fmu.types import FloatArray, LogDensity
 
 MOVES = ("stretch", "de", "snooker")
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(Sampler):
     """An ensemble of walkers that propose from each other's positions, by the emcee library.
 
-    Walkers are not independent chains: one ensemble is one chain, and its draws are steps × walkers.
+    Walkers are not independent chains: one ensemble is one chain, and its draws are steps × walkers. Nothing is
+    tuned in warm-up, as the proposals adapt through the positions of the walkers.
 
     Parameters
     ----------
@@ -45,14 +45,13 @@ class Ensemble:
     moves: Any = "stretch"
 
     name: ClassVar[str] = "emcee"
+    title: ClassVar[str] = "emcee ensemble"
+    colour: ClassVar[str] = "#CC79A7"
+    cost: ClassVar[tuple[float, float, float]] = (0.85, 0.85, 0.5)
 
     def __post_init__(self) -> None:
         whole_number("walkers", self.walkers, 8)
         object.__setattr__(self, "moves", _mixture(self.moves))
-
-    def tuner(self, density: LogDensity, chains: int, steps: int) -> None:
-        """Return None: the moves of an ensemble adapt by themselves, through where the walkers are."""
-        return
 
     def bind(self, density: LogDensity) -> EnsembleKernel:
         """Return the kernel that samples `density`; ValueError if it has too few walkers for it."""
@@ -62,19 +61,17 @@ class Ensemble:
             )
         import emcee
 
-        tally = _Tally(density)
+        target = _Tally(density)
         moves = [(_move(name), weight) for name, weight in self.moves]
-        return EnsembleKernel(
-            density, tally, emcee.EnsembleSampler(self.walkers, density.ndim, tally, moves=moves, vectorize=True)
-        )
+        sampler = emcee.EnsembleSampler(self.walkers, density.ndim, target, moves=moves, vectorize=True)
+        return EnsembleKernel(target, sampler)
 
 
 @dataclass(frozen=True)
 class EnsembleKernel:
     """Ensembles bound to a density. State.position is (chains, walkers, ndim), one ensemble a chain."""
 
-    density: LogDensity
-    tally: _Tally
+    target: _Tally
     sampler: Any
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
@@ -85,7 +82,7 @@ class EnsembleKernel:
             if not walkers_independent(walkers):
                 raise ValueError(f"init: the walkers must span the space (those of ensemble {chain} do not)")
         shape = positions.shape[:2]
-        first = evaluate(self.density, positions.reshape(-1, self.density.ndim))
+        first = self.target.evaluate(positions.reshape(-1, self.target.ndim))
         log_prob = first.log_prob.reshape(shape)
         nothing = np.zeros(shape, dtype=np.int64)
         info = Info(nothing.astype(bool), log_prob, first.n_solves.reshape(shape), nothing)
@@ -94,18 +91,18 @@ class EnsembleKernel:
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move every walker once.
 
-        emcee's generator is seeded anew from `rng` at every step, so that State and `rng` are all that a
-        checkpoint needs. The solves of an ensemble's step are exact in sum; emcee does not say which walker they
-        belong to, and they are booked on the first ones.
+        emcee's generator is seeded from `rng` at every step, so that State and `rng` are all that a checkpoint
+        needs. The number of solves of an ensemble's step is exact. emcee does not say which walkers they belong
+        to; they are counted for the first ones.
         """
         n_solves, n_nonfinite = (np.zeros(state.log_prob.shape, dtype=np.int64) for _ in range(2))
         position, log_prob = np.empty_like(state.position), np.empty_like(state.log_prob)
         for chain in range(len(position)):
-            self.tally.reset()
+            self.target.reset()
             end = self._advance(rng, state.position[chain], state.log_prob[chain])
             position[chain], log_prob[chain] = end.coords, end.log_prob
-            n_solves[chain, : self.tally.n_solves] = 1
-            n_nonfinite[chain, : self.tally.n_nonfinite] = 1
+            n_solves[chain, : self.target.n_solves] = 1
+            n_nonfinite[chain, : self.target.n_nonfinite] = 1
         accepted = np.any(position != state.position, axis=-1)
         extra = {"n_nonfinite": n_nonfinite}
         info = Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
@@ -121,20 +118,19 @@ class EnsembleKernel:
         return next(self.sampler.sample(start, iterations=1, store=False, skip_initial_state_check=True))
 
 
-class _Tally:
-    """The log-density as emcee calls it, counting what it costs. Each walker is proposed once a step."""
+class _Tally(Target):
+    """The density as emcee calls it, with its cost counted. Each walker is proposed once a step."""
 
     def __init__(self, density: LogDensity) -> None:
-        self.density = density
+        super().__init__(density)
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was counted."""
-        self.n_solves = 0
-        self.n_nonfinite = 0
+        """Begin to count anew."""
+        self.n_solves = self.n_nonfinite = 0
 
     def __call__(self, position: FloatArray) -> FloatArray:
-        found = evaluate(self.density, position)
+        found = self.evaluate(position)
         self.n_solves += int(found.n_solves.sum())
         self.n_nonfinite += int(found.n_nonfinite.sum())
         return found.log_prob

@@ -1,25 +1,29 @@
-"""The protocols that every sampler shares: sampler, kernel, state and info; `fmu.types` has the density.
+"""What a sampler is made of: its settings, the kernel that moves the chains, their state, and a tuner.
 
-A sampler is a small frozen dataclass of settings. Bound to a density it is a kernel, which advances all
-chains of one task in lockstep as one array, so that one batched evaluation of the density serves them all.
-Nothing in this package knows of finite elements.
+A sampler is a small frozen dataclass of settings. Bound to a density it is a kernel, which advances all chains of
+a group in lockstep, as one array, so that one batched evaluation of the density serves them all. A tuner learns
+better settings during warm-up.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
+Tree = Mapping[str, Any]
+"""Plain data for a file: arrays, numbers, texts, None, and lists of numbers, by name; or trees again."""
+
 
 @dataclass(frozen=True)
 class State:
-    """What the next step of a kernel needs, as plain arrays.
+    """What the next step of a kernel needs, as arrays alone, so that it can be kept in a file.
 
     Attributes
     ----------
@@ -27,30 +31,37 @@ class State:
     log_prob : ndarray, shape (chains,) or (chains, walkers)
     gradient : ndarray or None
         Gradient of the log-density at `position`, for the kernels that use it.
+    extra : mapping of str to ndarray
+        What only some kernels need.
     """
 
     position: FloatArray
     log_prob: FloatArray
     gradient: FloatArray | None = None
+    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Info:
-    """Diagnostics of one step; the four first names mean the same thing in every sampler.
+    """Diagnostics of one step; the first four names mean the same thing in every sampler.
 
     Attributes
     ----------
     accepted : ndarray of bool, shape (chains,) or (chains, walkers)
         Whether the chain left its previous position.
     log_prob : ndarray
-        Log-density at the position that the step ended in.
+        Log-density at the position where the step ended.
     n_solves : ndarray of int
         Density evaluations inside the bounds (one eigenproblem each) that the step took.
     n_gradients : ndarray of int
         Gradients that the step took. An exact gradient is one solve too; a central-difference gradient is
         ``2 ndim`` solves.
     extra : mapping of str to ndarray
-        What only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ...
+        What only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ... They are
+        recorded for every draw.
+    parts : Info, optional
+        Of a kernel that runs other kernels: the diagnostics of their steps. They are for its tuner, and not
+        recorded.
     """
 
     accepted: BoolArray
@@ -58,13 +69,14 @@ class Info:
     n_solves: IntArray
     n_gradients: IntArray
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    parts: Info | None = None
 
 
 class Kernel(Protocol):
     """A sampler bound to a density."""
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start; the info carries what that cost."""
+        """Evaluate the start; the info contains what that cost."""
         ...
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
@@ -72,31 +84,47 @@ class Kernel(Protocol):
         ...
 
 
-class Sampler(Protocol):
-    """Settings of one algorithm.
+class Sampler(ABC):
+    """Settings of one algorithm: the base of the dataclasses of settings.
+
+    A sampler that `registry` lists by name says the rest about itself in these class attributes.
 
     Attributes
     ----------
     name : str
-        Short name: ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"`` or ``"tempering"``.
+        Short name, such as ``"mh"``.
+    title, colour : str
+        For figures and reports.
+    cost : tuple of three float
+        Means over the shipped cases, per step of a chain or walker: evaluations in warm-up, evaluations after it,
+        and distinct draws.
+    takes_gradients : bool
+        Whether an evaluation is one of the gradient.
+    learns_together : bool
+        Whether all chains must be in one group.
     walkers : int
-        Walkers an ensemble moves together; 1 for a sampler whose chain is a single point.
+        Walkers that an ensemble moves together; 1 for a sampler whose chain is a single point.
     """
 
     name: ClassVar[str]
+    title: ClassVar[str]
+    colour: ClassVar[str]
+    cost: ClassVar[tuple[float, float, float]]
+    takes_gradients: ClassVar[bool] = False
+    learns_together: ClassVar[bool] = False
 
     @property
     def walkers(self) -> int:
-        """Number of walkers a chain consists of."""
-        ...
+        """A chain is a single point."""
+        return 1
 
+    @abstractmethod
     def bind(self, density: LogDensity) -> Kernel:
-        """Return the kernel that samples `density` with these settings."""
-        ...
+        """Return the kernel that samples `density` with these settings; ValueError if they do not fit it."""
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return what learns better settings in `steps` steps of warm-up, None if nothing is to be learnt."""
-        ...
+        """Return what learns better settings in `steps` steps of warm-up, None if there is nothing to learn."""
+        return None
 
 
 class Tuner(Protocol):
@@ -105,7 +133,7 @@ class Tuner(Protocol):
     Attributes
     ----------
     kernel : Kernel
-        What the next warm-up step is to be done with.
+        Does the next warm-up step.
     """
 
     kernel: Any
@@ -117,3 +145,74 @@ class Tuner(Protocol):
     def finished(self) -> Sampler:
         """Return the settings learnt, with adaptation off."""
         ...
+
+    def state(self) -> Tree:
+        """Return what was learnt so far, as plain data."""
+        ...
+
+    def restore(self, state: Tree) -> None:
+        """Take over what another tuner, made with the same arguments, had learnt when it returned `state`."""
+        ...
+
+
+class Evaluation(NamedTuple):
+    """Log-densities of a batch and their cost.
+
+    Attributes
+    ----------
+    log_prob : ndarray, shape (n,)
+        ``-inf`` outside the box, and where the density is not finite inside it.
+    n_solves : ndarray of int, shape (n,)
+        1 inside the box, 0 outside.
+    n_nonfinite : ndarray of int, shape (n,)
+        1 where the density inside the box is not finite.
+    """
+
+    log_prob: FloatArray
+    n_solves: IntArray
+    n_nonfinite: IntArray
+
+
+class Target:
+    """A density as kernels evaluate it: inside its box, in batches, with the cost counted.
+
+    Parameters
+    ----------
+    density : LogDensity
+    """
+
+    def __init__(self, density: LogDensity) -> None:
+        self.density: Any = density
+        self.ndim, self.lower, self.upper = density.ndim, density.lower, density.upper
+        self.solves_per_gradient = int(getattr(density, "solves_per_gradient", 1))
+
+    def log_prob(self, position: FloatArray, chain: Any) -> FloatArray:
+        """Return the log-densities at `position`, shape (n, ndim), inside the box.
+
+        `chain` is an index that picks the chains whose points they are; a subclass may have another density for
+        each.
+        """
+        values: FloatArray = self.density.log_prob(position)
+        return values
+
+    def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
+        """Evaluate the density where `position`, shape (n, ndim), is inside the box, in one batch.
+
+        `chain`, shape (n,), says whose points they are; if not given, there is one point per chain.
+
+        Points outside are never evaluated; a NaN coordinate is outside. A value that is not finite (a failed
+        eigensolve) counts as ``-inf``, so that only this point is rejected.
+        """
+        inside = np.all((position >= self.lower) & (position <= self.upper), axis=-1)
+        log_prob = np.full(len(position), -np.inf)
+        if inside.any():
+            log_prob[inside] = self.log_prob(position[inside], inside if chain is None else chain[inside])
+        failed = inside & ~np.isfinite(log_prob)
+        log_prob[failed] = -np.inf
+        return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))
+
+    def start(self, positions: FloatArray) -> tuple[State, Info]:
+        """Evaluate where the chains start, one solve for each: what `Kernel.init` returns without gradients."""
+        first = self.evaluate(positions)
+        none = np.zeros(len(positions), dtype=np.int64)
+        return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)

@@ -1,15 +1,14 @@
-"""The Metropolis-Hastings sampler with a general proposal (PAPER section 4.1)."""
+"""The Metropolis-Hastings sampler (PAPER section 4.1) and its proposals."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import Info, Kernel, State
-from fmu.samplers.proposals import Proposal, RandomWalk
+from fmu.samplers.kernel import Info, Sampler, State, Target, Tree
+from fmu.samplers.settings import Scale, cholesky_factor, fits, positive_scale, vector
 from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
 from fmu.types import FloatArray, LogDensity
 
@@ -18,15 +17,149 @@ START_SCALE = 0.01
 _SETTLING = 20  # steps that the scale of a random walk takes to settle
 
 
+class Proposal(Protocol):
+    """A conditional density q(candidate | position), in scaled units.
+
+    If it is a dataclass whose fields can be written as JSON, they are recorded with the trace.
+    """
+
+    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
+        """Draw one candidate per chain; both arrays are ``(chains, ndim)``."""
+        ...
+
+    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
+        """Return log q(position | candidate) − log q(candidate | position), shape ``(chains,)``."""
+        ...
+
+
 @dataclass(frozen=True)
-class MetropolisHastings:
+class RandomWalk:
+    """Gaussian random walk: candidate = position + N(0, S). Symmetric.
+
+    Parameters
+    ----------
+    scale : float, vector (ndim,) or matrix (ndim, ndim)
+        A standard deviation for all coordinates, one for each, or the covariance matrix S.
+
+    Raises
+    ------
+    ValueError
+        If `scale` is not positive (definite) and finite.
+    """
+
+    scale: Any = 0.01
+    factor: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        scale: Scale = positive_scale("scale", self.scale, matrix=True)
+        object.__setattr__(self, "scale", scale)
+        array = np.asarray(scale)
+        object.__setattr__(self, "factor", cholesky_factor("scale", array) if array.ndim == 2 else array)
+
+    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
+        """Draw position + L z with z standard normal and L Lᵀ = S."""
+        factor = fits("scale", self.factor, position.shape[-1])
+        z = rng.standard_normal(position.shape)
+        return position + (z @ factor.T if factor.ndim == 2 else factor * z)
+
+    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
+        """Return 0: q(a | b) = q(b | a)."""
+        return np.zeros(len(position))
+
+
+@dataclass(frozen=True)
+class LogNormalWalk:
+    """Multiplicative random walk above `origin`: candidate − origin = (position − origin) exp(s z), z ~ N(0, 1).
+
+    Asymmetric: q(x' | x) = N(log x'; log x, s²)/x', so that log q(x | x') − log q(x' | x) = Σ log(x'/x),
+    x measured from the origin.
+
+    Parameters
+    ----------
+    scale : float or vector (ndim,)
+        Standard deviation s of the logarithm.
+    origin : float or vector (ndim,)
+        Below every position; the lower bound is 0 in the unit box.
+
+    Raises
+    ------
+    ValueError
+        If `scale` is not positive and finite, or a position is not above `origin`.
+    """
+
+    scale: Any = 0.2
+    origin: Any = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scale", positive_scale("scale", self.scale, matrix=False))
+        origin = np.asarray(self.origin, dtype=float)
+        object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
+
+    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
+        """Multiply the distance from the origin by a log-normal factor."""
+        scale, origin = (fits(name, getattr(self, name), position.shape[-1]) for name in ("scale", "origin"))
+        if np.any(position <= origin):
+            raise ValueError(f"origin: must be below every position (got {self.origin} and a position at it)")
+        return origin + (position - origin) * np.exp(scale * rng.standard_normal(position.shape))
+
+    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
+        """Return Σ log((candidate − origin)/(position − origin))."""
+        origin = np.asarray(self.origin)
+        with np.errstate(divide="ignore"):  # a factor that underflows: candidate at the origin, never accepted
+            return np.sum(np.log(candidate - origin) - np.log(position - origin), axis=-1)
+
+
+@dataclass(frozen=True)
+class Independence:
+    """Candidates from N(mean, covariance) whatever the position, e.g. a Laplace approximation. Asymmetric.
+
+    Parameters
+    ----------
+    mean : vector (ndim,)
+    covariance : matrix (ndim, ndim)
+
+    Raises
+    ------
+    ValueError
+        If `mean` is not finite or `covariance` not symmetric positive definite of the same size.
+    """
+
+    mean: Any
+    covariance: Any
+    _factor: FloatArray = field(init=False, repr=False, compare=False)
+    _inverse_factor: FloatArray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", vector("mean", self.mean))
+        factor = cholesky_factor("covariance", np.asarray(self.covariance, dtype=float))
+        fits("covariance", factor, len(self.mean))
+        object.__setattr__(self, "covariance", positive_scale("covariance", self.covariance, matrix=True))
+        object.__setattr__(self, "_factor", factor)
+        object.__setattr__(self, "_inverse_factor", np.linalg.inv(factor))
+
+    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
+        """Draw mean + L z with z standard normal and L Lᵀ = covariance."""
+        mean = fits("mean", self.mean, position.shape[-1])
+        return mean + rng.standard_normal(position.shape) @ self._factor.T
+
+    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
+        """Return log g(position) − log g(candidate), g the Gaussian."""
+        return self._log_density(position) - self._log_density(candidate)
+
+    def _log_density(self, x: FloatArray) -> FloatArray:
+        z = (x - np.asarray(self.mean)) @ self._inverse_factor.T
+        return -0.5 * np.sum(z * z, axis=-1)
+
+
+@dataclass(frozen=True)
+class MetropolisHastings(Sampler):
     """Metropolis-Hastings: accept a candidate with probability min(1, P(E*) q(E | E*) / (P(E) q(E* | E))).
 
     Parameters
     ----------
     proposal : Proposal, optional
-        The density q, its settings in scaled units. Without it, a Gaussian random walk whose covariance warm-up
-        learns; its first quarter is slice sampling.
+        The density q, with its settings in scaled units. If it is not given, a Gaussian random walk whose
+        covariance is learnt in warm-up, of which the first quarter is slice sampling.
 
     References
     ----------
@@ -36,36 +169,31 @@ class MetropolisHastings:
     proposal: Proposal | None = None
 
     name: ClassVar[str] = "mh"
-
-    @property
-    def walkers(self) -> int:
-        """A chain is a single point."""
-        return 1
+    title: ClassVar[str] = "Metropolis–Hastings"
+    colour: ClassVar[str] = "#E69F00"
+    cost: ClassVar[tuple[float, float, float]] = (1.5, 0.7, 0.3)
 
     def bind(self, density: LogDensity) -> MetropolisKernel:
         """Return the kernel that samples `density`."""
-        return MetropolisKernel(density, self.proposal or RandomWalk(START_SCALE))
+        return MetropolisKernel(Target(density), self.proposal or RandomWalk(START_SCALE))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
         """Return what learns the random walk in `steps` steps of warm-up, None if nothing is to be learnt."""
         if self.proposal is not None:
             return None
-        return MetropolisTuner(self, density, SliceTuner(Slice(), density, steps))
+        return MetropolisTuner(self, density, steps)
 
 
 @dataclass(frozen=True)
 class MetropolisKernel:
     """Metropolis-Hastings bound to a density."""
 
-    density: LogDensity
+    target: Target
     proposal: Proposal
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the start, one solve a chain."""
-        first = evaluate(self.density, positions)
-        nothing = np.zeros(len(positions), dtype=np.int64)
-        info = Info(nothing.astype(bool), first.log_prob, first.n_solves, nothing)
-        return State(positions, first.log_prob), info
+        return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Propose, and accept or reject.
@@ -73,7 +201,7 @@ class MetropolisKernel:
         A candidate outside the box has probability zero: it is rejected without an evaluation.
         """
         candidate = self.proposal.sample(rng, state.position)
-        new = evaluate(self.density, candidate)
+        new = self.target.evaluate(candidate)
         log_ratio = np.full(len(candidate), -np.inf)
         alive = np.isfinite(new.log_prob)
         log_ratio[alive] = (
@@ -90,19 +218,12 @@ class MetropolisKernel:
         return State(position, log_prob), info
 
 
-@dataclass(frozen=True)
-class Search:
-    """Steps of a slice sampler that are recorded as those of a Metropolis sampler are."""
-
-    kernel: SliceKernel
-
-    def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start."""
-        return self.kernel.init(positions)
+class Search(SliceKernel):
+    """Slice sampling that records what a Metropolis sampler does."""
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw from the slice: never rejected."""
-        state, info = self.kernel.step(rng, state)
+        state, info = super().step(rng, state)
         extra = {"acceptance_rate": info.accepted.astype(float), "n_nonfinite": info.extra["n_nonfinite"]}
         return state, replace(info, extra=extra)
 
@@ -110,47 +231,64 @@ class Search:
 class MetropolisTuner:
     """Covariance of a Gaussian random walk (Haario, Saksman & Tamminen 2001), its scale by the acceptance rate.
 
-    A random walk of unknown shape and size takes long to reach the bulk, and may learn on the way what fits the
-    way alone. The first part of the warm-up is therefore done by slice sampling, which finds its own scale in
-    every step; the covariance it has learnt by then is where the random walk begins, and each window improves it.
+    A random walk of unknown shape and size takes long to reach the bulk, and what it learns on the way may fit
+    only the way. The first part of the warm-up is therefore slice sampling, which finds its own scale in every
+    step. The covariance learnt by then is where the random walk begins, and each window improves it.
 
-    The scale s of s²·S follows the acceptance rate of all chains that keep up towards its optimum, 0.44 in one
-    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996), by a Robbins–Monro recursion (Andrieu & Thoms 2008,
-    algorithm 4); S is the covariance of each window in turn.
+    The scale s of s²·S follows the acceptance rate, averaged over the chains that have arrived, towards its
+    optimum: 0.44 in one dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). This is a Robbins–Monro
+    recursion (Andrieu & Thoms 2008, algorithm 4). S is the covariance of the last window.
     """
 
-    def __init__(self, sampler: MetropolisHastings, density: LogDensity, search: SliceTuner) -> None:
-        self.sampler, self.density, self.search = sampler, density, search
+    def __init__(self, sampler: MetropolisHastings, density: LogDensity, steps: int) -> None:
+        self.sampler, self.density = sampler, density
+        self.search = SliceTuner(Slice(), density, steps)
         self.target = 0.234 + (0.44 - 0.234) / density.ndim
-        self.shape = START_SCALE**2 * np.eye(density.ndim)
+        self.kernel: Search | MetropolisKernel = Search(**vars(self.search.kernel))
         self._restart(0.0)
-        self.kernel: Kernel = Search(search.kernel)
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
-        searching = self.search.learner.searching
+        learner = self.search.learner
+        searching = learner.searching
         self.search.update(state, info)
         if not searching:
+            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the steps add up to infinity, their squares do not
             self.count += 1
-            rate = float(self.search.learner.pooled(info.extra["acceptance_rate"]))
+            rate = float(learner.pooled(info.extra["acceptance_rate"]))
             self.log_scale += 3.0 / (self.count + 10) ** 0.6 * (rate - self.target)
             if self.count > _SETTLING:
                 self.sum += self.log_scale
         if self.search.window_closed:
-            self.shape = np.asarray(self.search.learner.covariance)
-            self._restart(float(np.log(2.38 / np.sqrt(self.density.ndim))))
-        if self.search.learner.searching:
-            self.kernel = Search(self.search.kernel)
-        else:
-            self.kernel = self._settings(self.log_scale).bind(self.density)
+            self._restart(float(np.log(2.38 / np.sqrt(self.density.ndim))))  # best for a Gaussian of covariance S
+        self._take_settings()
 
     def finished(self) -> MetropolisHastings:
-        """Return the settings learnt, the scale averaged over the last steps."""
+        """Return the settings learnt, with the scale averaged over the last steps."""
         averaged = self.sum / (self.count - _SETTLING) if self.count > 2 * _SETTLING else self.log_scale
         return self._settings(averaged)
+
+    def state(self) -> Tree:
+        """Return what was learnt so far, as plain data."""
+        return {"search": self.search.state(), "log_scale": self.log_scale, "count": self.count, "sum": self.sum}
+
+    def restore(self, state: Tree) -> None:
+        """Take over what another tuner had learnt."""
+        self.search.restore(state["search"])
+        self.log_scale, self.count, self.sum = state["log_scale"], state["count"], state["sum"]
+        if self.search.learner.step:
+            self._take_settings()
 
     def _restart(self, log_scale: float) -> None:
         self.log_scale, self.count, self.sum = log_scale, 0, 0.0
 
+    def _take_settings(self) -> None:
+        if self.search.learner.searching:
+            self.kernel = Search(**vars(self.search.kernel))
+        else:
+            self.kernel = self._settings(self.log_scale).bind(self.density)
+
     def _settings(self, log_scale: float) -> MetropolisHastings:
-        return replace(self.sampler, proposal=RandomWalk(np.exp(2.0 * log_scale) * self.shape))
+        covariance = self.search.learner.covariance
+        shape = START_SCALE**2 * np.eye(self.density.ndim) if covariance is None else covariance
+        return replace(self.sampler, proposal=RandomWalk(np.exp(2.0 * log_scale) * shape))

@@ -7,21 +7,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fmu.samplers.adaptation.learner import Learner
-from fmu.samplers.adaptation.schedule import Schedule
-from fmu.samplers.evaluation import evaluate
-from fmu.samplers.kernel import Info, State
-from fmu.samplers.loop.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
+from fmu.samplers.adaptation import Learner, Schedule
+from fmu.samplers.kernel import Info, Sampler, State, Target, Tree
+from fmu.samplers.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 START_WIDTH = 0.5
 """Interval of a slice before anything is learnt, in scaled units."""
-
 SCHEMES = ("hyperrectangle", "coordinate")
 
 
 @dataclass(frozen=True)
-class Slice:
+class Slice(Sampler):
     """Slice sampling: draw a level Y under the density, then a point from the slice {E : P(E) ≥ Y}.
 
     Parameters
@@ -30,16 +27,17 @@ class Slice:
         "hyperrectangle" moves all coordinates at once, as section 4.2 of the paper lists; "coordinate" takes
         them in turn with stepping-out, as its section 5 describes. One draw is one full sweep.
     width : float or vector (ndim,), optional
-        The initial interval along each axis, in scaled units. Without it, warm-up learns it and `axes` too.
+        The initial interval along each axis, in scaled units. If it is not given, warm-up learns it, and `axes`
+        too.
     axes : None or matrix (ndim, ndim)
-        Directions, in columns, in which the intervals lie: orthonormal; the coordinates themselves if None.
+        Directions of the intervals, as orthonormal columns; the coordinate axes if None.
     spread : float
         The interval that adaptation gives an axis, in standard deviations of the target along it.
     max_steps_out : int
         Most expansions of one interval by `width` ("coordinate" only): Neal's m is ``max_steps_out + 1``.
     max_shrinks : int
-        Most candidates for one interval. A chain that reaches it stays where it is, which leaves the target
-        invariant; it happens only where rounding hides the slice.
+        Most candidates for one interval. A chain that reaches this number stays where it is, which leaves the
+        target invariant; it happens only where rounding hides the slice.
 
     Notes
     -----
@@ -59,6 +57,9 @@ class Slice:
     spread: float = 3.0
 
     name: ClassVar[str] = "slice"
+    title: ClassVar[str] = "Slice sampling"
+    colour: ClassVar[str] = "#009E73"
+    cost: ClassVar[tuple[float, float, float]] = (3.0, 2.3, 1.0)
 
     def __post_init__(self) -> None:
         one_of("scheme", self.scheme, SCHEMES)
@@ -70,16 +71,11 @@ class Slice:
         whole_number("max_steps_out", self.max_steps_out, 0)
         whole_number("max_shrinks", self.max_shrinks, 1)
 
-    @property
-    def walkers(self) -> int:
-        """A chain is a single point."""
-        return 1
-
     def bind(self, density: LogDensity) -> SliceKernel:
         """Return the kernel that samples `density`; ValueError if `width` does not fit its coordinates."""
         width = np.broadcast_to(fits("width", self.width or START_WIDTH, density.ndim), density.ndim)
         axes = np.eye(density.ndim) if self.axes is None else fits("axes", self.axes, density.ndim)
-        return SliceKernel(density, self, width, axes)
+        return SliceKernel(Target(density), self, width, axes)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> SliceTuner | None:
         """Return what learns these settings in `steps` steps of warm-up, None if nothing is to be learnt."""
@@ -88,7 +84,7 @@ class Slice:
 
 @dataclass
 class _Account:
-    """What one step has cost so far, per chain."""
+    """Cost of one step so far, per chain."""
 
     n_solves: IntArray
     n_nonfinite: IntArray
@@ -98,23 +94,20 @@ class _Account:
 
 @dataclass(frozen=True)
 class SliceKernel:
-    """Slice sampling bound to a density; `width` has one entry an axis, the axes are columns of `axes`.
+    """Slice sampling bound to a density; `width` has one entry per axis, the axes are the columns of `axes`.
 
-    Both may have a leading dimension, for settings of every chain's own: (chains, ndim) and (chains, ndim, ndim).
+    Both may have a leading dimension if every chain has its own: (chains, ndim) and (chains, ndim, ndim).
     Intervals are kept as offsets from the present position along the axes, so that 0 always lies within.
     """
 
-    density: LogDensity
+    target: Target
     settings: Slice
     width: FloatArray
     axes: FloatArray
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the start, one solve a chain."""
-        first = evaluate(self.density, positions)
-        nothing = np.zeros(len(positions), dtype=np.int64)
-        info = Info(nothing.astype(bool), first.log_prob, first.n_solves, nothing)
-        return State(positions, first.log_prob), info
+        return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw from the slice: once along all axes together, or a full sweep of them."""
@@ -156,8 +149,8 @@ class SliceKernel:
     ) -> FloatArray:
         """Widen the intervals along axis `i` until both ends are off the slice (Neal 2003, figure 3).
 
-        The two ends and all chains advance together, for the split of the budget between left and right is drawn
-        beforehand. An end beyond the bounds is off the slice, at no cost.
+        The budget is split between left and right beforehand, so that both ends and all chains can advance
+        together. An end beyond the bounds is off the slice, at no cost.
         """
         ends = interval[:, :, 0]
         outward = np.multiply.outer([-1.0, 1.0], np.broadcast_to(self.width[..., i], len(x)))
@@ -189,8 +182,8 @@ class SliceKernel:
     ) -> tuple[FloatArray, FloatArray]:
         """Draw from the intervals, shrinking them towards offset 0 at every miss (Neal 2003, figures 5 and 8).
 
-        The intervals are cut first where every candidate beyond would miss the bounds. Chains that have hit the
-        slice wait and are not evaluated again.
+        The intervals are first cut where every candidate beyond would be outside the bounds. Chains that have hit
+        the slice wait for the others and are not evaluated again.
         """
         left, right = self._cut(x, ends, axes)
         new, new_log_prob = x.copy(), log_prob.copy()
@@ -211,10 +204,10 @@ class SliceKernel:
         return new, new_log_prob
 
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the intervals cut at the bounds, where a bound cuts an axis regardless of the others."""
+        """Return the intervals cut at the bounds, along axes that alone decide whether a bound is crossed."""
         left, right = ends[0].copy(), ends[1].copy()
-        if axes.ndim == 3:  # every chain's own, learnt and so oblique: only a single one is cut
-            return _cut_line(self.density, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
+        if axes.ndim == 3:  # each chain's own, learnt and so oblique: cut only if there is a single one
+            return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
         alone = (
             [i for i in range(len(axes)) if np.count_nonzero(axes[i]) == 1]
             if axes.shape[1] > 1
@@ -222,20 +215,20 @@ class SliceKernel:
         )
         for i in alone:
             for k in np.flatnonzero(axes[i]):
-                walls = np.stack([self.density.lower[i] - x[:, i], self.density.upper[i] - x[:, i]]) / axes[i, k]
+                walls = np.stack([self.target.lower[i] - x[:, i], self.target.upper[i] - x[:, i]]) / axes[i, k]
                 left[:, k] = np.maximum(left[:, k], walls.min(axis=0))
                 right[:, k] = np.minimum(right[:, k], walls.max(axis=0))
         return left, right
 
     def _evaluate(self, points: FloatArray, chain: IntArray, account: _Account) -> FloatArray:
-        found = evaluate(self.density, points, chain)
+        found = self.target.evaluate(points, chain)
         np.add.at(account.n_solves, chain, found.n_solves)
         np.add.at(account.n_nonfinite, chain, found.n_nonfinite)
         return found.log_prob
 
 
 class SliceTuner:
-    """Axes along the principal directions of the covariance, intervals of a few standard deviations there.
+    """Axes along the principal directions of the covariance, with intervals of a few standard deviations.
 
     Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
     """
@@ -251,14 +244,27 @@ class SliceTuner:
         """Learn from one step."""
         self.window_closed = self.learner.learn(state, info)
         if self.window_closed:
-            variance, axes = np.linalg.eigh(np.asarray(self.learner.covariance))
-            width = self.sampler.spread * np.sqrt(variance)
-            self.settings = replace(self.sampler, width=width, axes=axes)
-            self.kernel = self.settings.bind(self.density)
+            self._take_covariance()
 
     def finished(self) -> Slice:
         """Return the settings learnt."""
         return self.settings
+
+    def state(self) -> Tree:
+        """Return what was learnt so far, as plain data."""
+        return self.learner.state()
+
+    def restore(self, state: Tree) -> None:
+        """Take over what another tuner had learnt."""
+        self.learner.restore(state)
+        if self.learner.covariance is not None:
+            self._take_covariance()
+
+    def _take_covariance(self) -> None:
+        variance, axes = np.linalg.eigh(np.asarray(self.learner.covariance))
+        width = self.sampler.spread * np.sqrt(variance)
+        self.settings = replace(self.sampler, width=width, axes=axes)
+        self.kernel = self.settings.bind(self.density)
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
@@ -267,12 +273,12 @@ def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
 
 
 def _cut_line(
-    density: LogDensity, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
+    target: Target, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the intervals (chains, 1) along one axis a chain (chains, ndim, 1) cut at the bounds."""
     slope = axes[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):  # a wall that is never met
-        walls = np.stack([density.lower - x, density.upper - x]) / slope
+        walls = np.stack([target.lower - x, target.upper - x]) / slope
     walls = np.where(slope == 0.0, [[[-np.inf]], [[np.inf]]], walls)
     first, last = walls.min(axis=0).max(axis=1), walls.max(axis=0).min(axis=1)
     return np.maximum(left, first[:, None]), np.minimum(right, last[:, None])

@@ -13,7 +13,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
-from fmu.samplers.loop.run import Draws, RunResult
+from fmu.samplers.loop.record import Draws, RunResult
 from tests.linear import LinearModel
 
 

@@ -242,6 +242,13 @@ class Narrowing:
     def finished(self):
         return MetropolisHastings(RandomWalk(0.3 / self.steps**0.25))
 
+    def state(self):
+        return {"steps": self.steps}
+
+    def restore(self, state):
+        self.steps = state["steps"]
+        self.kernel = MetropolisHastings(RandomWalk(0.3 / self.steps**0.25)).bind(self.density)
+
 
 class OwnSampler(MetropolisHastings):
     def tuner(self, density, chains, steps):

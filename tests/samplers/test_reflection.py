@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.hmc.metric import Metric
-from fmu.samplers.hmc.reflection import drift
+from fmu.samplers.trajectory import Metric, drift
 
 LOWER, UPPER = np.zeros(3), np.array([1.0, 2.0, 0.5])
 DENSE = np.array([[1.0, 0.6, -0.3], [0.6, 0.8, 0.1], [-0.3, 0.1, 0.5]])
@@ -35,7 +34,7 @@ def scalar_drift(q, p, inverse_mass, time):
 
 
 def test_without_coupling_every_coordinate_folds_by_itself():
-    metric = Metric([1.0, 0.3, 2.0], 3)
+    metric = Metric.of([1.0, 0.3, 2.0], 3)
     q, p = random_motion(200, metric)
     end = move(q, p, metric, 7.0)
     width = UPPER - LOWER
@@ -47,7 +46,7 @@ def test_without_coupling_every_coordinate_folds_by_itself():
 
 
 def test_under_a_dense_metric_walls_are_met_in_order():
-    metric = Metric(DENSE, 3)
+    metric = Metric.of(DENSE, 3)
     q, p = random_motion(50, metric)
     end = move(q, p, metric, 3.0)
     assert end.n_bounces.min() >= 1
@@ -58,7 +57,7 @@ def test_under_a_dense_metric_walls_are_met_in_order():
 
 
 def test_kinetic_energy_is_kept_and_the_box_not_left():
-    metric = Metric(DENSE, 3)
+    metric = Metric.of(DENSE, 3)
     q, p = random_motion(200, metric)
     end = move(q, p, metric, 5.0)
     np.testing.assert_allclose(metric.kinetic(end.momentum), metric.kinetic(p), rtol=1e-11)
@@ -66,7 +65,7 @@ def test_kinetic_energy_is_kept_and_the_box_not_left():
 
 
 def test_reversible():
-    metric = Metric(DENSE, 3)
+    metric = Metric.of(DENSE, 3)
     q, p = random_motion(200, metric)
     there = move(q, p, metric, 5.0)
     back = move(there.position, -there.momentum, metric, 5.0)
@@ -76,7 +75,7 @@ def test_reversible():
 
 
 def test_a_wall_at_infinity_is_never_met():
-    metric = Metric(None, 3)
+    metric = Metric.of(None, 3)
     q, p = random_motion(20, metric)
     end = move(q, p, metric, 100.0, np.full(3, -np.inf), np.full(3, np.inf))
     np.testing.assert_array_equal(end.position, q + 100.0 * p)
@@ -84,7 +83,7 @@ def test_a_wall_at_infinity_is_never_met():
 
 
 def test_a_point_on_a_wall_leaves_it():
-    metric = Metric(None, 3)
+    metric = Metric.of(None, 3)
     q = np.array([[0.0, 0.5, 0.25], [0.0, 0.5, 0.25]])
     p = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     end = move(q, p, metric, 0.25)
@@ -94,7 +93,7 @@ def test_a_point_on_a_wall_leaves_it():
 
 
 def test_a_corner_takes_two_bounces():
-    metric = Metric(None, 3)
+    metric = Metric.of(None, 3)
     end = move(np.full((1, 3), 0.25), np.array([[-1.0, -1.0, 0.0]]), metric, 0.5)
     np.testing.assert_allclose(end.position, [[0.25, 0.25, 0.25]])
     np.testing.assert_allclose(end.momentum, [[1.0, 1.0, 0.0]])
@@ -102,7 +101,7 @@ def test_a_corner_takes_two_bounces():
 
 
 def test_the_cap_interrupts_the_motion_and_says_so():
-    metric = Metric(None, 3)
+    metric = Metric.of(None, 3)
     q, p = np.tile([0.5, 0.5, 0.25], (2, 1)), np.array([[10.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     end = move(q, p, metric, 1.0, cap=3)
     np.testing.assert_array_equal(end.arrived, [False, True])
@@ -111,7 +110,7 @@ def test_the_cap_interrupts_the_motion_and_says_so():
 
 @pytest.mark.parametrize("momentum", [np.nan, np.inf])
 def test_a_motion_that_is_not_finite_does_not_arrive(momentum):
-    metric = Metric(None, 3)
+    metric = Metric.of(None, 3)
     with np.errstate(invalid="ignore"):
         end = move(np.full((1, 3), 0.25), np.array([[momentum, 0.0, 0.0]]), metric, 1.0)
     assert not end.arrived[0]
@@ -120,7 +119,7 @@ def test_a_motion_that_is_not_finite_does_not_arrive(momentum):
 class TestMetric:
     @pytest.mark.parametrize("inverse_mass", [None, [0.5, 2.0, 3.0], DENSE], ids=["identity", "vector", "matrix"])
     def test_momenta_have_covariance_m(self, inverse_mass):
-        metric = Metric(inverse_mass, 3)
+        metric = Metric.of(inverse_mass, 3)
         n = 200_000
         p = metric.sample_momentum(np.random.default_rng(1), n)
         mass = np.linalg.inv(metric.inverse)
@@ -128,5 +127,5 @@ class TestMetric:
         assert abs(metric.kinetic(p).mean() - 1.5) < 5 * np.sqrt(1.5 / n)
 
     def test_velocity_is_the_inverse_mass_times_momentum(self):
-        np.testing.assert_allclose(Metric(DENSE, 3).velocity(np.eye(3)), DENSE)
-        np.testing.assert_allclose(Metric([1.0, 2.0, 4.0], 3).velocity(np.ones((1, 3))), [[1.0, 2.0, 4.0]])
+        np.testing.assert_allclose(Metric.of(DENSE, 3).velocity(np.eye(3)), DENSE)
+        np.testing.assert_allclose(Metric.of([1.0, 2.0, 4.0], 3).velocity(np.ones((1, 3))), [[1.0, 2.0, 4.0]])

@@ -11,11 +11,9 @@ from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import run
-from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedDensity
-from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
-from fmu.samplers.tempering.ladder import adapted, rejections, stages
-from fmu.samplers.tempering.rungs import side_by_side
-from fmu.samplers.tempering.tempering import Tempering
+from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedTarget
+from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD, replicas_of, side_by_side
+from fmu.samplers.tempering.tempering import Tempering, adapted, rejections, stages
 from tests.samplers.moments import assert_right
 from tests.samplers.targets import BoundedBeta, CorrelatedGaussian, TruncatedGaussian
 from tests.samplers.tempered_targets import Failing, FarModes, InBox, LinearGaussian
@@ -118,7 +116,7 @@ def test_the_rungs_sample_the_tempered_densities(kernel):
     for step in range(60):
         state, _ = tempering.step(rng, state)
         if step >= 29 and step % 10 == 9:
-            kept.append(state.replicas.position)
+            kept.append(replicas_of(state).position)
     for k in (0, 1, 2):
         precision = np.eye(3) / target.sd**2 + t[k] * target.matrix.T @ target.matrix / target.noise**2
         covariance = np.linalg.inv(precision)
@@ -159,7 +157,7 @@ class TestAccounts:
         state, _ = kernel.init(rng.standard_normal((4, 3)))
         for _ in range(30):
             state, _ = kernel.step(rng, state)
-        replicas = state.replicas
+        replicas = replicas_of(state)
         theta = target.offset + target.scale * replicas.position.reshape(-1, 3)
         (prior, prior_slope), (likelihood, slope) = target.prior(theta), target.likelihood(theta)
         np.testing.assert_allclose(replicas.log_prior.ravel(), prior, rtol=1e-12)
@@ -288,11 +286,11 @@ def test_where_a_replica_was_not_evaluated_last_it_is_evaluated_again():
     target, rng = LinearGaussian(), np.random.default_rng(1)
     parts = PriorAndLikelihood(target, with_gradients=False)
     start, between, last = (rng.standard_normal((3, 3)) for _ in range(3))
-    density = TemperedDensity(parts, np.array([0.1, 0.5, 1.0]), parts.points(start))
-    density.log_prob(between)
-    density.log_prob(last)
+    tempered = TemperedTarget(parts, np.array([0.1, 0.5, 1.0]), parts.points(start))
+    for position in (between, last):
+        tempered.log_prob(position, slice(None))
     arrived = np.stack([start[0], between[1], last[2]])
-    points, n_solves = density.at(arrived)
+    points, n_solves = tempered.at(arrived)
     assert n_solves.tolist() == [0, 1, 0]
     np.testing.assert_array_equal(points.position, arrived)
     np.testing.assert_array_equal(points.log_likelihood, target.likelihood(arrived)[0])

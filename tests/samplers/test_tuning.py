@@ -1,11 +1,11 @@
-"""What the samplers learn in warm-up with their default settings, and that they forget to go on learning."""
+"""What the samplers learn in warm-up with their default settings, and that adaptation is frozen after it."""
 
 import numpy as np
 import pytest
 
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named, run
-from fmu.samplers.loop.snapshot import restored
+from fmu.samplers.settings import describe
 from tests.samplers.moments import assert_right
 from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
@@ -139,11 +139,12 @@ def test_nothing_is_learnt_after_warm_up(name):
     begun = Run(target, named(name), warmup=200, chains=3, seed=2, init="prior")
     first = begun.extend(50)
     scaled = ScaledDensity(target)
-    given = {"scaled": scaled, "density": target, "sampler": named(name)}
-    held = restored(begun._groups[0].group_state.group, given)
-    assert held["tuner"] is None
-    kernel, state, copy = held["settings"].bind(scaled), held["state"], np.random.default_rng(0)
-    copy.bit_generator.state = held["generator"]
+    held = begun._groups[0].state
+    tuner = named(name).tuner(scaled, 3, 200)
+    tuner.restore(held.tuner)
+    assert describe(tuner.finished()) == first.learnt == held.learnt
+    kernel, state, copy = tuner.finished().bind(scaled), held.state, np.random.default_rng(0)
+    copy.bit_generator.state = held.generator
     position = []
     for _ in range(50):
         state, _ = kernel.step(copy, state)

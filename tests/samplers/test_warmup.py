@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.adaptation.schedule import SHRINKAGE, DualAveraging, PooledMoments, Schedule, keeping_up
+from fmu.samplers.adaptation import SHRINKAGE, DualAveraging, Schedule, keeping_up, pooled_covariance
 
 COVARIANCE = np.array([[1.0, 0.6, 0.0], [0.6, 0.8, -0.2], [0.0, -0.2, 0.5]])
 
@@ -78,17 +78,11 @@ class Window:
         self.log_prob = -0.5 * np.sum(z**2, axis=0).reshape(n, 5)
         self.acceptance = rng.uniform(0.1, 0.5, (n, 5))
 
-    def moments(self, chains=slice(None)):
-        moments = PooledMoments()
-        for position, log_prob, acceptance in zip(self.position, self.log_prob, self.acceptance, strict=True):
-            moments.add(position[chains], log_prob[chains], acceptance[chains])
-        return moments
-
     def covariance(self, chains=slice(None), first=0):
-        return self.moments(chains).covariance(first)
+        return pooled_covariance(*(a[first:, chains] for a in (self.position, self.log_prob, self.acceptance)))
 
 
-class TestPooledMoments:
+class TestPooledCovariance:
     def test_is_the_covariance_of_all_chains_shrunk_towards_its_diagonal(self):
         window = Window()
         plain = np.cov(window.position.reshape(-1, 3), rowvar=False)
@@ -151,7 +145,7 @@ class TestPooledMoments:
         assert keeping_up(np.array([0.0, -80.0]), 10.0).tolist() == [True, False]
 
     def test_too_few_draws(self):
-        assert PooledMoments().covariance() is None
+        assert Window(0).covariance() is None
         assert Window(1).covariance() is None
         assert Window(5).covariance(first=5) is None
 

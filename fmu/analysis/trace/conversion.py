@@ -23,13 +23,13 @@ from fmu.interruption import shielded
 from fmu.posterior.errors.frequency import CorrelatedFrequencyTerm
 from fmu.progress.phases import by_parts
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
-from fmu.samplers.tempering.ladder import first_ladder, rejections
+from fmu.samplers.tempering.tempering import first_ladder, rejections
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from fmu.samplers.loop.run import Draws, RunResult
+    from fmu.samplers.loop.record import Draws, RunResult
     from fmu.types import LogDensity
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from fmu.samplers.loop.run import RunResult
+    from fmu.samplers.loop.record import RunResult
     from fmu.types import LogDensity
 
 PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")

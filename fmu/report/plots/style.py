@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.samplers.registry import SAMPLERS, sampler_class
+
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
@@ -38,14 +40,8 @@ def shown(unit: str) -> Unit:
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
-COLOURS = {"mh": "#E69F00", "slice": "#009E73", "hmc": "#0072B2", "emcee": "#CC79A7", "tempering": "#56B4E9"}
-TITLES = {
-    "mh": "Metropolis–Hastings",
-    "slice": "Slice sampling",
-    "hmc": "Hamiltonian Monte Carlo",
-    "emcee": "emcee ensemble",
-    "tempering": "Parallel tempering",
-}
+COLOURS = {name: sampler_class(name).colour for name in SAMPLERS}
+TITLES = {name: sampler_class(name).title for name in SAMPLERS}
 BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
 VERMILLION = "#D55E00"
 FONT = 10

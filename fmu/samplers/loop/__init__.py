@@ -1,4 +1,4 @@
-"""What every sampler runs in: starts, groups of chains, warm-up, draws, and the state between them.
+"""What every sampler runs in: starts, groups of chains, warm-up and draws.
 
-Reading order: settings, starts, run, group, record.
+Reading order: starts, group, record, run.
 """

@@ -1,15 +1,15 @@
-"""A group of chains, the unit of work that a run is divided into, and how a part of that work is done.
+"""A group of chains: the unit of work of a run, and how a part of that work is done.
 
-The chains of a group advance in lockstep with one generator, and learn together. Groups know nothing of each
-other, and between two parts of its work a group is plain data: it does not matter where, in which order and in how
+The chains of a group advance in lockstep with one generator, and learn together. Groups are independent of each
+other. Between two parts of its work a group is plain data: it does not matter where, in which order and in how
 many parts the work is done.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,10 @@ import numpy as np
 from fmu.interruption import is_asked
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress import Report
-from fmu.samplers.kernel import Info, Kernel, Sampler, State, Tuner
+from fmu.samplers.kernel import Info, Kernel, Sampler, State, Tree, Tuner
 from fmu.samplers.loop.record import Record, Steps
-from fmu.samplers.loop.settings import describe
-from fmu.samplers.loop.snapshot import Snapshot, restored, taken
 from fmu.samplers.loop.starts import check_finite
+from fmu.samplers.settings import describe
 from fmu.types import FloatArray, LogDensity
 
 WARMUP, DRAWS = "warmup", "draws"
@@ -42,9 +41,53 @@ class RunContext:
         self.density, self.sampler, self.warmup = density, sampler, warmup
         self.scaled = ScaledDensity(density)
 
-    def given(self) -> dict[str, Any]:
-        """Return what a snapshot of a group names instead of copying it."""
-        return {"scaled": self.scaled, "density": self.density} | dict(_settings("sampler", self.sampler))
+
+@dataclass(frozen=True)
+class GroupState:
+    """A group between two parts of its work, as plain data.
+
+    Attributes
+    ----------
+    first_chain : int
+        Number of its first chain in the run.
+    generator : dict
+        State of its bit generator.
+    start : ndarray, shape (chains, ndim) or (chains, walkers, ndim), or None
+        Where its chains start, scaled; None once they have begun.
+    done : mapping of str to int
+        Steps taken in each phase.
+    solves : int
+    state : State or None
+        None if the chains have not begun.
+    tuner : Tree or None
+        `Tuner.state` of what learns, or has learnt, the settings; None if nothing is to be learnt.
+    learnt : dict
+        The settings that the draws are made with, as JSON-able data; {} if nothing was learnt, or not yet.
+    """
+
+    first_chain: int
+    generator: Mapping[str, Any]
+    start: FloatArray | None
+    done: Mapping[str, int]
+    solves: int = 0
+    state: State | None = None
+    tuner: Tree | None = None
+    learnt: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def at(cls, start: FloatArray, rng: np.random.Generator, first_chain: int = 0) -> GroupState:
+        """Return a group that has not begun."""
+        return cls(first_chain, rng.bit_generator.state, start, {WARMUP: 0, DRAWS: 0})
+
+    @classmethod
+    def of_tree(cls, tree: Tree) -> GroupState:
+        """Return the group that `tree` describes."""
+        state = tree["state"]
+        return cls(**{**tree, "state": None if state is None else State(**state)})
+
+    def tree(self) -> Tree:
+        """Return the group as arrays, numbers and texts by name."""
+        return {**vars(self), "state": None if self.state is None else vars(self.state)}
 
 
 @dataclass(frozen=True)
@@ -53,18 +96,18 @@ class Chunk:
 
     Attributes
     ----------
-    group : Snapshot
-        As it is now.
+    group : GroupState
+        The group before it.
     phase : {"warmup", "draws"}
     steps, seconds : int, float
         It ends when either is used up, or a stop is asked for, after one step at the earliest.
     total : int
-        Steps of the phase, for who reads the progress.
+        Steps of the phase, for progress reports.
     label : str
-        What tells the group from others there; empty if there are none.
+        Which group it is, for progress reports; empty if there is only one.
     """
 
-    group: Snapshot
+    group: GroupState
     phase: str
     steps: int
     seconds: float
@@ -73,55 +116,21 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class GroupState:
-    """Where a group stands.
-
-    Attributes
-    ----------
-    group : Snapshot
-    done : mapping of str to int
-        Steps taken in each phase.
-    learnt : dict
-        The settings that draws are made with, as JSON-able data; {} if nothing was learnt, or not yet.
-    """
-
-    group: Snapshot
-    done: Mapping[str, int]
-    learnt: dict[str, Any]
-
-
-@dataclass(frozen=True)
 class ChunkResult:
-    """What came of a chunk.
+    """The outcome of a chunk.
 
     Attributes
     ----------
     steps : Steps
-    group_state : GroupState
+    group : GroupState
+        The group after it.
     failures : list
-        What `take_failures` of the density gave: points without a finite log-density, and why.
+        What `take_failures` of the density returned: points without a finite log-density, and why.
     """
 
     steps: Steps
-    group_state: GroupState
+    group: GroupState
     failures: list[Any]
-
-
-def first_snapshot(
-    context: RunContext, rng: np.random.Generator, position: FloatArray, first_chain: int
-) -> Snapshot:
-    """Return a group that has not begun.
-
-    Parameters
-    ----------
-    context : RunContext
-    rng : Generator
-    position : ndarray, shape (chains, ndim) or (chains, walkers, ndim)
-        Where its chains start, scaled.
-    first_chain : int
-        Number of its first chain in the run.
-    """
-    return _GroupRunner(context, rng, {"position": position, "first_chain": first_chain}).snapshot()
 
 
 def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> ChunkResult:
@@ -132,7 +141,7 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     ValueError
         If a chain would start where the log-density is not finite.
     """
-    group = _GroupRunner.of_snapshot(chunk.group, context)
+    group = _GroupRunner(context, chunk.group)
     began = time.perf_counter()
     record = Record(group.chains, context.sampler.walkers, context.scaled.ndim)
     record.reserve(chunk.steps)
@@ -150,9 +159,9 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     return ChunkResult(record.steps(0, done), group.group_state(), list(take()))
 
 
-def evaluated_again(context: RunContext, group: Snapshot) -> tuple[FloatArray, FloatArray]:
-    """Return the log-density where the chains of a group are: as the group has it, and evaluated anew."""
-    held = _GroupRunner.of_snapshot(group, context)
+def evaluated_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
+    """Return the log-density at the positions of a group's chains: as the group has it, and evaluated again."""
+    held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 
 
@@ -162,52 +171,48 @@ class _GroupRunner:
     Parameters
     ----------
     context : RunContext
-    rng : Generator
-    held : dict
-        What a snapshot holds beside the generator: ``position`` and ``first_chain`` of a group that has not begun;
-        else ``done``, ``solves``, ``settings``, ``state`` and ``tuner``.
+    group : GroupState
+        If its chains have not begun, their start is evaluated.
     """
 
-    def __init__(self, context: RunContext, rng: np.random.Generator, held: dict[str, Any]) -> None:
-        self.context, self.rng = context, rng
-        self.first_chain: int = held["first_chain"]
-        self.position: FloatArray | None = held.get("position")
-        self.done: dict[str, int] = held.get("done", {WARMUP: 0, DRAWS: 0})
-        self.solves: int = held.get("solves", 0)
-        self.settings: Sampler | None = held.get("settings")
-        self._state: State | None = held.get("state")
-        self.start: Info | None = None  # what it cost, until a step has booked it
-        self.tuner: Tuner | None = held.get("tuner")
-        self.kernel: Kernel = (self.settings or context.sampler).bind(context.scaled)
-
-    @property
-    def state(self) -> State:
-        """Where the chains are; the start is evaluated when this is first asked for."""
-        if self._state is None:
-            self._begin()
-        assert self._state is not None
-        return self._state
+    def __init__(self, context: RunContext, group: GroupState) -> None:
+        self.context, self.first_chain = context, group.first_chain
+        self.rng = np.random.default_rng(0)
+        self.rng.bit_generator.state = group.generator
+        self.done, self.solves = dict(group.done), group.solves
+        self.kernel: Kernel = context.sampler.bind(context.scaled)
+        self.start: Info | None = None  # what the start cost, until a step has counted it
+        if group.state is not None:
+            self.state = group.state
+        else:
+            assert group.start is not None
+            self.state, self.start = self.kernel.init(group.start)
+            check_finite(context.scaled, group.start, self.start.log_prob, self.first_chain)
+        self.tuner: Tuner | None = None
+        self.learnt: Sampler | None = None
+        if context.warmup and (group.state is None or group.tuner is not None):
+            self.tuner = context.sampler.tuner(context.scaled, self.chains, context.warmup)
+            if self.tuner is not None and group.tuner is not None:
+                self.tuner.restore(group.tuner)
+            self._take_kernel()
 
     @property
     def chains(self) -> int:
-        """How many they are."""
+        """Number of chains."""
         return len(self.state.position)
 
     def step(self, phase: str) -> Info:
-        """Advance one step, and learn from it in warm-up; the first one carries the cost of the start too."""
-        state = self.state
-        kernel = self.kernel if self.tuner is None else self.tuner.kernel
-        self._state, info = kernel.step(self.rng, state)
+        """Advance one step, and learn from it in warm-up; the cost of the start is counted for the first one."""
+        self.state, info = self.kernel.step(self.rng, self.state)
         if self.start is not None:
             solves = info.n_solves + self.start.n_solves
             gradients = info.n_gradients + self.start.n_gradients
             info, self.start = replace(info, n_solves=solves, n_gradients=gradients), None
         self.done[phase] += 1
         self.solves += int(info.n_solves.sum())
-        if self.tuner is not None:
-            self.tuner.update(self._state, info)
-            if self.done[WARMUP] == self.context.warmup:
-                self._freeze(self.tuner)
+        if self.tuner is not None and self.learnt is None:
+            self.tuner.update(self.state, info)
+            self._take_kernel()
         return info
 
     def as_steps(self, info: Info) -> Steps:
@@ -228,53 +233,31 @@ class _GroupRunner:
         )
 
     def group_state(self) -> GroupState:
-        """Return where the group stands."""
-        learnt = {} if self.settings is None else describe(self.settings)
-        return GroupState(self.snapshot(), dict(self.done), learnt)
-
-    def snapshot(self) -> Snapshot:
         """Return the group as plain data."""
-        held: dict[str, Any] = {"first_chain": self.first_chain, "generator": self.rng.bit_generator.state}
-        if self._state is None:
-            held["position"] = self.position
+        return GroupState(
+            first_chain=self.first_chain,
+            generator=self.rng.bit_generator.state,
+            start=None,
+            done=dict(self.done),
+            solves=self.solves,
+            state=self.state,
+            tuner=None if self.tuner is None else self.tuner.state(),
+            learnt={} if self.learnt is None else describe(self.learnt),
+        )
+
+    def _take_kernel(self) -> None:
+        """Take the tuner's kernel in warm-up, and after it the one of the settings learnt."""
+        if self.tuner is None:
+            return
+        if self.done[WARMUP] < self.context.warmup:
+            self.kernel = self.tuner.kernel
         else:
-            held |= {"done": self.done, "solves": self.solves, "settings": self.settings}
-            held |= {"state": self._state, "tuner": self.tuner}
-        return taken(held, self.context.given())
-
-    @classmethod
-    def of_snapshot(cls, snapshot: Snapshot, context: RunContext) -> _GroupRunner:
-        """Return the group that a snapshot was taken of."""
-        held = restored(snapshot, context.given())
-        rng = np.random.default_rng(0)
-        rng.bit_generator.state = held["generator"]
-        return cls(context, rng, held)
-
-    def _begin(self) -> None:
-        """Evaluate the start."""
-        assert self.position is not None
-        context = self.context
-        self._state, self.start = self.kernel.init(self.position)
-        check_finite(context.scaled, self.position, self.start.log_prob, self.first_chain)
-        if context.warmup:
-            self.tuner = context.sampler.tuner(context.scaled, len(self.position), context.warmup)
-
-    def _freeze(self, tuner: Tuner) -> None:
-        """End the adaptation."""
-        self.settings, self.tuner = tuner.finished(), None
-        self.kernel = self.settings.bind(self.context.scaled)
-
-
-def _settings(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
-    """Yield settings and those within them, such as a proposal of the user's own, by name."""
-    yield name, thing
-    for key, value in getattr(thing, "__dict__", {}).items():
-        if is_dataclass(value) and not isinstance(value, type):
-            yield from _settings(f"{name}.{key}", value)
+            self.learnt = self.tuner.finished()
+            self.kernel = self.learnt.bind(self.context.scaled)
 
 
 class _Pace:
-    """What a line of progress shows of the steps of a part taken so far."""
+    """What a progress report shows of the steps of a chunk so far."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()

@@ -1,16 +1,73 @@
-"""Arrays that the steps of a run are written into."""
+"""The draws of a run: arrays that the steps are written into, and what a run returns."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.samplers.loop.draws import Draws
 from fmu.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Draws:
+    """The draws of one phase.
+
+    Attributes
+    ----------
+    position : ndarray, shape (chains, draws, ndim)
+        theta, in the density's own coordinates. The draws of an ensemble are steps × walkers, step-major.
+    stats : dict of str to ndarray, shape (chains, draws)
+        ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and what the sampler adds. The sums of n_solves and
+        n_gradients over warm-up and draws are exactly what the density was asked for: the cost of the start is
+        counted for the first stored step.
+    """
+
+    position: FloatArray
+    stats: dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Draws of a run and its configuration.
+
+    Attributes
+    ----------
+    warmup, posterior : Draws
+    sampler : str
+        Short name of the sampler.
+    settings : dict
+        Its settings, as JSON-able data.
+    seed, chains, draws, warmup_draws, walkers : int
+        `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws a step.
+    groups : int
+        Number of groups that the chains were divided into.
+    init : str
+        Where the chains started: "prior", "start", "maxima" or "array".
+    wall_s, warmup_wall_s : float
+        Seconds spent sampling, warm-up included, and in warm-up alone.
+    learnt : dict
+        The settings that warm-up arrived at and the draws were made with, {} if nothing was learnt. For several
+        groups of chains, a list of every setting.
+    """
+
+    warmup: Draws
+    posterior: Draws
+    sampler: str
+    settings: dict[str, Any]
+    seed: int
+    walkers: int
+    draws: int
+    warmup_draws: int
+    chains: int
+    init: str
+    wall_s: float
+    warmup_wall_s: float
+    groups: int = 1
+    learnt: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -36,7 +93,7 @@ class Steps:
 
 
 class Record:
-    """Steps of chains, as they come. The arrays of statistics are made when the first steps name them.
+    """The steps of all chains. The arrays of statistics are made when the first steps name them.
 
     Parameters
     ----------
@@ -50,7 +107,7 @@ class Record:
         self._stats: dict[str, NDArray[Any]] = {}
 
     def reserve(self, steps: int) -> None:
-        """Make room for so many steps in all. What was returned before stays what it was."""
+        """Make room for so many steps in all. Arrays returned earlier do not change."""
         if steps > self._capacity:
             self._capacity = steps
             self._position = self._longer(self._position)

@@ -14,8 +14,6 @@ from fmu.interruption import shielded
 from fmu.numbers import apart
 from fmu.progress import Report
 from fmu.samplers.kernel import Sampler
-from fmu.samplers.loop.draws import Draws as Draws
-from fmu.samplers.loop.draws import RunResult as RunResult
 from fmu.samplers.loop.group import (
     DRAWS,
     WARMUP,
@@ -25,11 +23,10 @@ from fmu.samplers.loop.group import (
     RunContext,
     advance,
     evaluated_again,
-    first_snapshot,
 )
-from fmu.samplers.loop.record import Record, Steps
-from fmu.samplers.loop.settings import describe, whole_number
+from fmu.samplers.loop.record import Draws, Record, RunResult, Steps
 from fmu.samplers.loop.starts import starting_points
+from fmu.samplers.settings import describe, whole_number
 from fmu.types import FloatArray, LogDensity
 
 MOST_STEPS = 1000
@@ -138,12 +135,12 @@ class Checkpointer(Protocol):
 
 
 class _RunningGroup:
-    """A group of chains as the run follows it: where it stands, and from which step of a phase it is not kept."""
+    """A group of chains as the run follows it: its state, and from which step of each phase it is not kept."""
 
-    def __init__(self, index: int, first_chain: int, chains: int, group_state: GroupState) -> None:
-        self.index, self.chains = index, slice(first_chain, first_chain + chains)
-        self.group_state = group_state
-        self.pending = dict(group_state.done)
+    def __init__(self, index: int, chains: int, state: GroupState) -> None:
+        self.index, self.state = index, state
+        self.chains = slice(state.first_chain, state.first_chain + chains)
+        self.pending = dict(state.done)
         self.failures: list[Any] = []
 
 
@@ -258,8 +255,7 @@ class Run:
         each = self.chains // self.groups
         groups = []
         for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
-            group = first_snapshot(context, rng, position, i * each)
-            groups.append(_RunningGroup(i, i * each, each, GroupState(group, {WARMUP: 0, DRAWS: 0}, {})))
+            groups.append(_RunningGroup(i, each, GroupState.at(position, rng, i * each)))
         return groups
 
     def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
@@ -272,13 +268,13 @@ class Run:
             record.reserve(kept.group_state.done[phase])
         for phase, first, steps in kept.steps:
             self._write(group, phase, first, steps)
-        group.group_state, group.pending = kept.group_state, dict(kept.group_state.done)
+        group.state, group.pending = kept.group_state, dict(kept.group_state.done)
         for phase, seconds in kept.elapsed_s.items():
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
 
     def _advance(self, phase: str, target: int) -> None:
         """Advance every group to step number `target` of a phase."""
-        behind = [group for group in self._groups if group.group_state.done[phase] < target]
+        behind = [group for group in self._groups if group.state.done[phase] < target]
         if not behind:
             return
         self._records[phase].reserve(target)
@@ -286,25 +282,22 @@ class Run:
 
         def follow(line: int, done: ChunkResult) -> Chunk | None:
             with shielded():
-                return taken(line, done)
-
-        def taken(line: int, done: ChunkResult) -> Chunk | None:
-            self._elapsed_s[phase] = before + time.perf_counter() - began
-            group = behind[line]
-            self._write(group, phase, group.group_state.done[phase], done.steps)
-            group.group_state = done.group_state
-            group.failures += done.failures
-            why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
-            stopped = self._stop()
-            ended = stopped or why is not None or group.group_state.done[phase] >= target
-            self._keep(group, phase, target, at_once=ended)
-            if why is not None:
-                raise TooManyFailuresError(why, self._so_far())
-            if stopped and self._engine.workers == 1 and any(g.group_state.done[phase] < target for g in behind):
-                raise Interrupted(None)  # no other is under way: they need not take another step each
-            if self._watch is not None and phase == DRAWS:
-                self._watch.look(self._common(phase))
-            return None if ended else self._chunk(group, phase, target)
+                self._elapsed_s[phase] = before + time.perf_counter() - began
+                group = behind[line]
+                self._write(group, phase, group.state.done[phase], done.steps)
+                group.state = done.group
+                group.failures += done.failures
+                why = self._too_many_failed(self._n_failed, self._n_solves, group.failures)
+                stopped = self._stop()
+                ended = stopped or why is not None or group.state.done[phase] >= target
+                self._keep(group, phase, target, at_once=ended)
+                if why is not None:
+                    raise TooManyFailuresError(why, self._so_far())
+                if stopped and self._engine.workers == 1 and any(g.state.done[phase] < target for g in behind):
+                    raise Interrupted(None)  # no other is under way: they need not take another step each
+                if self._watch is not None and phase == DRAWS:
+                    self._watch.look(self._common(phase))
+                return None if ended else self._chunk(group, phase, target)
 
         parts = [self._chunk(group, phase, target) for group in behind]
         try:
@@ -317,20 +310,20 @@ class Run:
                     self._keep(group, phase, target, at_once=True)
             raise Interrupted(self._so_far()) from None
         self._elapsed_s[phase] = before + time.perf_counter() - began
-        if any(group.group_state.done[phase] < target for group in behind):
+        if any(group.state.done[phase] < target for group in behind):
             raise Interrupted(self._so_far())
 
     def _chunk(self, group: _RunningGroup, phase: str, target: int) -> Chunk:
         """Return the next part of a group's work."""
-        group_state = group.group_state
-        steps = min(MOST_STEPS, target - group_state.done[phase])
+        done = group.state.done[phase]
+        steps = min(MOST_STEPS, target - done)
         turns = math.ceil(self.groups / self._engine.workers)
         seconds = LIVE_S / turns if self._hurried else math.inf
         if self._keeper is not None:
-            steps = min(steps, self._keeper.most_steps - (group_state.done[phase] - group.pending[phase]))
+            steps = min(steps, self._keeper.most_steps - (done - group.pending[phase]))
             seconds = min(seconds, self._keeper.most_seconds)
         label = f"{group.index + 1}/{self.groups}" if self.groups > 1 else ""
-        return Chunk(group_state.group, phase, steps, seconds, target, label)
+        return Chunk(group.state, phase, steps, seconds, target, label)
 
     def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
         """Take over steps of a group, and what they cost."""
@@ -340,25 +333,23 @@ class Run:
 
     def _keep(self, group: _RunningGroup, phase: str, target: int, *, at_once: bool) -> None:
         """Have a group kept if it is time to."""
-        first, stop = group.pending[phase], group.group_state.done[phase]
+        first, stop = group.pending[phase], group.state.done[phase]
         if self._keeper is None or stop == first:
             return
         if not (at_once or self._keeper.is_due(group.index, stop - first)):
             return
         steps = self._records[phase].steps(first, stop, group.chains)
-        pending = PendingGroup(
-            group.group_state, dict(self._elapsed_s), phase, first, steps, group.failures, target
-        )
+        pending = PendingGroup(group.state, dict(self._elapsed_s), phase, first, steps, group.failures, target)
         self._keeper.keep(group.index, pending)
         group.pending[phase], group.failures = stop, []
 
     def _common(self, phase: str) -> FloatArray:
         """Return the positions of the steps that all groups have taken, (chains, steps, walkers, ndim)."""
-        return self._records[phase].steps(0, min(group.group_state.done[phase] for group in self._groups)).position
+        return self._records[phase].steps(0, min(group.state.done[phase] for group in self._groups)).position
 
     def _so_far(self) -> RunResult | None:
         """Return the draws that all groups have, None if there are none."""
-        drawn = min(group.group_state.done[DRAWS] for group in self._groups)
+        drawn = min(group.state.done[DRAWS] for group in self._groups)
         return self._result(drawn) if drawn else None
 
     def _result(self, draws: int) -> RunResult:
@@ -372,7 +363,7 @@ class Run:
             posterior=kept,
             sampler=self.sampler.name,
             settings=describe(self.sampler),
-            learnt=_merged([group.group_state.learnt for group in self._groups]),
+            learnt=_merged([group.state.learnt for group in self._groups]),
             seed=self.seed,
             walkers=self.sampler.walkers,
             draws=draws,
@@ -417,14 +408,14 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
         raise ValueError(f"groups: must divide the {chains} chains evenly (got {groups})")
     if sampler.walkers > 1 and groups != chains:
         raise ValueError(f"groups: must be the {chains} ensembles, each of which is a group (got {groups})")
-    if sampler.name == "tempering" and groups > 1:
-        raise ValueError(f"groups: must be 1 for tempering, whose chains learn one ladder together (got {groups})")
+    if sampler.learns_together and groups > 1:
+        raise ValueError(f"groups: must be 1 for {sampler.name}, whose chains learn together (got {groups})")
     return groups
 
 
-def _check_same(context: RunContext, group_state: GroupState) -> None:
+def _check_same(context: RunContext, group: GroupState) -> None:
     """Raise ValueError unless the density is the one that the chains were on."""
-    then, now = evaluated_again(context, group_state.group)
+    then, now = evaluated_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
         was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)

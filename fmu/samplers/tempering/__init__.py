@@ -1,4 +1,4 @@
 """Parallel tempering with any of the kernels.
 
-Reading order: rungs, ladder, density, replicas, kernel, tempering.
+Reading order: tempering, kernel, density.
 """

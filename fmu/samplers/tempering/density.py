@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.trajectory import ExactGradient
 from fmu.types import FloatArray, IntArray, LogDensity
 
 
-@dataclass(frozen=True)
-class Points:
-    """Positions with what makes every tempered density there: arrays of one leading shape.
+class Points(NamedTuple):
+    """Positions with what determines every tempered density there: arrays of one leading shape.
 
     Attributes
     ----------
@@ -31,18 +30,16 @@ class Points:
     prior_gradient: FloatArray | None = None
     likelihood_gradient: FloatArray | None = None
 
-    def each(self, change: Callable[[FloatArray], FloatArray]) -> Points:
-        """Return the points with every array changed alike."""
-        arrays = [getattr(self, field.name) for field in fields(self)]
-        changed: list[Any] = [None if a is None else change(a) for a in arrays]
+    def each(self, change: Callable[..., FloatArray], *others: Points) -> Points:
+        """Return ``change(array, *the others' arrays)`` of every array."""
+        changed: Any = (None if a is None else change(a, *b) for a, *b in zip(self, *others, strict=True))
         return Points(*changed)
 
     def put(self, where: Any, others: Points) -> None:
         """Overwrite the points at the index `where`."""
-        for field in fields(self):
-            array = getattr(self, field.name)
+        for array, values in zip(self, others, strict=True):
             if array is not None:
-                array[where] = getattr(others, field.name)
+                array[where] = values
 
     def log_prob(self, t: FloatArray) -> FloatArray:
         """Return log prior + t · log likelihood; at t = 0 the prior, whatever the likelihood."""
@@ -55,15 +52,8 @@ class Points:
         return self.prior_gradient + t[..., None] * self.likelihood_gradient
 
 
-def stacked(parts: list[Points]) -> Points:
-    """Return points one after another along the first axis."""
-    columns = [[getattr(part, field.name) for part in parts] for field in fields(Points)]
-    arrays: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
-    return Points(*arrays)
-
-
 class PriorAndLikelihood:
-    """A density taken apart, in the coordinates that the samplers see.
+    """A density taken apart, in the coordinates of the samplers.
 
     Parameters
     ----------
@@ -83,17 +73,13 @@ class PriorAndLikelihood:
         self.density: Any = density.density if isinstance(density, ScaledDensity) else density
         self.ndim, self.lower, self.upper = density.ndim, density.lower, density.upper
         self.with_gradients = with_gradients
-        self.solves_per_gradient = int(getattr(self.density, "solves_per_gradient", 1))
         needed = ["log_prior", "log_likelihood", "sample_prior", *["log_prior_and_grad"] * with_gradients]
         missing = [name for name in needed if not hasattr(self.density, name)]
         if missing:
             lacking = f"got one without {', '.join(missing)}"
             raise ValueError(f"problem: tempering needs a density with {', '.join(needed)} ({lacking})")
-
-    @property
-    def solves_each(self) -> int:
-        """What one of `points` costs in solves."""
-        return self.solves_per_gradient if self.with_gradients else 1
+        self.solves_per_gradient = int(getattr(self.density, "solves_per_gradient", 1))
+        self.solves_each = self.solves_per_gradient if with_gradients else 1  # of one of `points`
 
     def points(self, u: FloatArray) -> Points:
         """Evaluate prior and likelihood at u, shape (n, ndim), in one batch, and the gradients if need be."""
@@ -112,8 +98,8 @@ class PriorAndLikelihood:
         return np.clip(u, self.lower, self.upper)
 
 
-class TemperedDensity:
-    """The tempered densities of replicas, for one step of a kernel, which remembers what it evaluated last.
+class TemperedTarget(ExactGradient):
+    """The tempered densities of replicas, for one step of a kernel; it remembers what was evaluated last.
 
     Parameters
     ----------
@@ -125,75 +111,41 @@ class TemperedDensity:
     """
 
     def __init__(self, parts: PriorAndLikelihood, t: FloatArray, start: Points) -> None:
-        self.parts, self.t, self.start = parts, t, start
+        self.parts, self.t, self.start_points = parts, t, start
         self.ndim, self.lower, self.upper = parts.ndim, parts.lower, parts.upper
         self.solves_per_gradient = parts.solves_per_gradient
         self.last = start.each(np.copy)
 
-    def of_chains(self, chain: Any) -> TemperedOfChains:
-        """Return the densities of some replicas."""
-        return TemperedOfChains(self, chain)
+    def log_prob(self, position: FloatArray, chain: Any) -> FloatArray:
+        """Return the log-densities at points, shape (n, ndim), of the replicas that the index `chain` picks."""
+        return self._evaluated(position, chain).log_prob(self.t[chain])
 
-    def log_prob(self, u: Any) -> Any:
-        """Return the log-densities at u, shape (replicas, ndim), one point each."""
-        return self.of_chains(slice(None)).log_prob(u)
-
-    def log_prob_and_grad(self, u: Any) -> tuple[Any, Any]:
+    def log_prob_and_grad(self, position: FloatArray, chain: Any) -> tuple[FloatArray, FloatArray]:
         """Return `log_prob` and its gradient."""
-        return self.of_chains(slice(None)).log_prob_and_grad(u)
+        points, t = self._evaluated(position, chain), self.t[chain]
+        gradient = points.gradient(t)
+        assert gradient is not None  # the parts were made with gradients
+        return points.log_prob(t), gradient
 
     def at(self, position: FloatArray) -> tuple[Points, IntArray]:
         """Return what is known where the replicas have arrived, and the solves that this took.
 
-        None at all, for a kernel ends where it was or at the point that it evaluated last. Only an interval of
-        the coordinate-wise slice that is given up leaves a replica where the axis before had brought it.
+        Usually none, as a kernel ends where it was or at the point that it evaluated last. Only if an interval of
+        the coordinate-wise slice is given up does a replica stay where the axis before had brought it.
         """
         n_solves = np.zeros(len(position), dtype=np.int64)
         points = self.last.each(np.copy)
-        stayed = np.all(position == self.start.position, axis=1)
-        points.put(stayed, self.start.each(lambda a: a[stayed]))
+        stayed = np.all(position == self.start_points.position, axis=1)
+        points.put(stayed, self.start_points.each(lambda a: a[stayed]))
         unknown = np.any(position != points.position, axis=1)
         if unknown.any():
             points.put(unknown, self.parts.points(position[unknown]))
             n_solves[unknown] = self.parts.solves_each
         return points, n_solves
 
-
-@dataclass(frozen=True)
-class TemperedOfChains:
-    """The tempered densities of the replicas that the index `chain` picks, in the order of the points."""
-
-    whole: TemperedDensity
-    chain: Any
-
-    @property
-    def ndim(self) -> int:
-        """Number of coordinates."""
-        return self.whole.ndim
-
-    @property
-    def lower(self) -> FloatArray:
-        """The box."""
-        return self.whole.lower
-
-    @property
-    def upper(self) -> FloatArray:
-        """The box."""
-        return self.whole.upper
-
-    def log_prob(self, u: Any) -> Any:
-        """Return the log-densities at u, shape (n, ndim)."""
-        points = self._evaluated(u)
-        return points.log_prob(self.whole.t[self.chain])
-
-    def log_prob_and_grad(self, u: Any) -> tuple[Any, Any]:
-        """Return `log_prob` and its gradient."""
-        points, t = self._evaluated(u), self.whole.t[self.chain]
-        return points.log_prob(t), points.gradient(t)
-
-    def _evaluated(self, u: FloatArray) -> Points:
-        points = self.whole.parts.points(u)
-        self.whole.last.put(self.chain, points)
+    def _evaluated(self, position: FloatArray, chain: Any) -> Points:
+        points = self.parts.points(position)
+        self.last.put(chain, points)
         return points
 
 

@@ -1,17 +1,19 @@
-"""Parallel tempering, a step at a time: draws from the prior, moves at every rung, swaps between rungs."""
+"""Parallel tempering, one step at a time: draws from the prior, moves at every rung, swaps between rungs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.samplers.kernel import Info, Kernel, State
-from fmu.samplers.tempering.density import Points, PriorAndLikelihood, TemperedDensity, stacked
-from fmu.samplers.tempering.replicas import TemperedInfo, TemperedState
-from fmu.samplers.tempering.rungs import on_density, side_by_side
+from fmu.samplers.kernel import Info, State
+from fmu.samplers.metropolis import MetropolisKernel, Search
+from fmu.samplers.slice import SliceKernel
+from fmu.samplers.tempering.density import Points, PriorAndLikelihood, TemperedTarget
+from fmu.samplers.trajectory import HamiltonianKernel, Metric
 from fmu.types import FloatArray, IntArray
 
 LOG_LIKELIHOOD = "rung_log_likelihood"
@@ -20,17 +22,24 @@ LOG_LIKELIHOOD = "rung_log_likelihood"
 
 @dataclass(frozen=True)
 class TemperingKernel:
-    """Parallel tempering bound to a density; `kernels` are those of the rungs above the prior."""
+    """Parallel tempering bound to a density; `kernels` are those of the rungs above the prior.
+
+    The extra arrays of its State are what is known of all replicas, leading shape (rungs, chains), named
+    ``rung_position`` and so on after the fields of `Points`; ``heading``, (rungs, chains), 1 for a replica that
+    was last at the posterior, 2 for one that has been at the prior since then, else 0; and ``n_steps`` taken, ().
+    The extra statistics of its Info include ``round_trips``, and `Info.parts` is that of the replicas' own steps,
+    with leading dimension (rungs − 1) · chains, rung by rung, from the first above the prior.
+    """
 
     parts: PriorAndLikelihood
     temperatures: FloatArray
     kernels: tuple[Any, ...]
     swap_every: int
     records: bool = True
-    _joined: dict[int, Kernel] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _joined: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Put all replicas of a chain at its start, one solve a chain."""
+        """Put all replicas of a chain at its start, one solve per chain."""
         points, rungs, chains = self.parts.points(positions), len(self.temperatures), len(positions)
         gradient = points.gradient(np.ones(chains))
         log_prob = points.log_prob(np.ones(chains))
@@ -45,14 +54,15 @@ class TemperingKernel:
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw from the prior, move the replicas above it, and swap."""
-        if not isinstance(state, TemperedState):
-            raise ValueError(f"state: must be one of tempering (got {type(state).__name__})")
-        old, heading = self._on_ladder(state)
+        old, heading, n_steps = replicas_of(state), state.extra["heading"], int(state.extra["n_steps"]) + 1
+        rungs = len(self.temperatures)
+        if len(heading) != rungs:  # on another ladder, a rung takes the replica that was nearest in rank
+            nearest = np.round(np.linspace(0, len(heading) - 1, rungs)).astype(np.int64)
+            old, heading = old.each(lambda a: a[nearest]), np.zeros((rungs, heading.shape[1]), dtype=np.int64)
         chains = len(state.position)
         prior = self.parts.points(self.parts.sample_prior(rng, chains))
         moved, local = self._move(rng, old.each(lambda a: a[1:]))
-        replicas = stacked([prior.each(lambda a: a[None]), moved])
-        n_steps = state.n_steps + 1
+        replicas = prior.each(lambda at_prior, above: np.concatenate([at_prior[None], above]), moved)
         if n_steps % self.swap_every == 0:
             order = self._order_after_swaps(rng, replicas.log_likelihood, n_steps // self.swap_every % 2)
             replicas, heading = replicas.each(lambda a: _taken(a, order)), _taken(heading, order)
@@ -70,51 +80,40 @@ class TemperingKernel:
         n_solves = total(local.n_solves) + self.parts.solves_each
         n_gradients = total(local.n_gradients) + int(self.parts.with_gradients)
         accepted = np.any(new.position != state.position, axis=1)
-        return new, TemperedInfo(accepted, new.log_prob, n_solves, n_gradients, extra, of_rungs=local)
+        return new, Info(accepted, new.log_prob, n_solves, n_gradients, extra, parts=local)
 
-    def _state(self, replicas: Points, heading: IntArray, n_steps: int) -> TemperedState:
+    def _state(self, replicas: Points, heading: IntArray, n_steps: int) -> State:
         cold = replicas.each(lambda a: a[-1])
-        return TemperedState(
-            cold.position,
-            cold.log_prob(np.ones(len(cold.log_prior))),
-            replicas=replicas,
-            temperatures=self.temperatures,
-            heading=heading,
-            n_steps=n_steps,
-        )
-
-    def _on_ladder(self, state: TemperedState) -> tuple[Points, IntArray]:
-        """Return replicas and headings, on another ladder those whose rung was nearest in rank."""
-        old, new = len(state.temperatures), len(self.temperatures)
-        if old == new:
-            return state.replicas, state.heading
-        nearest = np.round(np.linspace(0, old - 1, new)).astype(np.int64)
-        return state.replicas.each(lambda a: a[nearest]), np.zeros((new, state.heading.shape[1]), dtype=np.int64)
+        known = {f"rung_{name}": array for name, array in replicas._asdict().items() if array is not None}
+        extra = {**known, "heading": heading, "n_steps": np.asarray(n_steps)}
+        return State(cold.position, cold.log_prob(np.ones(len(cold.log_prior))), extra=extra)
 
     def _move(self, rng: np.random.Generator, points: Points) -> tuple[Points, Info]:
         """Advance the replicas above the prior by one step of their kernels, as one array."""
         rungs, chains = points.log_prior.shape
         t = np.repeat(self.temperatures[1:], chains)
         start = points.each(lambda a: a.reshape(rungs * chains, *a.shape[2:]))
-        density = TemperedDensity(self.parts, t, start)
+        target = TemperedTarget(self.parts, t, start)
         if chains not in self._joined:
             self._joined[chains] = side_by_side(self.kernels, chains)
-        kernel = on_density(self._joined[chains], density)
+        kernel = replace(self._joined[chains], target=target)
         state, info = kernel.step(rng, State(start.position, start.log_prob(t), start.gradient(t)))
-        end, n_solves = density.at(state.position)
+        end, n_solves = target.at(state.position)
         info = replace(info, n_solves=info.n_solves + n_solves)
         return end.each(lambda a: a.reshape(rungs, chains, *a.shape[1:])), info
 
     def _order_after_swaps(self, rng: np.random.Generator, log_likelihood: FloatArray, first: int) -> IntArray:
         """Return which rung's replica each rung holds after the swaps of the even or odd pairs, (rungs, chains).
 
-        A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))).
+        A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where
+        l is the log-likelihood: the priors cancel in the ratio of the joint densities after and before the swap.
         """
         rungs, chains = log_likelihood.shape
         lower = np.arange(first, rungs - 1, 2)
         order = np.repeat(np.arange(rungs)[:, None], chains, axis=1)
         gain = np.diff(self.temperatures)[lower, None] * (log_likelihood[lower] - log_likelihood[lower + 1])
         swapped = -rng.standard_exponential(gain.shape) <= gain
+        # the pairs (first, first + 1), (first + 2, …) share no rung, so that all swap at once
         order[lower] += swapped
         order[lower + 1] -= swapped
         return order
@@ -132,3 +131,70 @@ def _turned(heading: IntArray) -> tuple[IntArray, IntArray]:
     round_trips = (heading[-1] == 2).astype(np.int64)
     heading[-1] = 1
     return heading, round_trips
+
+
+def replicas_of(state: State) -> Points:
+    """Return the replicas in a state of tempering, leading shape (rungs, chains)."""
+    return Points(*(state.extra.get(f"rung_{name}") for name in Points._fields))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class RandomWalks:
+    """Gaussian random walks, each chain with its own covariance L Lᵀ: L of shape (chains, ndim, ndim)."""
+
+    factor: FloatArray
+
+    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
+        """Draw position + L z with z standard normal."""
+        z = rng.standard_normal(position.shape)
+        return position + np.einsum("nij,nj->ni", self.factor, z)
+
+    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
+        """Return 0: the walks are symmetric."""
+        return np.zeros(len(position))
+
+
+def side_by_side(kernels: Sequence[Any], chains: int) -> Any:
+    """Return the kernel that moves the replicas of all rungs as one array, rung by rung and `chains` in each.
+
+    Parameters
+    ----------
+    kernels : sequence of Kernel
+        One per rung, all of one kind.
+    chains : int
+    """
+    first = kernels[0]
+    if all(kernel is first for kernel in kernels):
+        return first
+    return replace(first, **_JOINED[type(first)](kernels, chains))
+
+
+def _slices(kernels: Sequence[SliceKernel], chains: int) -> dict[str, Any]:
+    width, axes = [kernel.width for kernel in kernels], [kernel.axes for kernel in kernels]
+    return {"width": np.repeat(width, chains, axis=0), "axes": np.repeat(axes, chains, axis=0)}
+
+
+def _walks(kernels: Sequence[Any], chains: int) -> dict[str, Any]:
+    ndim = kernels[0].target.ndim
+    factors = []
+    for kernel in kernels:
+        factor: FloatArray = kernel.proposal.factor
+        factors.append(factor if factor.ndim == 2 else np.diag(np.broadcast_to(factor, ndim)))
+    return {"proposal": RandomWalks(np.repeat(factors, chains, axis=0))}
+
+
+def _trajectories(kernels: Sequence[HamiltonianKernel], chains: int) -> dict[str, Any]:
+    inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
+    return {
+        "metric": Metric(np.repeat(inverse, chains, axis=0), np.repeat(factor, chains, axis=0)),
+        "step_size": np.concatenate([np.broadcast_to(kernel.step_size, chains) for kernel in kernels]),
+        "n_steps": int(np.median([kernel.n_steps for kernel in kernels])),
+    }
+
+
+_JOINED: Mapping[type, Callable[[Any, int], dict[str, Any]]] = {
+    SliceKernel: _slices,
+    Search: _slices,
+    MetropolisKernel: _walks,
+    HamiltonianKernel: _trajectories,
+}

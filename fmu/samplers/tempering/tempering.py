@@ -1,4 +1,10 @@
-"""Parallel tempering: chains between prior and posterior that swap places, so that no mode holds one for long."""
+"""Parallel tempering: chains between prior and posterior that swap places, so that no mode traps one for long.
+
+The inverse temperatures t_k are a ladder. Neighbouring rungs k and k+1 propose to swap, which is rejected with
+probability r_k. The sum Λ of all r_k hardly depends on where the rungs stand as long as they are many: it is the
+communication barrier between prior and posterior. Replicas travel fastest where all r_k are equal, with about 2Λ
+rungs.
+"""
 
 from __future__ import annotations
 
@@ -8,29 +14,35 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fmu.samplers.hmc.hmc import HamiltonianMonteCarlo
-from fmu.samplers.kernel import Info, State
-from fmu.samplers.loop.settings import whole_number
+from fmu.samplers.hmc import HamiltonianMonteCarlo
+from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.settings import vector, whole_number
 from fmu.samplers.slice import Slice
 from fmu.samplers.tempering.density import PriorAndLikelihood
-from fmu.samplers.tempering.kernel import TemperingKernel
-from fmu.samplers.tempering.ladder import adapted, first_ladder, ladder, rejections, stages
-from fmu.samplers.tempering.replicas import TemperedInfo, TemperedState
+from fmu.samplers.tempering.kernel import TemperingKernel, replicas_of
 from fmu.types import FloatArray, LogDensity
 
+FEWEST, MOST = 8, 64
+"""Rungs that a learnt ladder has: fewer would do for travelling, but give coarse evidences."""
+FIRST = 12
+"""Rungs before anything is known."""
+_POWER = 5.0
+"""The first rungs lie at (k/K)⁵ (Friel & Pettitt 2008): posteriors are far narrower than priors."""
+_SHORTEST = 20  # steps of a stage of warm-up
+_LEAST = 1e-3  # rejection of a swap that the interpolation assumes at least, so that the barrier increases
 _KERNELS = {kind.name: kind for kind in (Slice, MetropolisHastings, HamiltonianMonteCarlo)}
 
 
 @dataclass(frozen=True)
-class Tempering:
+class Tempering(Sampler):
     """Parallel tempering over one of the other samplers.
 
-    A chain is a ladder of replicas, of which replica k samples prior · likelihood^t_k, with t from 0 (the prior,
-    drawn from independently) to 1 (the posterior, whose draws are the chain's). After a step neighbours propose to
-    swap, the even and the odd pairs in turn: a replica that finds another mode near the prior carries it to the
-    posterior. In warm-up the ladder is learnt for equal rejection of all swaps, and then the kernel's settings,
-    for every rung its own. The log-likelihoods at all rungs give the evidence, see `fmu.evidence`.
+    A chain is a ladder of replicas. Replica k samples prior · likelihood^t_k, with t from 0 (the prior, drawn from
+    independently) to 1 (the posterior, whose draws are the chain's). After each step neighbours propose to swap,
+    the even and the odd pairs in turn: a replica that finds another mode near the prior carries it to the
+    posterior. Warm-up learns the ladder on which all swaps are rejected equally often, and the kernel's settings
+    for every rung. The log-likelihoods at all rungs give the evidence, see `fmu.evidence`.
 
     Parameters
     ----------
@@ -39,8 +51,8 @@ class Tempering:
     temperatures : array_like, shape (rungs,), optional
         Inverse temperatures from 0 to 1, which are then not learnt.
     rungs : int, optional
-        Length of the ladder that is learnt. If not given it is about 2Λ + 1, Λ being the communication barrier
-        that warm-up finds: half of all swaps then succeed, which makes most of the cost (Syed et al. 2022,
+        Length of the ladder that is learnt. If not given it is about 2Λ + 1, where Λ is the communication barrier
+        found in warm-up: half of all swaps then succeed, which is the best use of the solves (Syed et al. 2022,
         section 4.3). At least 8, at most 64, and 12 to begin with.
     swap_every : int
         Steps from one round of swaps to the next.
@@ -62,6 +74,10 @@ class Tempering:
     swap_every: int = 1
 
     name: ClassVar[str] = "tempering"
+    title: ClassVar[str] = "Parallel tempering"
+    colour: ClassVar[str] = "#56B4E9"
+    cost: ClassVar[tuple[float, float, float]] = (50.0, 35.0, 1.0)
+    learns_together: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if isinstance(self.kernel, str) and self.kernel in _KERNELS:
@@ -83,11 +99,6 @@ class Tempering:
             )
         if any(getattr(kernel, "gradient", "exact") != "exact" for kernel in self._kernels(1)):
             raise ValueError("kernel.gradient: must be exact under tempering (got central-difference)")
-
-    @property
-    def walkers(self) -> int:
-        """A chain is a single point: that of its posterior."""
-        return 1
 
     def bind(self, density: LogDensity) -> TemperingKernel:
         """Return the kernel that samples `density`.
@@ -115,66 +126,142 @@ class Tempering:
 
 
 class LadderTuner:
-    """Learns the ladder, stage by stage of warm-up, and in every stage anew the kernel's settings at each rung.
+    """Learns the ladder in stages of the warm-up, and in every stage again the kernel's settings at each rung.
 
     Each rung above the prior has a tuner of its own, which sees the chains at that rung. The last stage, half of
-    the warm-up, is on the ladder that the draws are made with.
+    the warm-up, uses the ladder of the draws.
     """
 
     def __init__(self, sampler: Tempering, density: LogDensity, chains: int, steps: int) -> None:
         self.sampler, self.density, self.chains = sampler, density, chains
         self.lengths = [steps] if sampler.temperatures is not None else stages(steps)
         self.bound = replace(sampler.bind(density), records=False)
+        self.log_likelihood: list[FloatArray] = []  # (chains, rungs) of every step of a stage but the last
         self._begin(self.bound.temperatures)
 
     def update(self, state: State, info: Info) -> None:
-        """Learn from one step; ValueError unless it is one of tempering."""
-        if not (isinstance(state, TemperedState) and isinstance(info, TemperedInfo)):
-            raise ValueError(f"state: must be one of tempering (got {type(state).__name__})")
-        self.log_likelihood.append(state.replicas.log_likelihood.T)
+        """Learn from one step."""
         self._tell_the_tuners(state, info)
+        if len(self.lengths) > 1:
+            self.log_likelihood.append(replicas_of(state).log_likelihood.T)
         if len(self.log_likelihood) == self.lengths[0] and len(self.lengths) > 1:
             del self.lengths[0]
             settled = np.array(self.log_likelihood[len(self.log_likelihood) // 2 :]).swapaxes(0, 1)
             rejection = rejections(settled, self.temperatures).mean(axis=0)
             self._begin(adapted(self.temperatures, rejection, self.sampler.rungs))
         elif self.tuners:
-            self._use([tuner.kernel for tuner in self.tuners])
+            self._take_kernels([tuner.kernel for tuner in self.tuners])
 
     def finished(self) -> Tempering:
         """Return the settings learnt."""
         kernel = tuple(tuner.finished() for tuner in self.tuners) or self.sampler.kernel
         return replace(self.sampler, kernel=kernel, temperatures=self.temperatures, rungs=len(self.temperatures))
 
+    def state(self) -> Tree:
+        """Return what was learnt so far, as plain data."""
+        return {
+            "lengths": self.lengths,
+            "temperatures": self.temperatures,
+            "log_likelihood": np.array(self.log_likelihood),
+            "tuners": {str(k): tuner.state() for k, tuner in enumerate(self.tuners)},
+        }
+
+    def restore(self, state: Tree) -> None:
+        """Take over what another tuner had learnt."""
+        self.lengths = list(state["lengths"])
+        self._begin(state["temperatures"])
+        self.log_likelihood = list(state["log_likelihood"])
+        for k, tuner in enumerate(self.tuners):
+            tuner.restore(state["tuners"][str(k)])
+        if self.tuners:
+            self._take_kernels([tuner.kernel for tuner in self.tuners])
+
     def _begin(self, temperatures: FloatArray) -> None:
         """Begin a stage on a ladder."""
         self.temperatures = temperatures
-        self.log_likelihood: list[FloatArray] = []
+        self.log_likelihood = []
         above = len(temperatures) - 1
         settings, steps = self.sampler.kernel, self.lengths[0]
         tuners = [settings.tuner(self.density, self.chains, steps) for _ in range(above)]
         self.tuners = [tuner for tuner in tuners if tuner is not None]
-        self._use([tuner.kernel for tuner in self.tuners] or [self.bound.kernels[0]] * above)
+        self._take_kernels([tuner.kernel for tuner in self.tuners] or [self.bound.kernels[0]] * above)
 
-    def _use(self, kernels: Sequence[Any]) -> None:
+    def _take_kernels(self, kernels: Sequence[Any]) -> None:
         self.kernel: TemperingKernel = replace(self.bound, temperatures=self.temperatures, kernels=tuple(kernels))
 
-    def _tell_the_tuners(self, state: TemperedState, info: TemperedInfo) -> None:
-        t = self.temperatures[1:, None]
-        above = state.replicas.each(lambda a: a[1:])
+    def _tell_the_tuners(self, state: State, info: Info) -> None:
+        """Show every rung's tuner the replicas at its rung, with the density tempered as it is there."""
+        parts, t = info.parts, self.temperatures[1:, None]
+        assert parts is not None  # TemperingKernel returns them
+        above = replicas_of(state).each(lambda a: a[1:])
         log_prob, gradient = above.log_prob(t), above.gradient(t)
         for k, tuner in enumerate(self.tuners):
             own = slice(k * self.chains, (k + 1) * self.chains)
-            slope = None if gradient is None else gradient[k]
-            tuner.update(State(above.position[k], log_prob[k], slope), _part(info.of_rungs, own))
+            local = Info(
+                parts.accepted[own],
+                parts.log_prob[own],
+                parts.n_solves[own],
+                parts.n_gradients[own],
+                {name: value[own] for name, value in parts.extra.items()},
+            )
+            tuner.update(State(above.position[k], log_prob[k], None if gradient is None else gradient[k]), local)
 
 
-def _part(info: Info, chains: slice) -> Info:
-    """Return the info of some of the replicas."""
-    return Info(
-        info.accepted[chains],
-        info.log_prob[chains],
-        info.n_solves[chains],
-        info.n_gradients[chains],
-        {name: value[chains] for name, value in info.extra.items()},
-    )
+def ladder(name: str, value: Any) -> tuple[float, ...]:
+    """Return inverse temperatures in ascending order; ValueError unless they are distinct, from 0 to 1."""
+    t = tuple(sorted(vector(name, value)))
+    if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
+        raise ValueError(f"{name}: must be distinct inverse temperatures from 0 to 1, with both (got {value!r})")
+    return t
+
+
+def first_ladder(rungs: int | None) -> FloatArray:
+    """Return the ladder to begin with."""
+    return np.linspace(0.0, 1.0, rungs or FIRST) ** _POWER
+
+
+def stages(steps: int) -> list[int]:
+    """Return the lengths of the stages of a warm-up, between which the ladder changes; each is twice the last."""
+    lengths = []
+    while steps >= 2 * _SHORTEST:
+        lengths.append(steps - steps // 2)
+        steps //= 2
+    return [*([steps] if steps else []), *reversed(lengths)]
+
+
+def rejections(log_likelihood: FloatArray, temperatures: FloatArray) -> FloatArray:
+    """Return how often swaps between neighbouring rungs are rejected, shape (..., rungs − 1).
+
+    This is the mean of 1 − min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))).
+
+    Parameters
+    ----------
+    log_likelihood : ndarray, shape (..., draws, rungs)
+    temperatures : ndarray, shape (rungs,)
+    """
+    gain = np.diff(temperatures) * (log_likelihood[..., :-1] - log_likelihood[..., 1:])
+    return np.mean(1.0 - np.exp(np.minimum(gain, 0.0)), axis=-2)
+
+
+def adapted(temperatures: FloatArray, rejection: FloatArray, rungs: int | None) -> FloatArray:
+    """Return the ladder on which all swaps are expected to be rejected equally often.
+
+    The barrier from 0 to each rung, Λ(t_k) = r_0 + … + r_{k−1}, is interpolated monotonically and cut into equal
+    parts (Syed et al. 2022).
+
+    Parameters
+    ----------
+    temperatures : ndarray, shape (rungs,)
+    rejection : ndarray, shape (rungs − 1,)
+    rungs : int, optional
+        Their number; if not given it follows from the barrier, so that half of all swaps are expected to succeed.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    barrier = np.concatenate([[0.0], np.cumsum(np.maximum(rejection, _LEAST))])
+    if rungs is None:
+        rungs = int(np.clip(np.ceil(2.0 * np.sum(rejection)) + 1, FEWEST, MOST))
+    level = np.linspace(0.0, barrier[-1], rungs)
+    t = PchipInterpolator(barrier, temperatures)(level)
+    t[0], t[-1] = 0.0, 1.0
+    return t if np.all(np.diff(t) > 0.0) else np.interp(level, barrier, temperatures)

@@ -1,4 +1,4 @@
-"""Checks of the samplers' settings, and their plain form: comparable, and written as JSON."""
+"""Checks of the samplers' settings, and their description as plain data."""
 
 from __future__ import annotations
 

@@ -1,0 +1,260 @@
+"""What all tuners share: the schedule of the warm-up, dual averaging of a step size, moments of the draws.
+
+Adaptation uses the draws of all chains of a group, and is frozen at the end of the warm-up: the draws that follow
+come from one fixed, valid kernel, and no warm-up draw is kept among them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fmu.samplers.kernel import Info, State, Tree
+from fmu.types import BoolArray, FloatArray
+
+LAG = 10.0
+"""A chain whose log-density is this much below most chains', plus one per coordinate, has not arrived yet."""
+WINDOW_LAG = 3.0
+"""The same for the mean over a window, plus half per coordinate: a mean scatters less than a single draw."""
+STUCK = 0.3
+"""A chain that accepts less than this fraction of what the median chain accepts does not fit the settings."""
+SHRINKAGE = 5.0
+"""Weight, in draws, of the diagonal in a regularised covariance."""
+_HISTORY = ("position", "log_prob", "acceptance")
+_MEMORY = 0.9  # weight of the past in the smoothed log-density of a chain
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Warm-up in three parts, as in Stan (Carpenter et al. 2017, reference manual, "HMC algorithm parameters").
+
+    The first finds the bulk of the distribution; the second learns the shape, in windows; the last settles the
+    scale under the final shape.
+
+    Attributes
+    ----------
+    steps, first, last : int
+        Steps in all, in the first part, and in the last.
+    windows : tuple of (int, int)
+        First step (from 0) of each window and the step before which it closes: what is learnt there comes from
+        these steps alone.
+    """
+
+    steps: int
+    first: int
+    last: int
+    windows: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def doubling(cls, steps: int) -> Schedule:
+        """Return windows one after the other, each twice as long as the one before; none in a short warm-up.
+
+        For a sampler that must settle again in every window.
+        """
+        first = last = int(0.15 * steps)
+        windows: list[tuple[int, int]] = []
+        start, size, stop = first, 25, steps - last
+        while stop - start >= size:
+            # the last window takes what a further doubling would not leave enough of
+            end = start + size if stop - (start + size) >= 2 * size else stop
+            windows.append((start, end))
+            start, size = end, 2 * size
+        return cls(steps, first, last, tuple(windows))
+
+    @classmethod
+    def sliding(cls, steps: int) -> Schedule:
+        """Return windows that each hold the later half of the steps so far; none in a short warm-up.
+
+        Each closes 10 % later than the one before. For a sampler that mixes slowly until it knows the shape of the
+        target: every window is drawn with a better estimate of it.
+        """
+        first, last = int(0.25 * steps), int(0.15 * steps)
+        windows: list[tuple[int, int]] = []
+        end, stop = 25, steps - last
+        while end < stop:
+            windows.append((end // 2, end))
+            end = max(end + 10, int(1.1 * end))
+        if windows:
+            windows.append((stop // 2, stop))
+        return cls(steps, first, last, tuple(windows))
+
+
+@dataclass
+class DualAveraging:
+    """Nesterov's dual averaging of a logarithm x towards an acceptance rate δ.
+
+    Hoffman & Gelman (2014), JMLR 15, 1593-1623, equation (6), with their constants. It works on an array: one
+    entry for pooled chains, or one per chain. x is kept within `lowest` and `highest`, for where no step size
+    changes the acceptance rate.
+
+    Parameters
+    ----------
+    log_value : ndarray, shape () or (chains,)
+        x, the logarithm to use next.
+    target : float
+        δ.
+    count, error, centre, average
+        t, H̄_t, μ and x̄_t: what has been learnt; a new one starts without.
+    """
+
+    log_value: FloatArray
+    target: float
+    count: int = 0
+    error: Any = 0.0
+    centre: Any = None
+    average: Any = 0.0
+
+    gamma: ClassVar[float] = 0.05
+    t0: ClassVar[float] = 10.0
+    kappa: ClassVar[float] = 0.75
+    lowest: ClassVar[float] = -25.0
+    highest: ClassVar[float] = 25.0
+
+    def __post_init__(self) -> None:
+        if self.centre is None:
+            # μ = log(10 ε₀): trying too large a step costs less than too small a one
+            self.centre = self.log_value + np.log(10.0)
+
+    def update(self, acceptance: FloatArray) -> None:
+        """Take one observed acceptance probability α_t into account."""
+        self.count += 1
+        t = self.count
+        # H̄_t = (1 − 1/(t + t₀)) H̄_{t−1} + (δ − α_t)/(t + t₀): the mean error so far; t₀ damps the first steps
+        weight = 1.0 / (t + self.t0)
+        self.error = (1.0 - weight) * self.error + weight * (self.target - acceptance)
+        # x_{t+1} = μ − √t/γ H̄_t: too many rejections (H̄ > 0) shorten the step
+        self.log_value = np.clip(self.centre - np.sqrt(t) / self.gamma * self.error, self.lowest, self.highest)
+        # x̄_{t+1} = t^−κ x_{t+1} + (1 − t^−κ) x̄_t: x goes on scattering, its average converges
+        decay = t**-self.kappa
+        self.average = decay * self.log_value + (1.0 - decay) * self.average
+
+    @property
+    def averaged(self) -> FloatArray:
+        """The smoothed logarithm x̄, which is frozen at the end."""
+        smoothed: FloatArray = self.average if self.count else self.log_value
+        return smoothed
+
+
+class Learner:
+    """What a tuner knows of the target: where in the schedule it is, which chains have arrived, the covariance.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (ndim, ndim), or None
+        Of the last window; None before the first one has closed.
+    """
+
+    def __init__(self, schedule: Schedule, ndim: int) -> None:
+        self.schedule, self.ndim = schedule, ndim
+        self.step = 0
+        self.covariance: FloatArray | None = None
+        self._log_prob: FloatArray | None = None  # of every chain, smoothed
+        self._history: list[tuple[FloatArray, ...]] = []  # of every step; _HISTORY names its arrays
+
+    def learn(self, state: State, info: Info) -> bool:
+        """Take one step into account; return True if it closed a window with a new covariance."""
+        smoothed = state.log_prob if self._log_prob is None else self._log_prob
+        self._log_prob = _MEMORY * smoothed + (1.0 - _MEMORY) * state.log_prob
+        self.step += 1
+        windows = self.schedule.windows
+        if not windows or self.step > windows[-1][1]:
+            return False
+        acceptance = info.extra.get("acceptance_rate", info.accepted)
+        self._history.append((state.position, state.log_prob, acceptance))
+        closed = [first for first, end in windows if end == self.step]
+        learnt = pooled_covariance(*self._arrays(closed[0])) if closed else None
+        if self.step == windows[-1][1]:
+            self._history = []  # no window is to come
+        if learnt is None:
+            return False
+        self.covariance = learnt
+        return True
+
+    @property
+    def searching(self) -> bool:
+        """Whether the first part of the warm-up still runs."""
+        return self.step < self.schedule.first
+
+    def pooled(self, value: FloatArray) -> FloatArray:
+        """Return the mean over the chains that have arrived where most are."""
+        assert self._log_prob is not None  # learn() comes first
+        return np.asarray(np.mean(value[keeping_up(self._log_prob, LAG + self.ndim)]))
+
+    def state(self) -> Tree:
+        """Return what was learnt so far, as plain data."""
+        return {
+            "step": self.step,
+            "covariance": self.covariance,
+            "log_prob": self._log_prob,
+            "history": dict(zip(_HISTORY, self._arrays(), strict=False)),
+        }
+
+    def restore(self, state: Tree) -> None:
+        """Take over what another learner had learnt."""
+        self.step, self.covariance, self._log_prob = state["step"], state["covariance"], state["log_prob"]
+        history = state["history"]
+        self._history = list(zip(*(history[name] for name in _HISTORY if name in history), strict=True))
+
+    def _arrays(self, first: int = 0) -> list[FloatArray]:
+        """Return the history from step `first` on, every array with leading shape (steps, chains)."""
+        return [np.array(values) for values in zip(*self._history[first:], strict=True)]
+
+
+def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
+    """Return the regularised covariance of all chains' draws, shape (ndim, ndim).
+
+    Chains that lag behind, are trapped or stand still on average are left out, and so are single draws on the way.
+    All of the target counts but its far tails. The covariance is shrunk towards its own diagonal with the weight
+    of five draws, so that the parameters' units do not matter (Stan shrinks towards a fixed size, which would blur
+    a posterior that is narrow in the prior's units).
+
+    Parameters
+    ----------
+    position : ndarray, shape (steps, chains, ndim)
+    log_prob, acceptance : ndarray, shape (steps, chains)
+
+    Returns
+    -------
+    ndarray or None
+        None where the draws are too few or never moved.
+    """
+    if not len(position):
+        return None
+    ndim = position.shape[-1]
+    mean = log_prob.mean(axis=0)
+    included = keeping_up(mean, WINDOW_LAG + 0.5 * ndim, np.mean(acceptance, axis=0))
+    near = log_prob >= _level(mean) - (LAG + ndim)
+    draws = position[included & near]
+    n = len(draws)
+    if n <= 2 * ndim:
+        return None
+    covariance = np.cov(draws, rowvar=False).reshape(ndim, ndim)
+    spread = np.diag(covariance)
+    if not np.all(spread > 0):
+        return None
+    covariance = (n * covariance + SHRINKAGE * np.diag(spread)) / (n + SHRINKAGE)
+    # definite or not is judged on the correlations: the variances may differ by more than the rounding allows
+    correlation = covariance / np.sqrt(np.outer(spread, spread))
+    return covariance if np.all(np.linalg.eigvalsh(correlation) > 0) else None
+
+
+def keeping_up(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
+    """Return which chains are where most of them are, shape (chains,).
+
+    This is judged by their (average) log-density, which scatters by only √(ndim/2) within one mode. A chain far
+    below is on its way or trapped; one far above has found a spike, or a mode that the others have yet to find. In
+    both cases the others cannot use what it learns. If `acceptance` is given, a chain must also accept about as
+    often as the others.
+    """
+    near = np.abs(log_prob - _level(log_prob)) <= allowance
+    if acceptance is None:
+        return near
+    moving = near & (acceptance >= STUCK * np.median(acceptance))
+    return moving if moving.any() else near
+
+
+def _level(log_prob: FloatArray) -> float:
+    """Return the log-density that half of the chains reach; of one or two chains the best."""
+    return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])

@@ -1,4 +1,0 @@
-"""Hamiltonian Monte Carlo: trajectories, the metric, reflection at bounds.
-
-Reading order: hmc, metric, reflection, gradient.
-"""

@@ -1,0 +1,32 @@
+"""The samplers by name. A sampler of the package is one file and its line here."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fmu.samplers.kernel import Sampler
+
+SAMPLERS = {
+    "mh": "metropolis.MetropolisHastings",
+    "slice": "slice.Slice",
+    "hmc": "hmc.HamiltonianMonteCarlo",
+    "emcee": "ensemble.Ensemble",
+    "tempering": "tempering.tempering.Tempering",
+}
+"""Module and class of each sampler's settings, imported when they are first used."""
+
+
+def sampler_class(name: str) -> type[Sampler]:
+    """Return the class of a sampler's settings; ValueError, with the known names, if there is none."""
+    if name not in SAMPLERS:
+        raise ValueError(f"sampler: must be one of {', '.join(SAMPLERS)} (got {name!r})")
+    module, _, kind = SAMPLERS[name].rpartition(".")
+    found: type[Sampler] = getattr(import_module(f"fmu.samplers.{module}"), kind)
+    return found
+
+
+def named(name: str) -> Sampler:
+    """Return a sampler with its default settings; ValueError, with the known names, if there is none."""
+    return sampler_class(name)()

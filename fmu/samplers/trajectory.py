@@ -1,0 +1,376 @@
+"""Hamiltonian trajectories in a box: the kinetic energy, gradients, reflection at the walls, leapfrog steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fmu.samplers.kernel import Info, State, Target
+from fmu.samplers.settings import cholesky_factor, fits
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
+
+DIVERGENCE = 1000.0
+"""Energy error beyond which a trajectory is called diverging, as in Stan."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Kinetic energy W(p) = pᵀ M⁻¹ p / 2, with momenta p ~ N(0, M).
+
+    The best inverse mass is the covariance of the target: the sampler is then blind to its correlations.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (ndim, ndim) or (chains, ndim, ndim)
+        M⁻¹, one for all chains, or each chain's own.
+    inverse_factor : ndarray, the same shape
+        L⁻¹ with M⁻¹ = L Lᵀ.
+    """
+
+    inverse: FloatArray
+    inverse_factor: FloatArray
+
+    @classmethod
+    def of(cls, inverse_mass: Any, ndim: int) -> Metric:
+        """Return the metric for an inverse mass: the identity if None, a diagonal matrix if a number or vector.
+
+        Raises
+        ------
+        ValueError
+            If `inverse_mass` has the wrong length or is not symmetric positive definite.
+        """
+        array = np.ones(ndim) if inverse_mass is None else fits("inverse_mass", inverse_mass, ndim)
+        inverse = array if array.ndim == 2 else np.diag(np.broadcast_to(array, ndim))
+        return cls(inverse, np.linalg.inv(cholesky_factor("inverse_mass", inverse)))
+
+    def of_chains(self, chain: IntArray) -> Metric:
+        """Return the metric of some chains."""
+        return self if self.inverse.ndim == 2 else Metric(self.inverse[chain], self.inverse_factor[chain])
+
+    def sample_momentum(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Draw `n` momenta from N(0, M), one a chain, shape (n, ndim)."""
+        z = rng.standard_normal((n, self.inverse.shape[-1]))
+        # M = L⁻ᵀ L⁻¹, so that p = L⁻ᵀ z has covariance M; as rows, pᵀ = zᵀ L⁻¹
+        return _rows(z, self.inverse_factor)
+
+    def velocity(self, momentum: FloatArray) -> FloatArray:
+        """Return v = M⁻¹ p, shape (n, ndim)."""
+        return _rows(momentum, self.inverse)
+
+    def column(self, chain: IntArray, i: IntArray) -> FloatArray:
+        """Return column i of M⁻¹, shape (n, ndim), for each of the chains."""
+        return self.inverse[i] if self.inverse.ndim == 2 else self.inverse[chain, i]
+
+    def kinetic(self, momentum: FloatArray) -> FloatArray:
+        """Return pᵀ M⁻¹ p / 2, shape (n,)."""
+        return 0.5 * np.sum(momentum * self.velocity(momentum), axis=-1)
+
+
+class Slope(NamedTuple):
+    """A log-density and its gradient at n points, with their cost.
+
+    Attributes
+    ----------
+    log_prob : ndarray, shape (n,)
+        NaN where it was not asked for and would have cost extra.
+    gradient : ndarray, shape (n, ndim)
+    finite : ndarray of bool, shape (n,)
+        Whether everything that was evaluated is finite.
+    n_solves : ndarray of int, shape (n,)
+    """
+
+    log_prob: FloatArray
+    gradient: FloatArray
+    finite: BoolArray
+    n_solves: IntArray
+
+
+class ExactGradient(Target):
+    """A density with its own gradient: one solve per point, or the density's `solves_per_gradient`."""
+
+    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
+        """Evaluate at `position`, shape (n, ndim), in one batch; `chain` is an index to whose points they are."""
+        log_prob, gradient = self.log_prob_and_grad(position, chain)
+        finite = np.isfinite(log_prob) & np.all(np.isfinite(gradient), axis=1)
+        return Slope(log_prob, gradient, finite, np.full(len(position), self.solves_per_gradient, dtype=np.int64))
+
+    def log_prob_and_grad(self, position: FloatArray, chain: Any) -> tuple[FloatArray, FloatArray]:
+        """Return the log-density and its gradient; `chain` as in `log_prob`."""
+        found: tuple[FloatArray, FloatArray] = self.density.log_prob_and_grad(position)
+        return found
+
+
+class CentralDifference(Target):
+    """∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i), eq. (15) with V = −log P.
+
+    A perturbed point that would leave the box is put on the wall, and the quotient is divided by the distance that
+    remains. A gradient costs 2 ndim solves everywhere (one-sided at a wall), the log-density itself one more.
+
+    Parameters
+    ----------
+    density : LogDensity
+    delta : ndarray, shape (ndim,)
+        The perturbation vector Δ, in scaled units.
+    h : float
+        The scalar that multiplies it.
+    """
+
+    def __init__(self, density: LogDensity, delta: FloatArray, h: float) -> None:
+        super().__init__(density)
+        self.delta, self.h = delta, h
+
+    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
+        """Evaluate all perturbed points in one batch; the density is the same for all chains."""
+        n, ndim = position.shape
+        shift = np.diag(self.h * self.delta)
+        centre = position[:, None, :]
+        above = np.minimum(centre + shift, self.upper)
+        below = np.maximum(centre - shift, self.lower)
+        points = [above.reshape(-1, ndim), below.reshape(-1, ndim)]
+        if with_log_prob:
+            points.append(position)
+        found = self.evaluate(np.concatenate(points))
+        values = found.log_prob[: 2 * n * ndim].reshape(2, n, ndim)
+        distance = np.diagonal(above - below, axis1=1, axis2=2)
+        with np.errstate(invalid="ignore"):  # −inf on both sides, where the density has failed: not finite
+            gradient = (values[0] - values[1]) / distance
+        finite = np.all(np.isfinite(gradient), axis=1)
+        log_prob = np.full(n, np.nan)
+        if with_log_prob:
+            log_prob = found.log_prob[2 * n * ndim :]
+            finite &= np.isfinite(log_prob)
+        return Slope(log_prob, gradient, finite, np.full(n, 2 * ndim + int(with_log_prob), dtype=np.int64))
+
+
+class Drift(NamedTuple):
+    """Where a drift ended.
+
+    Attributes
+    ----------
+    position, momentum : ndarray, shape (n, ndim)
+    n_bounces : ndarray of int, shape (n,)
+    arrived : ndarray of bool, shape (n,)
+        False where the cap on bounces was reached or the motion is not finite. Position and momentum are then
+        those of an interrupted motion, and must not be used.
+    """
+
+    position: FloatArray
+    momentum: FloatArray
+    n_bounces: IntArray
+    arrived: BoolArray
+
+
+def drift(
+    position: FloatArray,
+    momentum: FloatArray,
+    duration: FloatArray,
+    metric: Metric,
+    lower: FloatArray,
+    upper: FloatArray,
+    max_bounces: IntArray,
+) -> Drift:
+    """Move every point with velocity v = M⁻¹ p for its duration, reflecting it at the walls of the box.
+
+    A wall with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This flips the normal velocity and
+    keeps the kinetic energy; the map is reversible and preserves volume. Under a dense metric a reflection changes
+    the other velocities too, so the walls are taken in the order in which the path meets them: folding the
+    coordinates one by one would be wrong.
+
+    Parameters
+    ----------
+    position, momentum : ndarray, shape (n, ndim)
+    duration : ndarray, shape (n,)
+    metric : Metric
+    lower, upper : ndarray, shape (ndim,)
+        The box; infinite where there is no wall.
+    max_bounces : ndarray of int, shape (n,)
+
+    References
+    ----------
+    Neal (2011), Handbook of MCMC, section 5.5.1.5; Afshar & Domke (2015), NeurIPS 28, algorithm 1.
+    """
+    q, p, v = position.copy(), momentum.copy(), metric.velocity(momentum)
+    remaining = duration.copy()
+    n_bounces = np.zeros(len(q), dtype=np.int64)
+    arrived = np.zeros(len(q), dtype=bool)
+    moving = np.flatnonzero(np.all(np.isfinite(v), axis=1))
+    while moving.size:  # each pass takes every point that is still moving to its next wall, or to its end
+        time, wall = _next_wall(q[moving], v[moving], lower, upper)
+        free = time >= remaining[moving]
+        end = moving[free]
+        # no wall is met before the end, so the clip only undoes rounding
+        q[end] = _clipped(q[end] + remaining[end, None] * v[end], lower, upper)
+        arrived[end] = True
+        if len(end) == len(moving):
+            break
+        under_cap = n_bounces[moving] < max_bounces[moving]
+        bounce = ~free & under_cap
+        moving, time, wall = moving[bounce], time[bounce], wall[bounce]
+        q[moving] = _clipped(q[moving] + time[:, None] * v[moving], lower, upper)
+        normal_velocity = v[moving, wall]
+        q[moving, wall] = np.where(normal_velocity > 0, upper[wall], lower[wall])  # exactly on the wall
+        # n = e_i, so n·v = v_i and n·M⁻¹n = (M⁻¹)_ii: Δp = −2 v_i/(M⁻¹)_ii e_i and Δv = M⁻¹ Δp, a multiple of the
+        # i-th column of M⁻¹
+        column = metric.column(moving, wall)
+        impulse = -2.0 * normal_velocity / column[np.arange(len(wall)), wall]
+        p[moving, wall] += impulse
+        v[moving] += impulse[:, None] * column
+        v[moving, wall] = -normal_velocity  # exactly, or rounding could leave the point moving into the wall
+        remaining[moving] -= time
+        n_bounces[moving] += 1
+    arrived &= np.all(np.isfinite(q), axis=1)
+    return Drift(q, p, n_bounces, arrived)
+
+
+class Trajectory(NamedTuple):
+    """End of a leapfrog trajectory; where `finished` is False it was abandoned, and its end is meaningless.
+
+    Shapes are (chains, ndim) for position, momentum and gradient and (chains,) for the others. `n_steps` and
+    `n_solves` count what was really done. `nonfinite` is True where density, gradient or motion were not finite;
+    a trajectory abandoned without it reached the cap on bounces.
+    """
+
+    position: FloatArray
+    momentum: FloatArray
+    log_prob: FloatArray
+    gradient: FloatArray
+    finished: BoolArray
+    nonfinite: BoolArray
+    n_steps: IntArray
+    n_solves: IntArray
+    n_bounces: IntArray
+
+
+@dataclass(frozen=True)
+class HamiltonianKernel:
+    """Hamiltonian Monte Carlo bound to a density with gradients.
+
+    `step_size` has shape () if it is one for all chains, else (chains,); `metric` may be each chain's own too. The
+    other fields are those of `HamiltonianMonteCarlo`.
+    """
+
+    target: ExactGradient | CentralDifference
+    metric: Metric
+    step_size: FloatArray
+    n_steps: int
+    jitter: float
+    max_bounces: int
+
+    def init(self, positions: FloatArray) -> tuple[State, Info]:
+        """Evaluate log-density and gradient at the start; ValueError where the gradient is not finite."""
+        slope = self.target.slope(positions, with_log_prob=True)
+        bad = np.isfinite(slope.log_prob) & ~slope.finite
+        if bad.any():
+            raise ValueError(f"init: the gradient must be finite at the start (chain {np.flatnonzero(bad)[0]})")
+        chains = len(positions)
+        one = np.ones(chains, dtype=np.int64)
+        info = Info(np.zeros(chains, dtype=bool), slope.log_prob, slope.n_solves, one)
+        return State(positions, slope.log_prob, slope.gradient), info
+
+    def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
+        """Draw momenta, follow one trajectory a chain, accept or reject its end."""
+        if state.gradient is None:
+            raise ValueError("state: must carry the gradient at its position (got None)")
+        chains = len(state.position)
+        momentum = self.metric.sample_momentum(rng, chains)
+        step_size = self.step_size * (1 + self.jitter * rng.uniform(-1, 1, chains))
+        log_u = -rng.standard_exponential(chains)
+        end = self.integrate(state, momentum, step_size)
+
+        energy = self.metric.kinetic(momentum) - state.log_prob
+        new_energy = np.where(end.finished, self._energy(end), np.inf)
+        error = new_energy - energy
+        accepted = log_u <= -error
+        moved = accepted[:, None]
+        position = np.where(moved, end.position, state.position)
+        log_prob = np.where(accepted, end.log_prob, state.log_prob)
+        gradient = np.where(moved, end.gradient, state.gradient)
+        extra = {
+            "acceptance_rate": np.exp(-np.maximum(0.0, error)),
+            "energy": np.where(accepted, new_energy, energy),
+            "diverging": error > DIVERGENCE,
+            "n_nonfinite": end.nonfinite.astype(np.int64),
+            "n_steps": end.n_steps,
+            "step_size": step_size,
+            "n_bounces": end.n_bounces,
+        }
+        return State(position, log_prob, gradient), Info(accepted, log_prob, end.n_solves, end.n_steps, extra)
+
+    def _energy(self, end: Trajectory) -> FloatArray:
+        """Return H at the end of the trajectories; infinite where the momentum has overflowed."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
+
+    def integrate(self, state: State, momentum: FloatArray, step_size: FloatArray) -> Trajectory:
+        """Follow `n_steps` leapfrog steps from `state`, all chains in lockstep, reflecting at the bounds.
+
+        A trajectory is abandoned at the cap on bounces, and where density or gradient are not finite. Its chain
+        then waits for the others and is not evaluated again.
+
+        Parameters
+        ----------
+        state : State
+            With the gradient of log P.
+        momentum : ndarray, shape (chains, ndim)
+        step_size : ndarray, shape (chains,)
+        """
+        chains = len(momentum)
+        q, p = state.position.copy(), momentum.copy()
+        log_prob, slope = state.log_prob.copy(), np.array(state.gradient)
+        n_taken, n_solves, n_bounces = (np.zeros(chains, dtype=np.int64) for _ in range(3))
+        nonfinite = np.zeros(chains, dtype=bool)
+        going: IntArray = np.arange(chains)
+        # a diverging trajectory overflows before the tests for finite numbers below catch it
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k in range(self.n_steps):
+                half = 0.5 * step_size[going, None]
+                p[going] += half * slope[going]  # eq. (12), with −∇V = ∇ log P
+                moved = drift(
+                    q[going],
+                    p[going],
+                    step_size[going],
+                    self.metric.of_chains(going),
+                    self.target.lower,
+                    self.target.upper,
+                    self.max_bounces - n_bounces[going],
+                )  # eq. (13)
+                n_bounces[going] += moved.n_bounces
+                nonfinite[going] = ~np.all(np.isfinite(moved.position) & np.isfinite(moved.momentum), axis=1)
+                arrived = moved.arrived & ~nonfinite[going]
+                going, half = going[arrived], half[arrived]
+                if not going.size:
+                    break
+                q[going], p[going] = moved.position[arrived], moved.momentum[arrived]
+                last = k == self.n_steps - 1
+                found = self.target.slope(q[going], with_log_prob=last, chain=going)
+                n_taken[going] += 1
+                n_solves[going] += found.n_solves
+                log_prob[going], slope[going] = found.log_prob, found.gradient
+                p[going] += half * slope[going]  # eq. (14)
+                nonfinite[going[~found.finite]] = True
+                going = going[found.finite]
+        finished = np.zeros(chains, dtype=bool)
+        finished[going] = True
+        return Trajectory(q, p, log_prob, slope, finished, nonfinite, n_taken, n_solves, n_bounces)
+
+
+def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the time to the first wall ahead, shape (n,), infinite if there is none, and its coordinate."""
+    # the coordinates move independently between walls: t_i = (wall ahead − q_i)/v_i, and the first is the smallest
+    ahead = np.where(v > 0, upper, lower)
+    still = v == 0
+    time = np.where(still, np.inf, (ahead - q) / np.where(still, 1.0, v))
+    wall = np.argmin(time, axis=1)
+    return np.maximum(time[np.arange(len(q)), wall], 0.0), wall
+
+
+def _rows(x: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return xᵀ A for every row x, with one A of shape (m, m) for all rows, or A of shape (n, m, m), one each."""
+    return x @ matrix if matrix.ndim == 2 else np.einsum("ni,nij->nj", x, matrix)
+
+
+def _clipped(q: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return `q` clipped to the box; for a few points three times as fast as `np.clip`."""
+    return np.minimum(np.maximum(q, lower), upper)
