@@ -10,7 +10,7 @@ from pydantic import Field
 
 from fmu.config.mistakes import Mistake, got
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
-from fmu.fem.frame.joints import Direction
+from fmu.fem.frame.components import Direction
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS

@@ -6,7 +6,7 @@ import scipy.linalg as sl
 from scipy.special import erf
 
 from fmu import cases
-from fmu.fem.frame.frame import Section
+from fmu.fem.frame.components import Section
 from tests import cantilever
 
 PLANES = {"W": ("z", "ry"), "S": ("y", "rz"), "T": ("rx",), "A": ("x",)}

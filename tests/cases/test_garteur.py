@@ -12,7 +12,7 @@ from fmu.analysis.identifiability import identifiability
 from fmu.analysis.information import left_to_prior
 from fmu.analysis.initial_modes import COUNTERPARTS_GIVEN, initial_modes
 from fmu.config.problem import ProblemFile
-from fmu.fem.frame.frame import DIRECTIONS
+from fmu.fem.frame.components import DIRECTIONS
 from fmu.fem.pairing.rules import count_rigid
 from fmu.posterior.maxima.local_maxima import local_maxima
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Factor, Frame, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.updates import Factor
 from fmu.fem.modes.eigensolver import eigen
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

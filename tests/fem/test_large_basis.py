@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, Section
+from fmu.fem.frame.components import DIRECTIONS, Material, Section
+from fmu.fem.frame.frame import ElementGroup, Frame
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.pairing import paired_model as structure
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import basis as reduced_basis
-from fmu.fem.reduced import snapshots, training
+from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.snapshots import Snapshots, proper_orthogonal_basis
-from fmu.fem.reduced.training import Training, affordable, box_points
+from fmu.fem.reduced.training import Snapshots, Training, affordable, box_points, proper_orthogonal_basis
 
 PARTS, ELEMENTS = 10, 40
 
@@ -42,8 +42,8 @@ def solved():
 def test_shapes_compressed_by_and_by_span_the_same_space(solved, monkeypatch):
     block, known, centre = solved
     at_once = proper_orthogonal_basis(block, known, centre)
-    monkeypatch.setattr(snapshots, "MANY_SHAPES", 60)
-    monkeypatch.setattr(snapshots, "LARGE", 10)
+    monkeypatch.setattr(training, "MANY_SHAPES", 60)
+    monkeypatch.setattr(training, "LARGE", 10)
     by_and_by = proper_orthogonal_basis(block, known, centre)
     M = sum(term.matrix for term in block.M_terms)
     assert_allclose(by_and_by.T @ (M @ by_and_by), np.eye(by_and_by.shape[1]), atol=1e-9)

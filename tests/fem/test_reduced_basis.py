@@ -5,12 +5,13 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame.frame import DIRECTIONS, ElementGroup, Frame, Material, PointMass, Section
+from fmu.fem.frame.components import DIRECTIONS, Material, PointMass, Section
+from fmu.fem.frame.frame import ElementGroup, Frame
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel, Term, selection
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.snapshots import Snapshots, proper_orthogonal_basis, smallest_basis
+from fmu.fem.reduced.training import Snapshots, proper_orthogonal_basis, smallest_basis
 
 COUNT = 4
 SIZES = (1, 2, 3, 16, 64, 513)

@@ -21,7 +21,7 @@ import numpy as np
 import fmu
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.snapshots import Snapshots
+from fmu.fem.reduced.training import Snapshots
 from fmu.posterior import train_reduced as focus
 from tests.validation.scale_model import Size, scale_problem
 

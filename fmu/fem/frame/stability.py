@@ -10,10 +10,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from fmu.fem.frame.motion import rigid_in_words, rigid_motions, what_moves
+from fmu.fem.frame.components import DIRECTIONS
 from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import RigidArm, SeparableModel
+from fmu.numbers import listed
 from fmu.types import FloatArray
+
+# Motions that agree to this are the same: those of zero energy are known no better where a structure is soft.
+_SAME = 1e-4
+_SHOWN = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,3 +146,143 @@ def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) 
     M = scaled(model.M(theta), scale)
     energy, turned = np.linalg.eigh(N.T @ (M @ N))
     return np.asarray(scale[:, None] * (N @ turned[:, energy <= ZERO * M.diagonal().max()]))
+
+
+def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | None:
+    """Return what of a space of motions moves the whole structure as a rigid body.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    shapes : ndarray, shape (n_dof, n)
+        A basis of the space, m and rad.
+
+    Returns
+    -------
+    ndarray, shape (6, r), or None
+        Translation, m, and rotation, rad, about the centre of the nodes; None if the model does not know where its
+        nodes are.
+    """
+    named = _rigid_rows(model)
+    if named is None:
+        return None
+    moved, held = named
+    if not shapes.shape[1]:
+        return np.zeros((6, 0))
+    # only what moves no held direction
+    candidates = np.eye(6) if not len(held) else _null_space(held)
+    size = _sizes(model)[:, None]
+    W = size * (moved @ candidates)
+    U, s, Vt = np.linalg.svd(W, full_matrices=False)
+    kept = s > _SAME * max(s.max(initial=0.0), 1e-300)
+    U, back = U[:, kept], candidates @ (Vt[kept].T / s[kept])
+    Y = np.linalg.qr(size * shapes)[0]
+    left, cosine, _ = np.linalg.svd(U.T @ Y, full_matrices=False)
+    coefficients = back @ left[:, cosine > 1.0 - _SAME]
+    length = _length(model)
+    coefficients[3:] /= length
+    return np.asarray(coefficients)
+
+
+def rigid_in_words(rigid: FloatArray) -> list[str]:
+    """Return rigid-body motions (6, r) in words, translations first."""
+    if not rigid.shape[1]:
+        return []
+    turn = rigid[3:]
+    _, s, Vt = np.linalg.svd(turn, full_matrices=True)
+    rank = int(np.sum(s > _SAME * np.abs(rigid).max()))
+    words = []
+    shifts, turns = _axes_in_words(rigid[:3] @ Vt[rank:].T), _axes_in_words(turn @ Vt[:rank].T)
+    if shifts:
+        words.append(f"every point along {_listed(shifts)}")
+    if turns:
+        words.append(f"the whole turning about {_listed(turns)}")
+    return words
+
+
+def what_moves(
+    model: SeparableModel, shapes: FloatArray, label: Callable[[Any], str] = str, rigid: FloatArray | None = None
+) -> str:
+    """Return the degrees of freedom that move most in a space of motions (n_dof, n), as "a rx, b rx move most".
+
+    Parameters
+    ----------
+    model : SeparableModel
+    shapes : ndarray, shape (n_dof, n)
+    label : callable
+        Gives what to call a node.
+    rigid : ndarray, shape (6, r), optional
+        Motions as a rigid body, to be left out of the space.
+    """
+    size = _sizes(model)[:, None]
+    Y = np.linalg.qr(size * shapes)[0]
+    named = _rigid_rows(model)
+    if rigid is not None and rigid.shape[1] and named is not None:
+        scaled = rigid * np.array([1.0] * 3 + [_length(model)] * 3)[:, None]
+        Q = np.linalg.qr(size * (named[0] @ scaled))[0]
+        U, _, _ = np.linalg.svd(Y - Q @ (Q.T @ Y), full_matrices=False)
+        Y = U[:, : Y.shape[1] - rigid.shape[1]]
+    share = np.sum(Y**2, axis=1)
+    share = np.round(share / share.max(), 3)  # what moves alike stays in the order of the model
+    order = np.argsort(-share, kind="stable")
+    most = [i for i in order[:_SHOWN].tolist() if share[i] > 0.25]
+    names = ", ".join(f"{label(model.dofs[i][0])} {model.dofs[i][1]}" for i in most)
+    return f"{names} move{'s' if len(most) == 1 else ''} most"
+
+
+def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
+    """Return the six rigid-body motions at the degrees of freedom (n_dof, 6), and at the directions held (_, 6).
+
+    Rotations are about the centre, in units of the structure's length. A direction in which no node can move at
+    all is none of the model.
+    """
+    if model.geometry is None:
+        return None
+    nodes = np.asarray(model.geometry.nodes, dtype=float)
+    places = {node for node, _ in model.dof_of}
+    if not all(isinstance(node, int | np.integer) and 0 <= node < len(nodes) for node in places):
+        return None
+    centre, length = nodes.mean(axis=0), _length(model)
+
+    def row(node: int, direction: str) -> list[float]:
+        arm = RigidArm(None, tuple((nodes[node] - centre).tolist())).motion(direction)
+        return [arm.get(d, 0.0) / (length if d.startswith("r") else 1.0) for d in DIRECTIONS]
+
+    moved = np.array([row(node, d) for node, d in model.dofs])
+    used = np.unique(model.geometry.elements).tolist()
+    known = [d for d in DIRECTIONS if any(direction == d for _, direction in model.dofs)]
+    held = [row(node, d) for node in used for d in known if (node, d) not in model.dof_of]
+    return moved, np.array(held).reshape(-1, 6)
+
+
+def _length(model: SeparableModel) -> float:
+    extent = 0.0 if model.geometry is None else float(np.ptp(model.geometry.nodes, axis=0).max())
+    return extent if extent > 0.0 else 1.0
+
+
+def _sizes(model: SeparableModel) -> FloatArray:
+    """Return what makes a rotation as large as the translation that it causes far away, shape (n_dof,)."""
+    length = _length(model)
+    return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _null_space(rows: FloatArray) -> FloatArray:
+    _, s, Vt = np.linalg.svd(rows, full_matrices=True)
+    rank = int(np.sum(s > 1e-9 * s.max(initial=0.0)))
+    return Vt[rank:].T
+
+
+def _axes_in_words(vectors: FloatArray) -> list[str]:
+    """Return the directions that vectors (3, k) span: the axes among them by name, the others by components."""
+    U, s, _ = np.linalg.svd(vectors, full_matrices=False)
+    basis = U[:, s > _SAME * s.max(initial=0.0)]
+    along = [k for k in range(3) if np.sum(basis[k] ** 2) > 1.0 - 2.0 * _SAME]
+    rest = basis.copy()
+    rest[along] = 0.0
+    others = np.linalg.svd(rest, full_matrices=False)[0][:, : basis.shape[1] - len(along)].T
+    signed = [np.round(v * np.sign(v[np.argmax(np.abs(v))]), 2) + 0.0 for v in others]
+    return ["xyz"[k] for k in along] + [f"({listed(v)})" for v in signed]

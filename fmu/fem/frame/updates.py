@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from fmu.fem.frame.joints import DIRECTIONS, JointSpring, PointMass
+from fmu.fem.frame.components import DIRECTIONS, JointSpring, PointMass
 
 Target = Sequence[str]
 """(property,), (property, name) or (property, name, direction)."""

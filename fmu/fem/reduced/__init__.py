@@ -1,4 +1,4 @@
 """The certified reduced basis: built from snapshots, tested over the box, cached on disk.
 
-Reading order: basis, snapshots, training, cache.
+Reading order: basis, training, cache.
 """
