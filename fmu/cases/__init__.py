@@ -1,4 +1,4 @@
-"""Ready problems: each is a TOML file of this folder, as a user would write it."""
+"""Built-in problems: each is a TOML file of this folder, as a user would write it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def describe(name: str) -> str:
 
 
 def path(name: str) -> Path:
-    """Return the file of a case, to read or to start one's own from.
+    """Return the path of a case's TOML file, which may serve as a template.
 
     Parameters
     ----------

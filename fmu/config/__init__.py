@@ -1,4 +1,8 @@
-"""Problems from TOML files."""
+"""Problems from TOML files.
+
+Reading order: tables, problem; then a module for each table of the file: parameters, frame, matrices, python,
+measurement, errors.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +25,15 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 LARGEST_FILE = 2**21
-"""Bytes of a TOML file; large matrices are in files of their own, which are read a hundred times faster."""
+"""Bytes of a TOML file. Large matrices belong in files of their own, which are read a hundred times faster."""
 DEEPEST_KEY, DEEPEST = 6, 12
-"""Parts of a dotted key, and tables and lists within each other; no problem has more than half of these."""
+"""Parts of a dotted key, and levels of nested tables and lists. No problem needs half as many."""
 SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
-"""In SI units: of numbers beyond it, and of their reciprocals, products overflow and tell nothing."""
+"""Sizes of numbers in SI units. Beyond them, products of numbers or of their reciprocals would overflow."""
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
 _KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
 _LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{8 * DEEPEST_KEY},}}+)")
-"""What looks like a key but does not end like one, as in a text or a comment, may have more parts."""
+"""Text that does not end like a key, as in a string or a comment, may have more parts."""
 
 
 def load(
@@ -63,7 +67,7 @@ def load(
 
 
 def read(path: Path) -> ProblemFile:
-    """Return what is in a file, its types and ranges checked; see `load`."""
+    """Read a file and check the types and ranges of its values; see `load`."""
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile
@@ -85,9 +89,9 @@ def read(path: Path) -> ProblemFile:
 
 
 def _parsed(path: Path) -> dict[str, Any]:
-    """Return what is in a TOML file; ValueError with what is wrong with it.
+    """Return the content of a TOML file; ValueError if it is broken.
 
-    Dotted keys are looked at first: the parser's memory grows with the square of their length.
+    Dotted keys are checked first: the parser's memory grows with the square of their length.
     """
     with path.open("rb") as file:
         raw = file.read(LARGEST_FILE + 1)
@@ -114,7 +118,7 @@ def _parsed(path: Path) -> dict[str, Any]:
 
 
 def _out_of_size(content: Any) -> Iterator[Mistake]:
-    """Give what is nested too deeply, and finite numbers larger or smaller than anything in SI units."""
+    """Yield a mistake for everything nested too deeply and for every number out of the range of SI values."""
     ahead: list[tuple[tuple[int | str, ...], Any]] = [((), content)]
     while ahead:
         where, value = ahead.pop()

@@ -22,7 +22,7 @@ from fmu.formats.shown import names_shown
 from fmu.types import Positive
 
 MOST_ELEMENTS = 10_000
-"""60 000 degrees of freedom, a second a solve: a larger structure comes condensed, as matrices."""
+"""60 000 degrees of freedom, one second per solve. Condense a larger structure and give its matrices."""
 _SHAPES = [
     inside("rectangle", Section.rectangle),
     inside("tube", Section.tube),
@@ -59,7 +59,7 @@ def _spring(
 
 
 class Member(TomlTable):
-    """A straight row of `elements` elements between two points; `y_direction` as that of an `ElementGroup`."""
+    """A straight line of `elements` elements between two points; `y_direction` as in `fmu.ElementGroup`."""
 
     start: Annotated[Name, Field(alias="from")]
     end: Annotated[Name, Field(alias="to")]
@@ -85,11 +85,11 @@ class FrameTable(TomlTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        """Return what is wrong between the tables: names that do not exist, members of no length."""
+        """Return the mistakes between tables: names that do not exist, members of no length."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model and the node of every point; BrokenError with what is wrong. It reads no files."""
+        """Return the model and the node of every point; BrokenError if it cannot be built. It reads no files."""
         mesh = _Mesh(self)
         updates = {table.name: mesh.targets(table) for table in parameters}
         try:
@@ -115,7 +115,7 @@ class FrameTable(TomlTable):
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        """Return what is wrong with what parameters stand for: things, directions, what two of them have."""
+        """Return the mistakes in targets: unknown names or directions, and values updated by two parameters."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
@@ -224,7 +224,7 @@ class _Mesh:
                 self._node_at(end)
 
     def frame(self) -> Frame:
-        """Return the frame; ValueError with what is wrong with it."""
+        """Return the frame; ValueError if it cannot be built."""
         table, at = self.table, self.node_of
         supports = {
             at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)
@@ -243,7 +243,7 @@ class _Mesh:
         return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
-        """Return what a parameter stands for, as `Frame.separable` has it."""
+        """Return the targets of a parameter, as `Frame.separable` takes them."""
         named = table.named(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
@@ -252,7 +252,7 @@ class _Mesh:
         return Factor(targets) if table.scaling == "factor" else list(targets)
 
     def label(self, node: int) -> str:
-        """Return the name of a node's point, or between which points it is."""
+        """Return the name of a node's point, or of the two points that it lies between."""
         return next((name for name, number in self.node_of.items() if number == node), self._between.get(node, ""))
 
     def _node_at(self, point: str) -> int:
@@ -283,7 +283,7 @@ _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 
 def _out_of_place(where: str, table: Target, key: str) -> list[Mistake]:
-    """Return the keys that a parameter of such a property must not have."""
+    """Return the keys that a parameter with this property must not have."""
     wrong = [other for other in _SINGULAR if other != key and table.named(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
@@ -291,12 +291,12 @@ def _out_of_place(where: str, table: Target, key: str) -> list[Mistake]:
 
 
 def _ends(spring: JointSpring) -> list[Any]:
-    """Return the points that a spring of the file is at."""
+    """Return the points at the ends of a spring."""
     return [end for end in spring.nodes if end is not None]
 
 
 def _known_as(mass: PointMass) -> str:
-    """Return what parameters call a mass of the file: its name, or its point's."""
+    """Return the name by which parameters refer to a mass: its own, or that of its point."""
     return mass.name or str(mass.node)
 
 

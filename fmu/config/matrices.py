@@ -1,6 +1,6 @@
 """``[model] type = "matrices"``: stiffness and mass terms, from files as other programs export them or by rows.
 
-`fmu.formats.matrices.read` says which files are read and how to come by them.
+`fmu.formats.matrices.read` lists the file formats and says how to export them.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class TermTable(TomlTable):
     file: FileName | None = None
     """From the folder of this file."""
     matrix: Annotated[list[list[float]], Field(min_length=1), one_length("column")] | None = None
-    """Instead of a file, of a small model: its rows."""
+    """The rows of the matrix, for a small model without a file."""
     variable: FileName | None = None
-    """Which matrix, where a file holds several."""
+    """Name of the matrix in a file that has several."""
     triangle: bool | Literal["lower", "upper"] = False
-    """Whether each pair of symmetric entries is there once."""
+    """Whether the file has one triangle of the matrix only."""
     factor: float = 1.0
-    """Times a number."""
+    """Multiplies the matrix."""
     powers: dict[Name, float] = {}
-    """Times these parameters to these powers."""
+    """Parameters that multiply the matrix, with their powers."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -56,11 +56,11 @@ class TermTable(TomlTable):
 
     @property
     def source(self) -> str:
-        """The key that says where the matrix is."""
+        """The key that gives the matrix."""
         return "matrix" if self.file is None else "file"
 
     def read(self, folder: Path) -> Labelled:
-        """Return the matrix; ValueError with what is wrong with it."""
+        """Return the matrix; ValueError if it cannot be read."""
         if self.file is not None:
             return read_labelled(folder / self.file, self.variable, self.triangle)
         return Labelled(symmetric_matrix(np.array(self.matrix), self.triangle), None)
@@ -76,7 +76,7 @@ class MatricesTable(TomlTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        """Return the powers of parameters that do not exist, and the parameters that no term has."""
+        """Return the mistakes between tables: powers of unknown parameters, and parameters in no term."""
         names = [parameter.name for parameter in parameters]
         found, used = [], set()
         for where, term in self._terms():
@@ -92,7 +92,7 @@ class MatricesTable(TomlTable):
         return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Read the matrices beside the file and return the model; BrokenError with what is wrong with them."""
+        """Read the matrices and return the model; BrokenError if it cannot be built."""
         read: list[Labelled] = []
         found: list[Mistake] = []
         for where, table in self._terms():
@@ -123,7 +123,7 @@ class MatricesTable(TomlTable):
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
     def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        """Return the parameters whose power does not exist everywhere between their bounds."""
+        """Return a mistake for each parameter whose power is undefined somewhere between its bounds."""
         found = []
         for where, term in self._terms():
             for i, table in enumerate(parameters):
@@ -147,10 +147,10 @@ class MatricesTable(TomlTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled]) -> tuple[list[Any], list[tuple[Any, str]]]:
-        """Return the matrices on the degrees of freedom of all, and their names.
+        """Return the matrices on the same degrees of freedom, and the names of these.
 
-        Where the files name them, a matrix may lack those that it is zero at. Those that Abaqus marks as held by a
-        support, with 1e36 in the stiffness, are left out.
+        Where files name them, a matrix may lack degrees of freedom at which it is zero. Those that Abaqus marks as
+        held by a support, with 1e36 in the stiffness, are removed.
         """
         labels = [one.dofs for one in read if one.dofs is not None]
         matrices = [one.matrix for one in read]
@@ -203,7 +203,7 @@ class MatricesTable(TomlTable):
             raise BrokenError(found)
 
     def _in_words(self, error: str) -> str:
-        """Return what is wrong with a model in the words of the file, with what to do about it."""
+        """Return an error of the model in the words of the file, with a remedy."""
         text = error.replace("K_terms", "stiffness").replace("M_terms", "mass") + ", at the start"
         if "can move without strain" in text and not self.free:
             text += "; set free = true if it is free on purpose"

@@ -51,7 +51,7 @@ _IN_A_FILE: dict[Any, Any] = {
     Sensors: None,
     Sensors | None: None,
 }
-"""What stands in the table of a reader for an argument: nothing for the sensors, which have a key of their own."""
+"""TOML types of a reader's arguments. Sensors are no key of its table: they have one in ``[measurement]``."""
 
 
 def _of_reader(key: str, read: Callable[..., Any]) -> Any:
@@ -63,44 +63,48 @@ def _of_reader(key: str, read: Callable[..., Any]) -> Any:
 class MeasurementTable(TomlTable):
     """The modes measured, from one of ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff`` and ``oma``.
 
-    Of the errors in frequency ``sd`` in Hz, or ``beta`` = 1/(2 sd²), or ``covariance`` in Hz²; they hold instead
-    of what a file says. ``tests`` are repeated, a row a test with nan where it missed a mode, and their scatter
-    tells the error. ``shapes`` are a row a mode at the ``sensors``, or in a table, ``shapes_file``, or of each
-    test, ``test_shapes``.
+    The frequency errors are given by ``sd`` in Hz, ``beta`` = 1/(2 sd²) or ``covariance`` in Hz², which replace
+    those of a file. ``tests`` are repeated tests, one row per test, nan where it missed a mode; their scatter
+    gives the error. ``shapes`` has one row per mode with a value per sensor; instead, ``shapes_file`` names a
+    table, and ``test_shapes`` has the shapes of each test.
     """
 
     frequencies: Annotated[list[Positive], Field(min_length=1, max_length=MOST_MODES)] | None = None
     """Natural frequencies, Hz."""
     tests: Annotated[list[Test], Field(min_length=2), one_length("mode")] | None = None
-    """Frequencies of repeated tests, Hz: a row a test, in order of time, nan where it missed a mode."""
+    """Frequencies of repeated tests, Hz: one row per test, in order of time, nan where it missed a mode."""
     tests_file: FileName | None = None
-    """A CSV table of repeated tests, from the folder of this file: a row a test in order of time, a column a mode
-    with its name as header, empty or nan where a test missed the mode; a column named test is not read."""
+    """CSV table of repeated tests, relative to this file: one row per test in order of time, one column per mode
+    with its name as header, empty or nan where a test missed the mode. A column named test is ignored."""
     scatter: Literal["each", "pooled", "joint"] = "each"
-    """What the scatter of the tests tells: a deviation each mode, one for all, or a covariance."""
+    """How the scatter of the tests is used: one deviation per mode, one relative deviation for all, or a
+    covariance."""
     file: FileName | None = None
-    """A table of frequencies, from the folder of this file."""
+    """CSV table of frequencies, relative to this file."""
     sd: NumberOrNumbers | None = None
-    """Standard deviation of the frequencies, Hz: one, or one a mode."""
+    """Standard deviation of the frequencies, Hz: one for all modes, or one per mode."""
     beta: NumberOrNumbers | None = None
-    """Trust in the frequencies, 1/(2 sd²), 1/Hz²: one, or one a mode."""
+    """Weight of a squared frequency error, 1/(2 sd²), 1/Hz²: one for all modes, or one per mode."""
     covariance: list[list[float]] | None = None
     """Covariance of the frequencies, Hz²."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
-    """Of the modes in the sorted spectrum, from 1, for pairing by number."""
+    """Numbers of the modes in the sorted spectrum, from 1, for pairing by number."""
     counterparts: list[Annotated[int, Field(ge=1)]] = []
-    """Of the elastic modes before updating that the sensors see, from 1, for pairing by shape without shapes."""
+    """For pairing by shape without measured shapes: number of each mode, from 1, among the elastic modes before
+    updating that move a sensor."""
     labels: list[Name] = []
     """Names of the modes."""
     sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
-    """Place and direction: x, y, z, rx, ry, rz; with a minus before it if it counts the other way."""
+    """Place and direction of each sensor: x, y, z, rx, ry, rz, with a minus if positive readings point the other
+    way."""
     shapes: Annotated[list[list[float]], one_length("sensor")] | None = None
-    """A row a mode, a number a sensor, in any scale."""
+    """One row per mode, one value per sensor, in any scale."""
     shapes_file: FileName | None = None
-    """A table of shapes with their sensors, from the folder of this file."""
+    """CSV table of shapes with their sensors, relative to this file."""
     test_shapes: list[list[list[Missed]]] | None = None
-    """Shapes of repeated tests: a list a test, in it a row a mode and a number a sensor, in any scale and sign;
-    nan at every sensor where a test missed a mode. Their mean is compared, and their scatter tells its error."""
+    """Shapes of repeated tests: one list per test with one row per mode and one value per sensor, in any scale and
+    sign, nan at every sensor where a test missed a mode. Their mean is compared, and their scatter gives its
+    error."""
 
     @field_validator("covariance")
     @classmethod
@@ -153,14 +157,14 @@ class MeasurementTable(TomlTable):
         return next(key for key in _SOURCES if getattr(self, key) is not None)
 
     def mistakes(self, needs_trust: bool) -> list[Mistake]:
-        """Say so if nothing can tell the errors in frequency, and no error model does."""
+        """Return a mistake if the size of the frequency errors is given neither here nor by an error model."""
         given = [key for key in _TRUST if getattr(self, key) is not None]
         if given or not needs_trust or self.frequencies is None:
             return []
         return [Mistake("measurement", got(_ONE_TRUST, given))]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
-        """Return the data, at sensors of the model; BrokenError with what is wrong.
+        """Return the data at sensors of the model; BrokenError if they cannot be built.
 
         Parameters
         ----------
@@ -206,7 +210,7 @@ class MeasurementTable(TomlTable):
         return tuple(sensors)
 
     def _read(self, folder: Path) -> dict[str, Any]:
-        """Return what the source says, as arguments of `ModalData`."""
+        """Read the source, and return arguments of `ModalData`."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         if self._source in READERS:
             table: Declared = getattr(self, self._source)
@@ -241,7 +245,7 @@ class MeasurementTable(TomlTable):
 
 @contextmanager
 def _at(where: str) -> Iterator[None]:
-    """Turn what is wrong with a file into mistakes at the key that names it."""
+    """Turn errors of a file into mistakes at the key that names it."""
     try:
         yield
     except ModesError as error:

@@ -1,4 +1,4 @@
-"""Mistakes in a configuration: all of them at once, each with its place in the file, the rule and the value."""
+"""Mistakes in a problem file: all reported together, each with its location, the rule and the value received."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _PATTERNS = {
     r"^\d{1,9}$": "must be the number of a node, of at most 9 digits",
     FUNCTION: 'must be "module:function", as in "storeys:modes"',
 }
-"""What the patterns of texts mean."""
+"""The rules behind the patterns of strings."""
 
 
 class Mistake(NamedTuple):
-    """One mistake: where it is (``parameters.1.upper``), what is the rule, and what was received."""
+    """A mistake: its location (``parameters.1.upper``), and the rule with the value received."""
 
     where: str
     rule: str
@@ -36,13 +36,13 @@ class Mistake(NamedTuple):
 
     @classmethod
     def of(cls, where: str, error: object) -> Self:
-        """Return what the library says of a table's values, ``key: rule (got value)``, at the place of the key."""
+        """Return the library's ValueError ``key: rule (got value)`` as a mistake at that key of a table."""
         key, rule = _KEY_FIRST.fullmatch(str(error)).groups("")  # type: ignore[union-attr]
         return cls(".".join(part for part in (where, key) if part), rule)
 
 
 class BrokenError(Exception):
-    """What a part of a configuration raises when it cannot be built: its mistakes."""
+    """Mistakes found while a part of the problem was built."""
 
     def __init__(self, mistakes: Sequence[Mistake]) -> None:
         self.mistakes = tuple(mistakes)
@@ -50,7 +50,7 @@ class BrokenError(Exception):
 
 
 class ConfigurationError(ValueError):
-    """A configuration that cannot be used.
+    """A problem file that cannot be used.
 
     Attributes
     ----------
@@ -70,19 +70,19 @@ class ConfigurationError(ValueError):
 
 
 def got(rule: str, value: Any) -> str:
-    """Return a rule with the value received, cut short if it is long."""
+    """Return a rule followed by the value received, shortened if it is long."""
     return f"{rule} (got {shown(value)})"
 
 
 def place(parts: Sequence[int | str]) -> str:
-    """Return where something is in the file, long keys cut short."""
+    """Return a location in the file, with long keys shortened."""
     return ".".join(
         str(part) if len(str(part)) <= LONGEST_KEY else f"{str(part)[:LONGEST_KEY]}…" for part in parts
     )
 
 
 def of_validation(error: ValidationError) -> list[Mistake]:
-    """Return what pydantic found, in the words of this package."""
+    """Return the errors of pydantic as mistakes."""
     return [_of_one(dict(one)) for one in error.errors(include_url=False)]
 
 
@@ -111,7 +111,7 @@ def _as_rule(message: str) -> str:
 
 
 def _of_tag(where: str, error: dict[str, Any]) -> Mistake:
-    """Return what is wrong with the key that says which kind of table it is."""
+    """Return the mistake in the key that selects the kind of a table."""
     context = error["ctx"]
     where = f"{where}.{context['discriminator'].strip("'")}"
     if "tag" not in context:
@@ -121,7 +121,7 @@ def _of_tag(where: str, error: dict[str, Any]) -> Mistake:
 
 
 def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
-    """Return a place without the kinds of values and tables, which pydantic puts after keys that have several."""
+    """Return a location without the kinds of values and tables that pydantic inserts after a key."""
     parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
     number = parts[1:2]
     several = (["model"], ["parameters", *number, "prior"], ["noise", *number, "prior"], ["error", *number])

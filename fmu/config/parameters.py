@@ -1,4 +1,4 @@
-"""``[[parameters]]`` and ``[[noise]]``: what is uncertain, and what was known of it."""
+"""``[[parameters]]`` and ``[[noise]]``: uncertain quantities and their priors."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 
 LEAST_LOG_MASS = -200.0
-"""Of a prior between the bounds: a Gaussian that ends twenty standard deviations off is a slip of the pen."""
+"""Least log-probability of a prior between the bounds. Bounds 20 standard deviations off are a typing error."""
 KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
-"""Which key of a parameter names the things that have a property."""
+"""The key of a parameter that lists what has a property."""
 
 
 class Target(TomlTable):
-    """What a parameter is the value of, or the factor that multiplies its value in the file.
+    """The quantities of a frame that a parameter is the value of, or multiplies.
 
-    Of a frame: a ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``, of the last two
-    in some ``directions`` if not in all that they have.
+    A ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``; of the last two in the given
+    ``directions``, or in all.
     """
 
     property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None
@@ -36,28 +36,28 @@ class Target(TomlTable):
     scaling: Literal["absolute", "factor"] = "absolute"
 
     def named(self, key: str, groups: Sequence[str] = ()) -> list[str]:
-        """Return the names that a key has, of all `groups` where it is ``"all"``."""
+        """Return the names listed by a key; all `groups` where it is ``"all"``."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
 
 
 class Uncertain(TomlTable):
-    """A number with bounds and a prior."""
+    """An uncertain quantity with bounds and a prior."""
 
     name: ParameterName
-    """For tables and figures."""
+    """Name in tables and figures."""
     start: float
-    """The model before updating."""
+    """Value before updating."""
     lower: float | None = None
     """Bounds cut the prior off; a uniform prior needs both."""
     upper: float | None = None
     """Bounds cut the prior off; a uniform prior needs both."""
     unit: str = ""
-    """For labels; values are in SI units."""
+    """SI unit, for labels."""
     prior: Annotated[Declared, OneOf("distribution", PRIORS)] = Field(
         {"distribution": "uniform"}, validate_default=True
     )
-    """What was known before the measurement."""
+    """Knowledge before the measurement."""
 
     def build(self) -> Parameter:
         """Return the parameter.
@@ -80,10 +80,10 @@ class Uncertain(TomlTable):
 
 
 class ParameterTable(Uncertain, Target):
-    """A parameter; in a frame, what it is the value of, in which groups."""
+    """A parameter; of a frame, with the quantities that it updates."""
 
     def is_positive(self) -> bool:
-        """Say whether all values that the parameter can have are positive, by its bounds or by its prior."""
+        """Say whether bounds or prior keep the parameter positive."""
         try:
             return self.build().lowest > 0.0
         except ValueError:  # which is a mistake of its own
@@ -101,7 +101,7 @@ class NoiseTable(Uncertain):
 def built(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[Mistake]]:
-    """Return the parameters of tables by name, in the order of the file, and what is wrong with the tables.
+    """Return the parameters by name, in the order of the file, and the mistakes in their tables.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def built(
 
 
 def without_targets(tables: Sequence[ParameterTable]) -> list[Mistake]:
-    """Return the keys of parameters that say what of a frame they are, in a file without a frame."""
+    """Return a mistake for each key that only parameters of a frame may have."""
     return [
         Mistake(f"parameters.{i}.{key}", "is allowed for frames only")
         for i, table in enumerate(tables)

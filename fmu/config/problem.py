@@ -29,29 +29,29 @@ Reduction = Annotated[
     by_kind("true, false or a number"),
 ]
 MOST_PARAMETERS = 200
-"""Far beyond what a handful of modes can tell."""
+"""Far more than a few modes can determine."""
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
 class ProblemFile(TomlTable):
-    """A file: a model, the modes measured, and what is uncertain. SI units throughout."""
+    """A problem: a model, measured modes and uncertain parameters. SI units throughout."""
 
     name: Name
-    """What reports call it."""
+    """Title in reports."""
     description: str = ""
-    """In one line."""
+    """One line of text."""
     pairing: Literal["shape", "index", "soft"] = "shape"
-    """Which computed mode answers to which measured one: by MAC of their shapes, by number in the spectrum, or all
-    of them with weights exp(MAC/softness), so that the log-probability does not jump where modes veer."""
+    """How computed modes are paired with measured ones: by the MAC of their shapes, by number in the spectrum, or
+    softly, with weights exp(MAC/softness), so that the log-probability does not jump where modes veer."""
     softness: Positive = SOFTNESS
-    """Of soft pairing: the smaller, the nearer to pairing by MAC one to one."""
+    """Of soft pairing: the smaller it is, the closer to one-to-one pairing by MAC."""
     error: NamedError | ErrorModels = Field("frequency", discriminator=NAMES_OR_MODELS)
     """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
     noise: list[NoiseTable] = []
     """Standard deviations to be inferred, which error models refer to by name."""
     reduction: Reduction = True
-    """Whether a certified reduced model answers within the bounds, much faster than the full one; a number, up to
-    0.01, is the largest relative error that its frequencies may have, and true stands for 1e-6."""
+    """Whether a certified reduced model replaces the full one within the bounds, which is much faster. A number up
+    to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6."""
     model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
     """The structure: type "frame", "matrices" or "python"."""
     measurement: MeasurementTable
@@ -118,7 +118,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [Mistake("", str(error))]) from error
 
     def _data(self, folder: Path, built: Built, beta: Any) -> ModalData:
-        """Return what was measured, without its own uncertainty where `beta` holds instead."""
+        """Return the measured data, without their own uncertainty where `beta` replaces it."""
         data = self.measurement.build(folder, built, needs_trust=isinstance(self.error, str))
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)

@@ -1,7 +1,7 @@
-"""``[model] type = "python"``: a function of the user's own, as `fmu.fem.black_box` asks for it.
+"""``[model] type = "python"``: a user's function, as described in `fmu.fem.black_box`.
 
-``function = "module:function"`` is looked for in ``module.py`` (or the package ``module/``) in the folder of the
-TOML file first, then among what is installed. To load such a file is to run the code that it names.
+``function = "module:function"`` is searched for in ``module.py`` (or the package ``module/``) in the folder of the
+TOML file, then among the installed modules. Loading such a file runs the code that it names.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ LARGEST_MODULE = 2**24
 class PythonTable(TomlTable):
     """A function from theta to frequencies in Hz, or to frequencies, shapes and gradients.
 
-    ``batched = true`` if it takes many theta at once; ``step``, relative to the range of each parameter, of the
-    central differences that stand in for a gradient.
+    ``batched = true`` if it takes many theta at once; ``step`` is that of central differences, relative to the
+    range of each parameter, where the function gives no gradient.
     """
 
     type: Literal["python"]
@@ -41,7 +41,7 @@ class PythonTable(TomlTable):
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
-        """Return the keys of parameters that a function has no use for."""
+        """Return a mistake for each key that a function cannot use."""
         return without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
@@ -130,7 +130,7 @@ def _not_importable(name: str, error: BaseException) -> BrokenError:
 
 
 def _beside(name: str, folder: Path) -> Path | None:
-    """Return the file of a module in a folder; None if there is none."""
+    """Return the file of a module in a folder, or None."""
     path = folder.joinpath(*name.split("."))
     files = (path / "__init__.py", path.with_name(f"{path.name}.py"))
     return next((file for file in files if not why_no_file(file)), None)
@@ -138,7 +138,7 @@ def _beside(name: str, folder: Path) -> Path | None:
 
 @contextmanager
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
-    """Put a folder first on the path; afterwards forget what was imported from it, and leave no bytecode there."""
+    """Put a folder first on the path; afterwards forget the modules imported from it. No bytecode is written."""
 
     def of_folder(module: Any) -> bool:
         if not issubclass(type(module), ModuleType):  # anything may be put among the modules

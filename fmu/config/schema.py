@@ -24,10 +24,9 @@ def schema() -> dict[str, Any]:
 
 
 def _for_toml(part: Any) -> Any:
-    """Return a schema as editors show it best.
+    """Return a schema in the form that editors show best.
 
-    Without null, which TOML has not, and without the titles that pydantic makes of names; each description is
-    running text.
+    Without null, which TOML does not have, and without pydantic's titles; line breaks in descriptions are removed.
     """
     if isinstance(part, list):
         return [_for_toml(item) for item in part]

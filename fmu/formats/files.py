@@ -24,6 +24,6 @@ def why_no_file(path: Path) -> str:
 
 
 def too_large(path: Path, most: int) -> str:
-    """Say that a file has more bytes than it may have; empty if it has not."""
+    """Say that a file has more than so many bytes; empty if it has not."""
     size = path.stat().st_size
     return f"must have at most {most} bytes (got {size})" if size > most else ""

@@ -1,4 +1,4 @@
-"""Values, names and errors as a message shows them: short, in one line, and without what a terminal would obey."""
+"""Values, names and errors in messages: short, on one line and without control characters."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ MOST_NAMES = 12
 """Names in a list of what is known."""
 MOST_OF_A_LINE = 1000
 MOST_TOLD = 20
-"""Mistakes that are told one by one."""
+"""Mistakes that are listed one by one."""
 _DIGITS_A_BIT = 0.30103
 
 
 class _Shown(Repr):
-    """Like `repr`, but of long things the beginning only, at a cost that does not grow; dates as in TOML."""
+    """Like `repr`, but shows only the beginning of long values, at constant cost; dates as in TOML."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ def told(mistakes: Sequence[object]) -> list[str]:
 
 
 def in_words(error: BaseException) -> str:
-    """Return the type and the text of an error in one line; its text may be one that cannot be had."""
+    """Return the type and the text of an error on one line; getting its text may fail."""
     name = type(error).__name__ or "an error"
     try:
         text = one_line(str(error), 500)

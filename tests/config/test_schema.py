@@ -58,4 +58,4 @@ def test_keys_are_described_and_none_can_be_null():
     for name in ("MeasurementTable", "ParameterTable"):
         keys = {key: value for key, value in tables[name]["properties"].items() if "description" not in value}
         assert set(keys) <= set(Target.model_fields)
-    assert schema()["properties"]["pairing"]["description"].startswith("Which computed mode")
+    assert schema()["properties"]["pairing"]["description"].startswith("How computed modes")

@@ -1,4 +1,4 @@
-"""The text in which Abaqus writes global matrices, into files that it calls ``.mtx``.
+"""Global matrices as text, written by Abaqus to ``.mtx`` files.
 
 In a step of its own::
 
@@ -25,7 +25,7 @@ DIRECTIONS = {1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 LARGEST_NUMBER = 10**9
 """Of a node, a row or a column."""
 HELD = 1e30
-"""Abaqus keeps the degrees of freedom that a support holds, with 1e36 on the diagonal of the stiffness."""
+"""Abaqus keeps the degrees of freedom held by supports, with 1e36 on the diagonal of the stiffness."""
 
 
 def parse(file: BinaryIO) -> tuple[Any, tuple[tuple[int, str], ...] | None]:

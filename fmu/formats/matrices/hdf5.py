@@ -1,10 +1,10 @@
-"""Matrices in HDF5, MATLAB's version 7.3 among it.
+"""Matrices in HDF5 files, among them those of MATLAB 7.3.
 
 A matrix is a dataset of two dimensions, or a group with the arrays of a sparse one: ``data``, ``indices``,
 ``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
 ``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
 
-A file broken on purpose can take the HDF5 library down, and the process with it: read files that you trust.
+A maliciously broken file can crash the HDF5 library and the process: read only files that you trust.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _write(path: Path, matrix: Any, variable: str) -> None:
 
 
 def _members(file: Any) -> Iterator[tuple[str, Any]]:
-    """Give the groups and datasets of a file once each, without parts of sparse matrices and links elsewhere."""
+    """Yield each group and dataset of a file once, without parts of sparse matrices and links to other files."""
     import h5py
 
     ahead, seen = [("/", file)], {file["/"]}
@@ -125,9 +125,9 @@ def _part(group: Any, name: str) -> Any:
 
 
 def _numbers(dataset: Any) -> Any:
-    """Return what a dataset holds, once it is known to be numbers of this file, and few enough.
+    """Read a dataset after checking that it holds numbers, in this file, and not too many.
 
-    A dataset may lie in other files, and its chunks may be larger than itself: each is read as a whole.
+    A dataset may be stored in other files, and its chunks, each read as a whole, may be larger than it is.
     """
     if dataset.dtype.kind not in "fiubc":
         raise RefusedError(f"must have numbers in {dataset.name} (got {dataset.dtype})")

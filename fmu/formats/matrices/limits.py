@@ -1,4 +1,4 @@
-"""What every format of matrix files has: how it is read and written, limits on what a file may hold, and text."""
+"""The interface of a matrix format, limits on the size of a file's content, and numbers from text within them."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from fmu.types import FloatArray
 LARGEST_FILE = 2**30
 """Bytes of a file; more is refused before it is read."""
 LARGEST_CONTENT = 2**29
-"""Bytes of what a file holds once it is no longer compressed."""
+"""Bytes of a file's content after decompression."""
 MOST_DOFS = 2**20
 MOST_ENTRIES = 2**24
-"""Of one matrix: 4096 full rows, or 100 000 rows of a solid with 160 each. Reading them takes less than 1 GiB."""
+"""In one matrix: 4096 full rows, or 100 000 rows of a solid with 160 each. Reading takes less than 1 GiB."""
 MOST_NAMES = 10_000
 """Variables in a file, and members of its groups."""
 BLOCK = 2**22
 """Bytes that are read at a time; no line of numbers may be longer."""
 MOST_IDLE = 4
-"""Blocks without any number in a row."""
+"""Consecutive blocks without a number."""
 
 
 class Labelled(NamedTuple):
@@ -58,11 +58,11 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """What is wrong with a file that was understood."""
+    """A readable file that does not hold what is needed, or holds too much."""
 
 
 def chosen(names: Sequence[str], variable: str | None) -> str:
-    """Return which of several variables to read."""
+    """Return the name of the variable to read."""
     known = ", ".join([name[:100] for name in names[:12]] + ["…"] * (len(names) > 12))
     if not names:
         raise RefusedError("must hold a matrix (it holds none)")
@@ -74,7 +74,7 @@ def chosen(names: Sequence[str], variable: str | None) -> str:
 
 
 def fitting(n_bytes: int) -> None:
-    """Refuse to read more than `LARGEST_CONTENT` bytes, compressed as they may be."""
+    """Refuse to read more than `LARGEST_CONTENT` bytes, counted after decompression."""
     if n_bytes > LARGEST_CONTENT:
         raise RefusedError(f"must hold at most {LARGEST_CONTENT} bytes (got {n_bytes})")
 
@@ -92,7 +92,7 @@ def rows_within(n_rows: int) -> None:
 
 
 def checked(matrix: Any) -> Any:
-    """Return a compressed sparse matrix whose indices all lie within it; ValueError otherwise.
+    """Return a compressed sparse matrix after checking its indices; ValueError if one lies outside.
 
     SciPy's own full check misses inner pointers where the last is zero, or where their difference overflows.
     """
@@ -103,7 +103,7 @@ def checked(matrix: Any) -> Any:
 
 
 def text_blocks(file: BinaryIO) -> Iterator[str]:
-    """Give the text of a file in parts that end where a line ends; memory stays within a few blocks.
+    """Yield the text of a file in parts that end with a line; memory stays within a few blocks.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def tables(
     delimiter: str | None = None,
     cleaned: Callable[[str], str] = str,
 ) -> Iterator[FloatArray]:
-    """Give the rows of numbers in a text, some (n, columns) at a time; lines that are empty do not count.
+    """Yield the rows of numbers in a text, some (n, columns) at a time; empty lines are skipped.
 
     Parameters
     ----------

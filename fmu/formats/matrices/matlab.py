@@ -32,11 +32,11 @@ _SPARSE, _FULL = 5, range(6, 16)
 _COMPLEX = 0x0800
 _NO_PART = (0, memoryview(b""))
 _HEAD = 4096
-"""Bytes that flags, dimensions and name are within."""
+"""Flags, dimensions and name lie within the first so many bytes."""
 
 
 class _Variable(NamedTuple):
-    """What is known of a matrix, and where its bytes are."""
+    """The header of a matrix, and the position of its bytes."""
 
     kind: int
     shape: tuple[int, ...]
@@ -95,7 +95,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
 
 
 def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, _Variable]]:
-    """Give the name and what is known of every matrix of numbers."""
+    """Yield the name and the header of every numeric matrix."""
     at = 128
     for _ in range(MOST_NAMES):
         file.seek(at)
@@ -135,7 +135,7 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
 
 
 def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Give type and bytes of each part of a matrix; of what is cut short on purpose, those that are whole."""
+    """Yield type and bytes of each part of a matrix; with `cut`, of the complete ones only."""
     at = 0
     while at + 8 <= len(body):
         kind, size = np.frombuffer(body, f"{order}u4", 2, at).tolist()

@@ -1,6 +1,6 @@
 """Matrices as NumPy and SciPy save them: ``.npz``, ``.npy``, and text with commas between numbers, ``.csv``.
 
-Nothing is unpickled, and sizes are taken from the headers before anything is read.
+Nothing is unpickled, and sizes are checked in the headers before anything is read.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from fmu.formats.matrices.limits import (
 
 
 def zipped(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays in a file of NumPy by name, once they are known to be few and small enough.
+    """Return the shapes of the arrays in an ``.npz`` file by name, after checking their number and size.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def zipped(path: Path) -> dict[str, tuple[int, ...]]:
 
 
 def announced(file: Any) -> tuple[int, ...]:
-    """Return the shape of an array that NumPy saved, read from its header alone.
+    """Return the shape of a saved array, from its header alone.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _npy(path: Path, variable: str | None) -> Any:
 
 
 def _csv(path: Path, variable: str | None) -> Any:
-    """Return a full matrix: as many rows are read as the first one has numbers, and no more."""
+    """Return a full matrix; no more rows are read than the first one has numbers."""
     found: list[Any] = []
     n = 0
     with open(path, "rb") as file:

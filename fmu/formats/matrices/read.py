@@ -9,7 +9,8 @@
 ``.csv``               numbers with commas between them
 =====================  ===============================================================================
 
-Nothing is unpickled, and what a file would take is looked at before it is read.
+Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
+the process on broken files (``.mat``, ``.mtx``), the readers here are our own.
 
 From Nastran, write the matrices as OP4 by DMAP; pyNastran, which this package does not need, reads OP4::
 
@@ -40,7 +41,7 @@ from fmu.numbers import significant
 Triangle = bool | Literal["lower", "upper"]
 
 SYMMETRIC = 1e-9
-"""Largest asymmetry of a pair of entries, beside the larger of them and beside √(a_ii a_jj)."""
+"""Largest asymmetry of a pair of entries, relative to the larger of them and to √(a_ii a_jj)."""
 _FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suffix in form.suffixes}
 ENTRIES_AT_A_TIME = 2**20
 
@@ -193,7 +194,7 @@ def _symmetric(matrix: Any, triangle: Triangle) -> Any:
 
 
 def _triangle_alone(matrix: Any) -> str:
-    """Say what to do about a matrix that has one triangle alone."""
+    """Return advice for a matrix of which only one triangle is given; empty for others."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""

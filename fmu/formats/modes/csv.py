@@ -1,26 +1,26 @@
 """Modes from tables of text, as spreadsheets write them.
 
-Frequencies, a mode a row; ``number`` (in the spectrum of the model) and ``sd`` may be left out::
+Frequencies, one row per mode; ``number`` (in the spectrum of the model) and ``sd`` may be left out::
 
     mode,number,frequency,sd
     first bending,1,31.9,0.1
     second bending,3,197.9,0.4
 
-Shapes, a sensor a row and a mode a column::
+Shapes, one row per sensor and one column per mode::
 
     place,direction,first bending,second bending
     tip,z,1.0,1.0
     12,-z,0.34,-0.71
 
-Repeated tests, a test a row in the order in which they were made and a mode a column. The column ``test``, a
+Repeated tests in order of time, one row per test and one column per mode. The column ``test``, a
 number or a time, may be left out. A cell is empty or ``nan`` where a test missed the mode::
 
     test,first bending,second bending
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
-Between values there may be commas, semicolons or tabs, as in the first line; lines that are empty or start with
-``#`` do not count.
+Values are separated by commas, semicolons or tabs, as in the first line; empty lines and lines that start with
+``#`` are skipped.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
-    """Return the names of the columns, the rows, and what is wrong with their form."""
+    """Return the names of the columns, the rows, and an empty list for mistakes."""
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
@@ -192,7 +192,7 @@ def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Return the values in a line; ValueError with what is wrong with it."""
+    """Return the values in a line; ValueError if it is broken."""
     if line.count(separator) > MOST_MODES + 1:
         raise ValueError(f"must have at most {MOST_MODES + 2} columns (got {line.count(separator) + 1})")
     try:

@@ -1,4 +1,4 @@
-"""Modes as a test or an identification hands them over, and what is made of complex ones."""
+"""Measured modes as readers return them, and complex shapes turned into real ones."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from fmu.types import FloatArray
 LARGEST_FILE = 2**26
 """Bytes of a file with modes; more is refused before it is read."""
 MOST_MODES = 1000
-"""Far beyond what a test identifies."""
+"""Far more than a test identifies."""
 LEAST_MPC = 0.8
-"""Modal phase collinearity below which a complex shape is not taken for a real one, unless asked for."""
+"""By default, complex shapes with a lower modal phase collinearity are refused."""
 
 
 Place = int | str
@@ -33,7 +33,7 @@ Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
 
 
 class ModesError(ValueError):
-    """A file or result that no modes can be taken from.
+    """A file or result from which no modes can be read.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class MeasuredModes:
     ----------
     frequencies_hz : ndarray, shape (n_modes,)
     labels : tuple of str
-        Names of the modes where they come from.
+        Names of the modes in the file.
     sd_hz : ndarray, shape (n_modes,), optional
     sensors : tuple of (place, direction)
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Real; see `real_shapes`.
     numbers : tuple of int
-        Of the modes in the spectrum of the model, where they are told.
+        Numbers of the modes in the spectrum of the model, if they are given.
     """
 
     frequencies_hz: FloatArray
@@ -74,8 +74,8 @@ class MeasuredModes:
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 
-    1 for a real shape in any phase, 0 for components of all phases alike (Pappa, Elliott & Schenk 1993, Journal
-    of Guidance, Control, and Dynamics 16, 275: their eigenvalue ratio, written out).
+    1 for a real shape in any phase, 0 for components evenly distributed over all phases (Pappa, Elliott &
+    Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: their eigenvalue ratio, written out).
     """
     phi = np.asarray(shapes, dtype=complex)
     length = np.sum(np.abs(phi) ** 2, axis=0)
@@ -89,8 +89,8 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     ----------
     shapes : array_like of complex, shape (n_sensors, n_modes)
     least_mpc : float
-        A shape of lower phase collinearity is refused: a model without damping has none such, and what was
-        measured is likely two close modes at once, strong local damping or noise. 0 takes every shape.
+        A shape of lower phase collinearity is refused: a model without damping has no such shape, and the measured
+        one is likely a mixture of two close modes, or due to local damping or noise. 0 accepts every shape.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Modes that pyOMA_2 identified in ambient vibrations.
 
-Its results are known by what they have, so that none of pyOMA_2 is needed to read them: ``Fn`` (n_modes,), Hz;
+pyOMA_2 is not needed to read its results: they are recognised by their attributes, ``Fn`` (n_modes,), Hz;
 ``Phi`` (n_channels, n_modes), complex; and, of subspace identification run with ``calc_unc=True``, ``Fn_std``
 (n_modes,), Hz: the standard deviations that follow from the scatter of the record's parts (Döhler & Mevel
 2013, Mechanical Systems and Signal Processing 38, 346). pyOMA_2 1.4's own descriptions say "covariance" of it.
@@ -130,7 +130,7 @@ def read_pyoma(
 
 
 def save_pyoma(path: Path, result: Any) -> None:
-    """Write what `pyoma_modes` needs of a result into an ``.npz`` file, for a configuration to name."""
+    """Write the parts of a result that `pyoma_modes` needs to an ``.npz`` file, for use in a problem file."""
     given = {name: _attribute(result, name) for name in (*_KEPT, "setups_used")}
     if given["setups_used"] is not None:
         given["Fn_std"] = None
@@ -140,7 +140,7 @@ def save_pyoma(path: Path, result: Any) -> None:
 
 
 def load_pyoma(path: Path) -> dict[str, Any]:
-    """Return what `save_pyoma` wrote; nothing is unpickled.
+    """Return the arrays that `save_pyoma` wrote; nothing is unpickled.
 
     Raises
     ------

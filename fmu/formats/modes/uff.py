@@ -57,15 +57,16 @@ def read_uff(
     ----------
     file : Path
     nodes : mapping of node number to place, optional
-        What the nodes of the file are in the model; the others are left out. Without it every node is the place
-        that has its number.
+        The place in the model of each node of the file; other nodes are left out. By default every node is the
+        place that has its number.
     modes : sequence of int, optional
-        Numbers of modes in the file, in the order wanted; all, in the order of the file, if not given.
+        Numbers of the modes to take from the file, in this order; by default all, in the order of the file.
     sensors : sequence of (place, direction), optional
-        What was measured. The format fills what was not with zeros; so, if not given, everything that is not zero
-        in all modes of the file. A direction may have a minus before it.
+        The measured directions, which may have a minus sign. By default, all that are not zero in every mode of
+        the file: the format fills directions that were not measured with zeros.
     least_mpc : float
-        Complex shapes are turned to real ones, see `fmu.formats.modes.measured_modes.real_shapes`.
+        Least phase collinearity of complex shapes, which are turned to real ones: see
+        `fmu.formats.modes.measured_modes.real_shapes`.
 
     Returns
     -------
@@ -121,7 +122,7 @@ def write_uff(
     numbers: Sequence[int],
     nodes: Mapping[Any, Any] | None = None,
 ) -> None:
-    """Write real mode shapes as dataset 55, a set a mode.
+    """Write real mode shapes, one dataset 55 per mode.
 
     Parameters
     ----------
@@ -169,7 +170,7 @@ def write_uff(
 
 
 def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, Any]]) -> dict[int, Any]:
-    """Return the place of each node of the file that counts."""
+    """Return the place of each node to be used."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
         return {node: node for node in there}
@@ -181,7 +182,7 @@ def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, A
 
 
 def _values(mode: dict[str, Any], place_of: dict[int, Any]) -> dict[tuple[Any, str], complex]:
-    """Return what moves in a mode, by place and direction."""
+    """Return the components of a mode by place and direction."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
         for i, direction in enumerate(DIRECTIONS)
@@ -192,7 +193,7 @@ def _values(mode: dict[str, Any], place_of: dict[int, Any]) -> dict[tuple[Any, s
 
 
 def _seen(values: dict[int, dict[tuple[Any, str], complex]]) -> list[tuple[Any, str]]:
-    """Return what moves in one mode at least, in the order of the file."""
+    """Return the sensors that move in at least one mode, in the order of the file."""
     everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
 
@@ -213,7 +214,7 @@ def _short(numbers: Sequence[int]) -> str:
 
 @contextmanager
 def imported_pyuff() -> Iterator[Any]:
-    """Give pyuff, without its warnings of what it uses itself."""
+    """Give pyuff, with its own deprecation warnings silenced."""
     try:
         import pyuff
     except ImportError:

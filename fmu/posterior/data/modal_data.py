@@ -22,7 +22,7 @@ from fmu.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ModalData:
-    """What a modal test gave, and how far it can be trusted.
+    """Frequencies and shapes measured in a modal test, and their uncertainty.
 
     Attributes
     ----------
@@ -32,25 +32,25 @@ class ModalData:
         The number (from 1) of each measured mode in the sorted spectrum of the model, for pairing by number;
         1, 2, … by default.
     sensors : tuple of (node, direction)
-        Where the motion was measured and in which direction: a mode that moves no sensor was not measured.
+        Where the motion was measured, and in which direction: a mode that moves no sensor cannot be measured.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured mode shapes at the sensors, in any scale.
     labels : tuple of str
         Names of the modes, ``"1"``, ``"2"``, … by default.
     sd_hz : ndarray, shape (n_modes,), optional
-        Standard deviations of independent errors of the frequencies; a scalar stands for all modes.
+        Standard deviations of independent errors of the frequencies; a scalar holds for all modes.
     covariance_hz2 : ndarray, shape (n_modes, n_modes), optional
-        Covariance of errors that depend on each other, instead of `sd_hz`.
+        Covariance of correlated errors, instead of `sd_hz`.
     shapes_sd : ndarray, shape (n_sensors, n_modes), optional
         Standard deviation of the shapes' errors, in units of a shape that has unit length at the sensors. A scalar
-        stands for everything, one number a mode for all sensors.
+        holds for all components, one number per mode for all sensors.
     counterparts : tuple of int, optional
-        For pairing by shape where no shapes were measured: which mode of the model before updating each measured
-        one answers to, from 1, among the elastic ones that the sensors can see. The lowest by default, in
-        ascending order.
+        For pairing by shape where no shapes were measured: the mode of the model before updating that corresponds
+        to each measured one, numbered from 1 among the elastic modes that move a sensor. By default the lowest
+        ones, in ascending order.
     tests : RepeatedTests, optional
-        The single tests that `frequencies_hz` are the mean of. The likelihood is of the mean; the tests tell where
-        one more of them would lie, and whether they are independent of each other.
+        The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
+        one more of them, and to check whether they are independent.
 
     Raises
     ------
@@ -139,7 +139,7 @@ class ModalData:
         sensors: tuple[tuple[Any, str], ...] = (),
         labels: tuple[str, ...] = (),
     ) -> Self:
-        """Return the mean of several tests, with the uncertainty that their scatter tells.
+        """Return the mean of several tests, with the uncertainty estimated from their scatter.
 
         Parameters
         ----------
@@ -150,9 +150,10 @@ class ModalData:
             `fmu.posterior.data.repeated.mean_shapes`. Their scatter gives the standard deviation of the mean
             shapes (`fmu.posterior.data.repeated.shapes_sd`).
         scatter : {"each", "pooled", "joint"}
-            Independent modes, each with the scatter of its own values; independent, and the same relative scatter
-            in all, for few tests; or a full covariance, for at least three tests more than modes. In all three the
-            spread is widened for how little few tests say of it: `fmu.posterior.data.repeated.mean_frequencies`.
+            Independent modes, each with its own scatter; independent modes with one relative scatter, for few
+            tests; or a full covariance, which needs at least three tests more than modes. In all three the
+            standard deviation is increased because few tests determine it poorly:
+            `fmu.posterior.data.repeated.mean_frequencies`.
         numbers, sensors, labels
             As of the class.
 
@@ -168,7 +169,7 @@ class ModalData:
 
     @classmethod
     def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
-        """Return the modes of a table of frequencies, with shapes from another.
+        """Read frequencies from a CSV table, and shapes from another.
 
         Parameters
         ----------
@@ -198,18 +199,18 @@ class ModalData:
         modes: Sequence[int] | None = None,
         **options: Any,
     ) -> Self:
-        """Return the modes of a universal file, dataset 55; needs pyuff.
+        """Read modes from a universal file, dataset 55; needs pyuff.
 
         Parameters
         ----------
         path : path-like
         nodes : mapping of node number to place, optional
-            What nodes of the file are in the model; the others are left out. Without it each is its number.
+            The place in the model of each node of the file; other nodes are left out. By default, its number.
         modes : sequence of int, optional
             Numbers of modes in the file; all if not given.
         **options
-            ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; what else the class takes, as
-            ``numbers`` or ``sd_hz``, of which the format knows nothing.
+            ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; other arguments of the class, such
+            as ``numbers`` or ``sd_hz``, which the format does not have.
 
         Raises
         ------
@@ -231,7 +232,7 @@ class ModalData:
         least_mpc: float = LEAST_MPC,
         **options: Any,
     ) -> Self:
-        """Return what pyOMA_2 identified: frequencies, shapes and, if it was asked for, standard deviations.
+        """Return the modes identified by pyOMA_2: frequencies, shapes and, if computed, standard deviations.
 
         Parameters
         ----------
@@ -244,7 +245,8 @@ class ModalData:
         least_mpc : float
             Least phase collinearity of a shape: `fmu.formats.modes.measured_modes.real_shapes`.
         **options
-            What else the class takes, as ``numbers``; ``sd_hz`` or ``covariance_hz2`` instead of the result's.
+            Other arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the
+            result's.
 
         Raises
         ------
@@ -259,7 +261,7 @@ class ModalData:
         Parameters
         ----------
         path : path-like
-            What there is already is replaced.
+            An existing file is replaced.
         nodes : mapping of node number to place, optional
             Needed where a place is no number.
 

@@ -1,4 +1,4 @@
-"""Several tests of one structure: the mean of what they measured, and how well they determine it."""
+"""Repeated tests of one structure: the mean of the measured modes, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from fmu.types import FloatArray
 
 SCATTERS = ("each", "pooled", "joint")
 LEAST_MAC = 0.5
-"""Of a test's shape with the mean of all: below it, it is another mode."""
+"""Least MAC of a test's shape with the mean of all; a lower value indicates another mode."""
 _SHARE = 0.95
 _NO_SCATTER = 1e-9
-"""Of shapes of unit length: below it they differ by rounding only."""
+"""Shapes of unit length with less scatter differ by rounding only."""
 
 
 class MeanFrequencies(NamedTuple):
@@ -28,10 +28,10 @@ class MeanFrequencies(NamedTuple):
 
 
 def mean_frequencies(frequencies: ArrayLike, scatter: str = "each") -> MeanFrequencies:
-    """Return the mean over tests, and what its error is by the scatter between them.
+    """Return the mean over tests, and the size of its error estimated from the scatter between them.
 
     With n_i tests of mode i, s_i their sample standard deviation and ν degrees of freedom the error of the mean,
-    over s_i/√n_i, has Student's distribution, as ν tests tell s_i only so well. The Gaussian taken for it has the
+    over s_i/√n_i, has Student's distribution, because s_i is itself an estimate. The Gaussian taken for it has the
     same central 95 %: its standard deviation is s_i/√n_i · t_0.975(ν)/1.96 (the expanded uncertainty of JCGM
     100:2008, GUM, annex G.3, over the normal's factor). That is 6.5 s_i/√n_i for two tests, 2.2 for three, 1.4
     for five, 1.05 for twenty-five.
@@ -41,14 +41,14 @@ def mean_frequencies(frequencies: ArrayLike, scatter: str = "each") -> MeanFrequ
     frequencies : array_like, shape (n_tests, n_modes), Hz
         NaN where a test missed a mode; every mode needs two values.
     scatter : {"each", "pooled", "joint"}
-        "each": modes are independent, each with the scatter of its own values, ν = n_i − 1. Nothing is assumed
-        that tests could deny, but by accident few tests may agree far better than they should, and such a mode
-        then weighs too much. "pooled": independent, and all of one *relative* scatter, s_i = c f_i with
-        c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: of use for two to four tests. "joint": a full covariance, for
+        "each": modes are independent, each with the scatter of its own values, ν = n_i − 1. This makes no
+        assumption that the tests could contradict, but a few tests may agree closely by chance, and such a mode
+        then gets too much weight. "pooled": independent modes with one *relative* scatter, s_i = c f_i with
+        c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: useful for two to four tests. "joint": a full covariance, for
         modes that move together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a
         multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section 3.6);
         its covariance is taken, S (n − 1)/(n (n − n_modes − 2)) with the sample covariance S, which exists for
-        n ≥ n_modes + 3 tests, none with a mode missing. With fewer, S is singular or as good as.
+        n ≥ n_modes + 3 tests, none with a mode missing. With fewer tests, S is singular or nearly so.
 
     Raises
     ------
@@ -57,8 +57,8 @@ def mean_frequencies(frequencies: ArrayLike, scatter: str = "each") -> MeanFrequ
 
     Notes
     -----
-    This is repeatability alone. What all tests share (the mass of the sensors, the weather of that day, a bias of
-    the identification, the error of the model) does not average out and is not in it.
+    This is repeatability only. Errors that all tests share (the mass of the sensors, the weather of that day, a
+    bias of the identification, the error of the model) do not average out and are not included.
     """
     values = _checked(frequencies, scatter)
     if scatter == "joint":
@@ -95,7 +95,7 @@ def _checked(frequencies: ArrayLike, scatter: str) -> FloatArray:
 
 
 def _scatter(values: FloatArray, scatter: str) -> _Scatter:
-    """Return the scatter of each mode by itself, or one relative scatter of all."""
+    """Return the scatter of each mode, or one relative scatter of all."""
     n = np.sum(~np.isnan(values), axis=0)
     mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
     nu = n - 1
@@ -112,7 +112,7 @@ def _scatter(values: FloatArray, scatter: str) -> _Scatter:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedTests:
-    """The single tests that a mean was taken of, in the order in which they were made.
+    """Repeated tests in the order in which they were made.
 
     Attributes
     ----------
@@ -141,9 +141,9 @@ class RepeatedTests:
         return mean_frequencies(self.frequencies_hz, self.scatter)
 
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
-        """Draw how far one more test lies from the frequencies of the structure, shape (size, n_modes), Hz.
+        """Draw deviations of one more test from the frequencies of the structure, shape (size, n_modes), Hz.
 
-        The standard deviation of single tests is known from n tests only. With the prior ∝ 1/s it is integrated
+        The standard deviation of a single test is estimated from n tests. With the prior ∝ 1/s it is integrated
         out: s_i times Student's t with ν_i degrees of freedom. An interval about the posterior of a model that
         can follow the mean is a little wide for very few tests (a 90 % interval holds 93 % for two tests, 92 %
         for three, 90 % from five on), as the Gaussian of `mean_frequencies` is widened too. Where the scatter is
@@ -190,10 +190,10 @@ def _joint(values: FloatArray) -> MeanFrequencies:
 
 
 def mean_shapes(shapes: ArrayLike) -> FloatArray:
-    """Return the mean over tests of shapes brought to one scale and sign, shape (n_sensors, n_modes).
+    """Return the mean over tests of shapes with a common scale and sign, shape (n_sensors, n_modes).
 
-    Each is scaled to unit length, and turned to the side of the direction that all of them have most in common
-    (the first eigenvector of Σ φφᵀ); their mean has unit length again, and the sign of the first test.
+    Each is scaled to unit length, with the sign that makes its product with their common direction positive (the
+    first eigenvector of Σ φφᵀ). Their mean has unit length, and the sign of the first test.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def mean_shapes(shapes: ArrayLike) -> FloatArray:
 
 
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
-    """Return the standard deviation of the mean shapes' components, shape (n_modes,), by the scatter of the tests.
+    """Return the standard deviation of the mean shapes' components from the scatter of tests, shape (n_modes,).
 
     With the shapes u_j of unit length and one sign, and their mean m, the parts of u_j across m scatter in
     n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1), the same for all
@@ -249,7 +249,7 @@ def _checked_shapes(shapes: ArrayLike) -> FloatArray:
 
 
 def _aligned(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
-    """Return shapes (n_tests, n_sensors) at unit length and with one sign, without missed ones; and their mean."""
+    """Return the shapes of one mode, of unit length and one sign, without missed ones; and their mean."""
     tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
     if not len(tests):
         raise ValueError(f"shapes: every mode must be in a test (got none of mode {mode})")

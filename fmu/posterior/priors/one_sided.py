@@ -1,6 +1,6 @@
 """Priors with a lower end: half-normal and log-normal.
 
-Both rest on the Gaussian's distribution function, which is accurate in logarithms however far out the bounds are.
+Both use the Gaussian's distribution function, whose logarithm is accurate however far out the bounds are.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class HalfNormal(QuantilePrior):
     sd : float
         Standard deviation of the whole Gaussian, in the parameter's unit.
     at : float
-        Where it begins, and is densest.
+        The lower end, where the density is largest.
 
     Raises
     ------
@@ -66,7 +66,7 @@ class HalfNormal(QuantilePrior):
 
     @cached_property
     def gaussian(self) -> Normal:
-        """The whole of which it is a half."""
+        """The whole Gaussian."""
         return Normal(self.sd, self.at)
 
 
@@ -151,7 +151,7 @@ class LogNormal(QuantilePrior):
 
     @cached_property
     def gaussian(self) -> Normal:
-        """That of log x."""
+        """The Gaussian distribution of log x."""
         return Normal(self.sigma, float(np.log(self.median)))
 
 

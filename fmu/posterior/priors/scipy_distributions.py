@@ -1,7 +1,7 @@
-"""Priors by the distribution functions of SciPy: the scaled beta, and any continuous one of ``scipy.stats``.
+"""Priors that use the distribution functions of SciPy: the scaled beta, and any continuous one of ``scipy.stats``.
 
-Probabilities are counted from the nearer tail, so that bounds far out in either lose no digits; they must leave
-more than the smallest double, about 1e-308.
+Probabilities are counted from the nearer tail, so that no digits are lost where the bounds are far out. The
+probability between the bounds must exceed the smallest double, about 1e-308.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _STEP, _EDGE = 1e-3, 1e-6
 
 
 class InvertedPrior(QuantilePrior):
-    """A prior by its distribution function F, 1 − F, and the inverses of both."""
+    """A prior given by its distribution function F, by 1 − F, and by the inverses of both."""
 
     def cdf(self, x: Any) -> Any:
         """Return F."""
@@ -62,7 +62,7 @@ class InvertedPrior(QuantilePrior):
 class ScaledBeta(InvertedPrior):
     """The beta distribution on an interval: density ∝ t^(a−1) (1 − t)^(b−1) with t = (x − low)/(high − low).
 
-    Where a or b is below 1 the density is infinite at that end: samplers cope, but there is no maximum.
+    If a or b is below 1, the density is infinite at that end: it can be sampled, but has no maximum.
 
     Attributes
     ----------
@@ -176,10 +176,10 @@ class ScipyPrior(InvertedPrior):
 
     Notes
     -----
-    The gradient of the log-density is that of the five-point central difference, whose error is of fourth order.
-    Its step is 1e-3 of the distance to the nearer end of the support or, if that is less, of the distance to the
-    median or half the central 68 % interval, whichever is more: it is good to about 1e-9. Within 1e-6 of that
-    interval from an end it is the one there.
+    The gradient of the log-density is a five-point central difference, with an error of fourth order. Its step is
+    1e-3 of the smaller of two lengths: the distance to the nearer end of the support, and the larger of the
+    distance to the median and half the central 68 % interval. The relative error is about 1e-9. Within 1e-6 of
+    half that interval from an end, the gradient at that distance is taken.
     """
 
     distribution: Any
@@ -240,7 +240,7 @@ class ScipyPrior(InvertedPrior):
         return np.asarray(self.distribution.isf(p))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the name and the arguments; quantiles besides, which tell distributions of one name apart."""
+        """Return the name, the arguments, and quantiles, which distinguish distributions of the same name."""
         arguments = {f"argument {i + 1}": _plain(value) for i, value in enumerate(self.distribution.args)}
         arguments |= {key: _plain(value) for key, value in sorted(self.distribution.kwds.items())}
         return {"distribution": f"scipy.stats.{self._name}", **arguments, "quantiles": _plain(self._central)}
