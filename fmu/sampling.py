@@ -273,7 +273,7 @@ def _store(
     checkpoint: Checkpoint, problem: LogDensity, settings: Sampler, arguments: Mapping[str, int], says: Any
 ) -> Store:
     """Return the checkpoint of a run, open; `says` is where the chains start."""
-    from fmu.analysis.trace.conversion import names_of
+    from fmu.analysis.trace.conversion import names_of, units_of
     from fmu.analysis.trace.provenance import described
     from fmu.runs.identity import Identity
     from fmu.runs.store import Store
@@ -281,9 +281,7 @@ def _store(
 
     run = {**arguments, "walkers": settings.walkers, "init": says}
     configuration = described(problem, settings.name, describe(settings), run)
-    names = names_of(problem)
-    units = tuple(getattr(problem, "units", ("",) * len(names)))
-    return Store(checkpoint, Identity.of(configuration), names, units)
+    return Store(checkpoint, Identity.of(configuration), names_of(problem), units_of(problem))
 
 
 def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:

@@ -7,7 +7,9 @@ import inspect
 import pkgutil
 import re
 import textwrap
+import traceback
 from functools import cached_property
+from pathlib import Path
 from types import FunctionType, ModuleType
 
 import pytest
@@ -139,8 +141,17 @@ def test_all_that_is_promised_is_there():
     assert sorted(fmu.__all__) == fmu.__all__
     for name in fmu.__all__:
         assert getattr(fmu, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'sampel'"):
+    with pytest.raises(AttributeError, match="no attribute 'sampel'") as misspelt:
         fmu.sampel  # noqa: B018
+    assert "Did you mean: 'sample'?" in "".join(traceback.format_exception(misspelt.value))
+
+
+def test_type_checkers_see_the_package():
+    folder = Path(fmu.__file__).parent
+    assert (folder / "py.typed").is_file()
+    stub = ast.parse((folder / "__init__.pyi").read_text(encoding="utf-8"))
+    named = {alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert sorted({*named, "__version__"}) == fmu.__all__
 
 
 def undescribed(x: float, y: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -28,9 +28,17 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
     from fmu.runs.run_directory import RunDirectory
 
-_COUNT, _COUNT_OR_NONE = click.IntRange(min=1), click.IntRange(min=0)
+_FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate"}
 """Options that may change when a run is resumed: the draws do not depend on them."""
+
+
+def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
+    """Return an option; if it is an argument of `fmu.sample` with a default value, it has the same one."""
+    default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
+    if default is not None:
+        more |= {"default": default, "show_default": True}
+    return click.option(name, type=kind, help=text, **more)
 
 
 @click.command()
@@ -39,45 +47,33 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
               help="Sampler. Repeat the option for several.  [default: hmc; mh for a Python function without "
                    "gradients]")  # fmt: skip
 @pairing_option
-@click.option("--draws", type=_COUNT, default=DEFAULTS["draws"], show_default=True,
-              help="Draws kept per chain.")  # fmt: skip
-@click.option("--warmup", type=_COUNT_OR_NONE, default=DEFAULTS["warmup"], show_default=True,
-              help="Warm-up steps per chain, before the draws.")  # fmt: skip
-@click.option("--chains", type=_COUNT, default=DEFAULTS["chains"], show_default=True,
-              help="Number of chains (emcee: ensembles).")  # fmt: skip
-@click.option("--groups", type=_COUNT,
-              help="Number of independent groups of chains, each with its own adaptation, for several workers. "
-                   "The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
-@click.option("--seed", type=_COUNT_OR_NONE, default=DEFAULTS["seed"], show_default=True,
-              help="Seed of the random numbers.")  # fmt: skip
-@click.option("--starts", type=_COUNT,
-              help="Optimiser starts for the MAP search before sampling. Fewer are faster but may miss a "
-                   "maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
-@click.option("--init", type=click.Choice(INITS), default=DEFAULTS["init"], show_default=True,
-              help="Where the chains start: around the maxima, in proportion to their probability; at draws from "
-                   "the prior; or at the start values.")  # fmt: skip
-@click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N",
-              help="Sample until the run has converged and every effective sample size is at least N. Exit code 1 "
-                   "if --max-draws is reached first.")  # fmt: skip
-@click.option("--max-draws", type=_COUNT,
-              help="Maximum number of draws per chain with --until-ess.  "
-                   f"[default: {GROWTH_LIMIT} times --draws]")  # fmt: skip
-@click.option("--max-failure-rate", type=click.FloatRange(0, 1), default=DEFAULTS["max_failure_rate"],
-              show_default=True, help="Stop if more than this fraction of the solves fails.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: runs/CASE-PAIRING]")
-@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run in the output directory.")
-@click.option("--resume", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="DIR",
-              help="Resume the run in DIR.")  # fmt: skip
-@click.option("--keep-draws", type=_COUNT, default=Checkpoint.draws, show_default=True,
-              help="Steps between saves to disk.")  # fmt: skip
-@click.option("--keep-seconds", type=click.FloatRange(min=0), default=Checkpoint.seconds, show_default=True,
-              help="Seconds between saves to disk. Work since the last save is lost if the run is "
-                   "killed.")  # fmt: skip
-@click.option("--workers", type=_COUNT, default=DEFAULTS["workers"], show_default=True,
-              help="Number of processes that advance the groups of chains, or evaluate a Python function at "
-                   "several points at once.")  # fmt: skip
-@click.option("--cluster", metavar="ADDRESS",
-              help="Run on a Dask cluster instead: tcp://HOST:PORT of its scheduler.")  # fmt: skip
+@_option("--draws", _FROM_1, "Draws kept per chain.")
+@_option("--warmup", _FROM_0, "Warm-up steps per chain, before the draws.")
+@_option("--chains", _FROM_1, "Number of chains (emcee: ensembles).")
+@_option("--groups", _FROM_1, "Number of independent groups of chains, each with its own adaptation, for several "
+         "workers. The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
+@_option("--seed", _FROM_0, "Seed of the random numbers.")
+@_option("--starts", _FROM_1, "Optimiser starts for the MAP search before sampling. Fewer are faster but may miss a "
+         "maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
+@_option("--init", click.Choice(INITS), "Where the chains start: around the maxima, in proportion to their "
+         "probability; at draws from the prior; or at the start values.")  # fmt: skip
+@_option("--until-ess", click.FloatRange(min=0, min_open=True), "Sample until the run has converged and every "
+         "effective sample size is at least N. Exit code 1 if --max-draws is reached first.",
+         metavar="N")  # fmt: skip
+@_option("--max-draws", _FROM_1, "Maximum number of draws per chain with --until-ess.  "
+         f"[default: {GROWTH_LIMIT} times --draws]")  # fmt: skip
+@_option("--max-failure-rate", click.FloatRange(0, 1), "Stop if more than this fraction of the solves fails.")
+@_option("--out", click.Path(path_type=Path), "Output directory.  [default: runs/CASE-PAIRING]")
+@_option("--overwrite", None, "Replace the files of an earlier run in the output directory.", is_flag=True)
+@_option(
+    "--resume", click.Path(path_type=Path, exists=True, file_okay=False), "Resume the run in DIR.", metavar="DIR"
+)
+@_option("--keep-draws", _FROM_1, "Steps between saves to disk.", default=Checkpoint.draws, show_default=True)
+@_option("--keep-seconds", click.FloatRange(min=0), "Seconds between saves to disk. Work since the last save is "
+         "lost if the run is killed.", default=Checkpoint.seconds, show_default=True)  # fmt: skip
+@_option("--workers", _FROM_1, "Number of processes that advance the groups of chains, or evaluate a Python "
+         "function at several points at once.")  # fmt: skip
+@_option("--cluster", str, "Run on a Dask cluster instead: tcp://HOST:PORT of its scheduler.", metavar="ADDRESS")
 @click.option("--progress", type=click.Choice(("bars", "json", "none")), default="bars", show_default=True,
               help="Progress bars on the terminal, or JSON lines on standard error.")  # fmt: skip
 @click.option("--report/--no-report", "reports", default=True,
@@ -119,7 +115,7 @@ def run(
         stack.enter_context(warnings_as_notes())
         at_work = stack.enter_context(engine(workers, cluster))
         running = stack.enter_context(RunDirectory(directory))
-        speaks = progress != "json"  # whose standard error is for programs
+        speaks = progress != "json"  # JSON lines on standard error are for programs
         try:
             with _reporting(progress, running) as report:
                 problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)

@@ -92,7 +92,7 @@ class DaskCluster(RemoteEngine):
         """Submit as many tasks as there are threads: a task queued at a worker would be lost with that worker.
 
         A task can also be lost through the death of another task's worker. So a task that was lost is run again
-        alone, and the worker that dies then died of it.
+        alone: if a worker dies then, this task killed it.
         """
         while waiting and len(self._running) < self._n_threads:
             if self._running and (waiting[0].deaths or any(task.deaths for _, task in self._running.values())):

@@ -1,7 +1,7 @@
 """Tasks in processes of this machine, each connected to this one by a pipe of its own.
 
 Nothing is shared between workers: no queue, no lock that a dying worker could keep, and no thread in the calling
-process. So the task that a worker died of is known, and only that task is run again.
+process. So it is known which task a worker died of, and only that task is run again.
 
 On a two-core machine a pool of two processes starts in 0.6 to 0.9 s and needs 0.2 ms for an empty task; two local
 processes of Dask 2026.8 start in 1.6 to 2.5 s and need 12 to 16 ms. Dask also fails to start processes in a script

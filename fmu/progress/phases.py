@@ -83,25 +83,24 @@ class Phase:
 
 
 _phase: ContextVar[Phase | None] = ContextVar("phase", default=None)
-_report: ContextVar[Report | None] = ContextVar("report", default=None)
-_note: ContextVar[Note | None] = ContextVar("note", default=None)
+_listeners: ContextVar[tuple[Report | None, Note | None]] = ContextVar("listeners", default=(None, None))
 
 
 @contextmanager
 def told_to(report: Report | None, note: Note | None = None) -> Iterator[None]:
     """Have the phases of a block reported; an argument that is None leaves the one that is set."""
-    before = _report.set(report or _report.get()), _note.set(note or _note.get())
+    outer_report, outer_note = _listeners.get()
+    token = _listeners.set((report or outer_report, note or outer_note))
     try:
         yield
     finally:
-        _report.reset(before[0])
-        _note.reset(before[1])
+        _listeners.reset(token)
 
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
     """Open a phase. One inside another is reported separately; its solves count for both."""
-    outer, report, note = _phase.get(), _report.get(), _note.get()
+    outer, (report, note) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
 

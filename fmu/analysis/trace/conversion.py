@@ -75,7 +75,7 @@ def to_trace(
     import xarray as xr
 
     names = names_of(density)
-    units = tuple(getattr(density, "units", ("",) * density.ndim))
+    units = units_of(density)
     groups = {
         "posterior": _variables(result.posterior.position, names, units),
         "sample_stats": _stats(result.posterior),
@@ -160,6 +160,11 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 def names_of(density: LogDensity) -> tuple[str, ...]:
     """Return the parameters' names; ``x0``, ``x1``, ... where the density has none."""
     return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
+
+
+def units_of(density: LogDensity) -> tuple[str, ...]:
+    """Return the parameters' units; empty where the density has none."""
+    return tuple(getattr(density, "units", ("",) * density.ndim))
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
