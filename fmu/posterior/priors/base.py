@@ -115,7 +115,7 @@ class Normal:
         return self._inverted(1.0 - p if lower > self.mean else p, lower, upper)
 
     def _inverted(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return quantiles by lower-tail probability, or by that of the upper tail if both bounds exceed the mean."""
+        """Return quantiles of the lower tail, or of the upper one if both bounds are above the mean."""
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         flip = a > 0
         if flip:
