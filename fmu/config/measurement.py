@@ -21,6 +21,7 @@ from fmu.config.tables import (
     Positive,
     SensorTable,
     TomlTable,
+    arguments,
     declared,
     one_length,
     required,
@@ -135,9 +136,9 @@ class MeasurementTable(TomlTable):
             raise ValueError("test_shapes must be given with tests or tests_file, one list per test")
         if self.shapes_file is not None and self.sensors:
             raise ValueError("sensors must not be given together with shapes_file, which defines them")
-        if given[0] in READERS and shapes:
+        if self._reads_shapes and shapes:
             raise ValueError(f"shapes must not be given together with {given[0]}, which defines them")
-        if given[0] in READERS and not self.sensors and "sensors" in required(READERS[given[0]]):
+        if self._reads_shapes and not self.sensors and "sensors" in required(READERS[given[0]]):
             raise ValueError(f"sensors must be given with {given[0]}, one per channel")
         self._check_lengths()
         return self
@@ -155,6 +156,11 @@ class MeasurementTable(TomlTable):
     def _source(self) -> str:
         """The key that has the frequencies."""
         return next(key for key in _SOURCES if getattr(self, key) is not None)
+
+    @property
+    def _reads_shapes(self) -> bool:
+        """Whether the source has shapes too, at sensors that its reader may be given."""
+        return self._source in READERS and "sensors" in arguments(READERS[self._source])
 
     def mistakes(self, needs_trust: bool) -> list[Mistake]:
         """Return a mistake if the size of the frequency errors is given neither here nor by an error model."""
@@ -200,9 +206,7 @@ class MeasurementTable(TomlTable):
             sensor = (built.places.get(str(place), place), str(direction))
             sensors.append(sensor)
             if not built.model.sees(sensor):
-                where = (
-                    f"sensors.{i}" if self.sensors else self._source if self._source in READERS else "shapes_file"
-                )
+                where = f"sensors.{i}" if self.sensors else self._source if self._reads_shapes else "shapes_file"
                 rule = got("must be a point and a direction that are free to move", [place, direction])
                 found.append(Mistake(f"measurement.{where}", rule))
         if found:
@@ -212,12 +216,10 @@ class MeasurementTable(TomlTable):
     def _read(self, folder: Path) -> dict[str, Any]:
         """Read the source, and return arguments of `ModalData`."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
-        if self._source in READERS:
-            table: Declared = getattr(self, self._source)
-            others = {"sensors": sensors} if sensors else {}
-            with _at(f"measurement.{self._source}"):
-                return dict(vars(table.build(file=folder / table.given()["file"], **others)))
-        given = self._frequencies(folder) | {"sensors": sensors}
+        given = self._frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
+        if self._reads_shapes:
+            return given
+        given["sensors"] = sensors
         if self.shapes is not None:
             given["shapes"] = np.array(self.shapes, dtype=float).T
         if self.test_shapes is not None:
@@ -230,13 +232,16 @@ class MeasurementTable(TomlTable):
             given |= {"sensors": modes.sensors, "shapes": modes.shapes}
         return given
 
-    def _frequencies(self, folder: Path) -> dict[str, Any]:
+    def _frequencies(self, folder: Path, options: dict[str, Any]) -> dict[str, Any]:
         """Return the frequencies and their own uncertainty, with labels, numbers and tests where there are any."""
         if self.frequencies is not None:
             return {"frequencies_hz": np.array(self.frequencies)}
         if self.tests is not None:
             return _mean("tests", self.tests, self.scatter)
         with _at(f"measurement.{self._source}"):
+            if self._source in READERS:
+                table: Declared = getattr(self, self._source)
+                return dict(vars(table.build(file=folder / table.given()["file"], **options)))
             if self.file is not None:
                 return dict(vars(read_frequencies(folder / self.file)))
             values, labels = read_tests(folder / str(self.tests_file))

@@ -249,6 +249,11 @@ def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Tab
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
+def arguments(make: Callable[..., Any]) -> set[str]:
+    """Return the names of a constructor's arguments."""
+    return set(_arguments(make))
+
+
 def required(make: Callable[..., Any]) -> set[str]:
     """Return the names of the arguments that a constructor cannot do without."""
     return {key for key, (_, default) in _arguments(make).items() if default is inspect.Parameter.empty}
