@@ -163,7 +163,7 @@ def sample(
     arguments = _checked(problem, settings, init, warmup=warmup, chains=chains, groups=groups, seed=seed)
     saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
     of_model: Any = problem if is_searchable(problem) else None
-    full_solves = of_model.model.full_solves if of_model else 0
+    full_solves = of_model.model.full_solves if of_model is not None else 0
     getattr(problem, "take_failures", list)()  # forget those before the run
 
     def as_trace(result: RunResult, *, predictions: bool = True) -> xr.DataTree:
@@ -176,7 +176,11 @@ def sample(
 
         # 2. Where the chains start.
         found = None
-        if maxima is None and of_model and (until_ess is not None or (isinstance(init, str) and init == "maxima")):
+        if (
+            maxima is None
+            and of_model is not None
+            and (until_ess is not None or (isinstance(init, str) and init == "maxima"))
+        ):
             maxima = found = searched(problem, None if saved is None else saved.directory)
         start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
 
@@ -226,7 +230,7 @@ def sample(
         trace = as_trace(result)
         if maxima is not None:
             trace = with_maxima(trace, maxima)
-        if of_model:
+        if of_model is not None:
             trace = _with_structure(trace, of_model, maxima, full_solves)
         trace.attrs |= {"complete": 1, "after_n_solves": solves() - solved_before}
     return trace
