@@ -58,7 +58,7 @@ def young(pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingProblem:
         Parameter(name, start=2.4e11, lower=1.7e11, upper=2.5e11, prior=Normal(sd=2e11), unit="N/m²")
         for name in names
     ]
-    return UpdatingProblem(
+    return UpdatingProblem.reduced(
         model, measurement(), parameters, pairing=pairing, beta=beta, name=f"cantilever-young, by {pairing}"
     )
 
@@ -78,6 +78,6 @@ def section(pairing: str = "shape", beta: ArrayLike = 1.0) -> UpdatingProblem:
         Parameter(name, start=8e-4, lower=4.5e-4, upper=9e-4, prior=Normal(sd=5e-4), unit="m²")
         for name in ("Ax1", "Ax2")
     ]
-    return UpdatingProblem(
+    return UpdatingProblem.reduced(
         model, measurement(), parameters, pairing=pairing, beta=beta, name=f"cantilever-section, by {pairing}"
     )

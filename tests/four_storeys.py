@@ -52,6 +52,5 @@ def four_storeys():
         fmu.ModalData(frequencies(TRUTH), numbers),
         [fmu.Parameter(name, start=1.0, lower=LOWER, upper=UPPER) for name in names],
         error=fmu.FrequencyErrors("relative", sd=SD),
-        reduction=False,
         name="four storeys",
     )

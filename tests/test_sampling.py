@@ -202,7 +202,9 @@ def test_maxima_are_kept_with_a_checkpoint(problem, tmp_path, monkeypatch):
 
 
 def test_maxima_kept_of_another_posterior_are_not_taken(problem, tmp_path):
-    elsewhere = UpdatingProblem(problem.model, ModalData([104.0, 98.0, 106.0]), problem.parameters, name="linear")
+    elsewhere = UpdatingProblem.reduced(
+        problem.model, ModalData([104.0, 98.0, 106.0]), problem.parameters, name="linear"
+    )
     keep_maxima(tmp_path, fmu.find_map(elsewhere), elsewhere)
     assert kept_maxima(tmp_path, problem) is None
     assert kept_maxima(tmp_path, elsewhere) is not None

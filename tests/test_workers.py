@@ -104,7 +104,7 @@ def test_failures_of_workers_are_counted_against_the_limit(processes):
             return np.where(theta[:, :1] > 0.4, np.nan, f)
 
     problem = LinearProblem()
-    problem = UpdatingProblem(Failing(), problem.data, problem.parameters)
+    problem = UpdatingProblem.reduced(Failing(), problem.data, problem.parameters)
     walk = fmu.MetropolisHastings(fmu.RandomWalk(1.0))
     start = np.zeros((4, 2))
     with pytest.raises(RuntimeError, match=r"solves failed .* more than the limit of 10 %; most often: "):

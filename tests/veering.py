@@ -35,4 +35,4 @@ def veering_problem(c=0.02, pairing="shape", frequencies=(5.0, 5.1), error="freq
         fmu.Parameter("k1", start=0.9, lower=0.8, upper=1.3),
         fmu.Parameter("k2", start=1.0, lower=0.8, upper=1.3),
     ]
-    return fmu.UpdatingProblem(veering_model(c), data, parameters, pairing=pairing, error=error, **options)
+    return fmu.UpdatingProblem.reduced(veering_model(c), data, parameters, pairing=pairing, error=error, **options)

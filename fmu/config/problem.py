@@ -100,7 +100,7 @@ class ProblemFile(TomlTable):
             if wrong:
                 raise BrokenError(wrong)
             trust = self.measurement.beta if beta is None else beta
-            return UpdatingProblem(
+            return UpdatingProblem.reduced(
                 structure.model,
                 data,
                 list(parameters.values()),
@@ -108,7 +108,7 @@ class ProblemFile(TomlTable):
                 softness=self.softness,
                 reduction=self.reduction,
                 beta=None if errors else trust,
-                error=errors or self.error,  # type: ignore[arg-type]
+                error=errors or self.error,
                 name=f"{self.name}, by {pairing or self.pairing}",
                 engine=engine,
             )

@@ -9,9 +9,6 @@ import numpy as np
 
 from fmu.fem.frame.drawing import drawing, parameter_colours
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.rules import IndexPairing
-from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import change, given, rounded, significant
 from fmu.posterior.protocol import Problem
 
@@ -22,8 +19,8 @@ def problem_card(problem: Problem) -> str:
     """Return the HTML of a problem: its structure drawn, its parameters, and measured beside initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
-    structure = getattr(problem.model, "structure", None)
-    if isinstance(structure, SeparableModel) and _is_drawable(structure):
+    structure = problem.model.structure
+    if structure is not None and _is_drawable(structure):
         parts.append(f"<div>{drawing(structure, problem.data.sensors)}</div>")
         colours[: structure.n_parameters] = parameter_colours(structure)  # what is inferred of errors comes after
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
@@ -36,14 +33,12 @@ def _is_drawable(structure: SeparableModel) -> bool:
 
 def _in_words(problem: Problem) -> str:
     model = problem.model
-    if not isinstance(model, PairedStructure):
+    if model.structure is None:
         return f"Model: {model.name}, {model.n_modes} modes."
-    pairing = "number in the spectrum" if isinstance(model.rule, IndexPairing) else "shape (MAC)"
+    pairing = "shape (MAC)" if model.by_shape else "number in the spectrum"
     blocks = len(model.structure.blocks)
-    reduced = ""
-    if model.reduced is not None:
-        sizes = [str(block.size) for block in model.reduced.blocks if isinstance(block, ReducedBlock)]
-        reduced = f" A reduced model of {' + '.join(sizes)} unknowns answers within the bounds."
+    sizes = " + ".join(map(str, model.reduced_sizes))
+    reduced = f" A reduced model with {sizes} unknowns is used within the bounds." if sizes else ""
     return (
         f"Model: {model.structure.n_dof} degrees of freedom in {blocks} decoupled "
         f"{'block' if blocks == 1 else 'blocks'}; modes are paired by {pairing}.{reduced}"

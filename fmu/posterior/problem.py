@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
+from fmu.fem.pairing.paired_model import ModalModel
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
@@ -26,7 +26,9 @@ _LEAST_NOISE = 1e-150
 
 
 class UpdatingProblem:
-    """A model, a measurement and what was known: the posterior of eq. (8).
+    """The posterior of eq. (8): a model, a measurement and the priors of the parameters.
+
+    The full model answers; `reduced` makes the same problem with a reduced model, which is much faster.
 
     Parameters
     ----------
@@ -37,16 +39,12 @@ class UpdatingProblem:
     parameters : sequence of Parameter
         Of the model, in the order of theta. Standard deviations that `error` infers come after them.
     pairing : {"shape", "index", "soft"}
-        Which computed mode answers to which measured one (`fmu.fem.pairing.rules`), for a SeparableModel: by MAC
-        with the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them,
-        with weights exp(MAC/τ), so that the log-probability does not jump where modes veer: read what is given up
-        for that in `fmu.posterior.errors.mixture`.
+        How the modes of a SeparableModel are paired with the measured ones (`fmu.fem.pairing.rules`): by MAC with
+        the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
+        weights exp(MAC/τ), so that the log-probability does not jump where modes veer; its price is in
+        `fmu.posterior.errors.mixture`.
     softness : float
-        τ, of ``"soft"`` alone.
-    reduction : bool or float
-        Whether a SeparableModel is answered by a certified reduced model inside the bounds. A number, above 0 and
-        at most 0.01, is the largest relative error that its frequencies may have; true stands for 1e-6. What the
-        log-probability may be off follows from that (`fmu.posterior.train_reduced.Tolerance.of`).
+        τ, for ``"soft"`` alone.
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. For
         frequencies the uncertainty of `data` holds if they have one, and then `beta` must not be given; otherwise
@@ -56,8 +54,6 @@ class UpdatingProblem:
         (`fmu.posterior.errors.residual`) that needs measured shapes and a SeparableModel; or what is to be summed
         of `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
     name : str
-    engine : Engine, optional
-        Trains the reduced model with its workers (see `fmu.engine`), to the same in every bit. It is not kept.
 
     Attributes
     ----------
@@ -69,7 +65,7 @@ class UpdatingProblem:
     offset, scale : ndarray, shape (ndim,)
         (theta − offset)/scale is of order one: the unit box where there are bounds.
     tolerance : Tolerance or None
-        What the reduced model promises; None where there is none.
+        Errors allowed to the reduced model; None where there is none, see `reduced`.
     failures : list of Failure
         ``(theta, reason)`` for every theta inside the bounds whose solve failed or whose log-likelihood was not
         finite, the first ten thousand.
@@ -101,20 +97,17 @@ class UpdatingProblem:
         *,
         pairing: str = "shape",
         softness: float = SOFTNESS,
-        reduction: bool | float = True,
         beta: ArrayLike | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
-        engine: Engine | None = None,
     ) -> None:
         self.data = data
         self.parameters = tuple(parameters)
         self.n_structural = len(self.parameters)
         self.name = name
         check_names(self.parameters)
-        wanted = Tolerance.of(reduction)
+        self.tolerance: Tolerance | None = None
         self.model = paired_model(model, data, self.parameters, pairing, softness)
-        self.tolerance = wanted if isinstance(self.model, PairedStructure) else None
         self.likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
         self.parameters += self.likelihood.noise
         check_names(self.parameters)
@@ -134,10 +127,46 @@ class UpdatingProblem:
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
         self._prior = JointPrior(self.parameters)
-        if self.tolerance is not None and isinstance(self.model, PairedStructure):
-            reduce_model(self, self.model, self.tolerance, engine)
-            self._failed = FailureRecord()  # what failed on the way is nobody's evaluation
         require_digits(self)
+
+    @classmethod
+    def reduced(
+        cls, *args: Any, reduction: bool | float = True, engine: Engine | None = None, **options: Any
+    ) -> UpdatingProblem:
+        """Return a problem in which a certified reduced model replaces a SeparableModel inside the bounds.
+
+        It is trained here, or read from the cache (`fmu.posterior.train_reduced`). Other models stay as they are.
+
+        Parameters
+        ----------
+        *args, **options
+            Those of `UpdatingProblem`.
+        reduction : bool or float
+            Largest relative error of its frequencies, above 0 and at most 0.01; true stands for 1e-6. The error
+            allowed to the log-probability follows from it (`fmu.posterior.train_reduced.Tolerance.of`). False: the
+            full model is kept.
+        engine : Engine, optional
+            Trains with its workers (see `fmu.engine`); the result is the same in every bit. It is not kept.
+
+        Raises
+        ------
+        ValueError
+            As `UpdatingProblem` does, and if `reduction` is out of range.
+
+        Warns
+        -----
+        ReductionWarning
+            If training ended before the tolerance was reached.
+        """
+        tolerance = Tolerance.of(reduction)
+        problem = cls(*args, **options)
+        structure = problem.model.as_structure()
+        if tolerance is not None and structure is not None:
+            problem.tolerance = tolerance
+            reduce_model(problem, structure, tolerance, engine)
+            problem._failed = FailureRecord()  # failures of training are not those of the user's evaluations
+            require_digits(problem)
+        return problem
 
     def __repr__(self) -> str:
         return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"

@@ -15,6 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ from fmu.fem.modes.separable import Term, coefficients
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
-from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.protocol import Problem
 from fmu.types import FloatArray
 
@@ -92,8 +92,8 @@ def rounding(problem: Problem) -> Rounding | None:
     ValueError
         If a soft part is lost beside a stiff one.
     """
-    model, likelihood = problem.model, problem.likelihood
-    if not isinstance(model, PairedStructure) or not isinstance(likelihood, ModalLikelihood):
+    model, likelihood = problem.model.as_structure(), problem.likelihood
+    if model is None or not likelihood.of_modes:
         return None
     theta = problem.start[: model.n_parameters]
     shapes = model.full_shapes(theta)
@@ -129,7 +129,7 @@ def require_digits(problem: Problem) -> None:
         return
     if np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
-    warnings.warn(found.sentence(), RoundingWarning, stacklevel=3)
+    warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(str(Path(__file__).parents[1]),))
 
 
 def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from fmu.engines.base import Engine
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.pairing.rules import SoftPairing
-from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, typed
@@ -114,7 +113,7 @@ def reduce_model(
         exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
         difference = np.sum(likelihood.terms(points) - exact, axis=1)
         wrong = ~(np.abs(difference) <= tolerance.log_prob)
-        if not isinstance(structure.rule, SoftPairing):
+        if not structure.is_soft:
             wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], tolerance.frequency)
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         return points[:, :n] if wrong.any() and not has_stalled(differences) else None
@@ -151,8 +150,7 @@ def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dic
     if "reached" not in state:
         return
     frequency, log_prob = state["reached"].tolist()
-    blocks = structure.reduced.blocks if structure.reduced is not None else ()
-    sizes = " + ".join(str(block.size) for block in blocks if isinstance(block, ReducedBlock))
+    sizes = " + ".join(map(str, structure.reduced_sizes))
     missed = []
     if not frequency <= tolerance.frequency:
         missed.append(f"its frequencies by up to {_off(frequency, tolerance.frequency)}")
@@ -163,7 +161,7 @@ def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dic
         f"looser tolerance, as reduction={typed(_looser(tolerance, frequency))}, narrower bounds or priors, or "
         "reduction=False, the full model",
         ReductionWarning,
-        stacklevel=4,
+        skip_file_prefixes=(str(Path(__file__).parents[1]),),  # the line of the user
     )
 
 

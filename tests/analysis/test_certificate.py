@@ -52,7 +52,7 @@ def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
 
 def test_a_looser_promise_is_kept_where_the_usual_one_is_not(trace, problem, monkeypatch):
     """The loose basis, held against its own tolerance and then against the usual one."""
-    loose = fmu.UpdatingProblem(
+    loose = fmu.UpdatingProblem.reduced(
         problem.model.structure, problem.data, problem.parameters, beta=problem.likelihood.beta, reduction=1e-3
     )
     certificate = certify(trace, loose)
@@ -75,9 +75,7 @@ def test_a_wrong_rank_is_found_out(trace, problem, monkeypatch):
 
 def test_a_density_without_a_reduced_model_needs_none(trace, problem):
     assert certify(trace, object()) == {}
-    full = fmu.UpdatingProblem(
-        problem.model.structure, problem.data, problem.parameters, reduction=False, pairing="index"
-    )
+    full = fmu.UpdatingProblem(problem.model.structure, problem.data, problem.parameters, pairing="index")
     assert certify(trace, full) == {}
 
 

@@ -32,7 +32,7 @@ def storeys(frequencies=EXACT[:2], shapes=None, sensors=(), pairing="shape", sti
     model = SeparableModel(K_terms, [Term(sp.csr_array(M), (0.0,) * n)])
     parameters = [Parameter(f"k{i + 1}", 1e4, 5e3, 2e4, unit="N/m") for i in range(n)]
     data = ModalData(frequencies, sensors=sensors, shapes=shapes, **settings)
-    return UpdatingProblem(model, data, parameters, reduction=False, pairing=pairing, beta=200.0)
+    return UpdatingProblem(model, data, parameters, pairing=pairing, beta=200.0)
 
 
 def linear(measured=(103.0, 101.0, 107.0), model=None):
@@ -115,7 +115,7 @@ def test_many_modes_that_no_sensor_sees_are_one_line():
     model = SeparableModel(K_terms, [Term(sp.csr_array(np.eye(5)), (0.0, 0.0))])
     parameters = [Parameter(name, 1e4, 5e3, 2e4) for name in ("a", "b")]
     data = ModalData([16.0, 48.0], sensors=((0, "x"), (4, "x")))
-    found = check(UpdatingProblem(model, data, parameters, reduction=False))
+    found = check(UpdatingProblem(model, data, parameters))
     assert found.modes.notes[-1] == "Computed modes 2–4 move no sensor."
     table = found.mode_table()
     assert list(table["number"]) == ["1", "2–4", "5"]
@@ -247,7 +247,7 @@ def test_standard_deviations_that_are_inferred_are_parameters_too():
     parameters = [Parameter(name, 1e4, 5e3, 2e4) for name in ("a", "b")]
     data = ModalData(EXACT[:2], sensors=SENSORS)
     errors = [fmu.FrequencyErrors("absolute", sd)]
-    problem = UpdatingProblem(model, data, parameters, reduction=False, error=errors)
+    problem = UpdatingProblem(model, data, parameters, error=errors)
     found = check(problem, draws=200)
     assert list(found.parameters["changes"])[2] == "measurement errors"
     # uniform from 0.01 to 0.2: a mean square of (0.2³ − 0.01³)/(3 · 0.19)
@@ -289,5 +289,5 @@ def test_masses_of_different_directions_are_not_summed(dofs, said):
     model = fmu.SeparableModel.from_terms(["k"], [(np.diag([1.0, 2.0, 3.0]), "k")], [47.0 * np.eye(3)], named)
     data = fmu.ModalData([5.0], sd_hz=0.1)
     parameters = [fmu.Parameter("k", 1e5, 1e4, 1e6)]
-    problem = fmu.UpdatingProblem(model, data, parameters, pairing="index", reduction=False)
+    problem = fmu.UpdatingProblem(model, data, parameters, pairing="index")
     assert said in " ".join(model_in_words(problem))

@@ -60,7 +60,7 @@ def test_measured_shapes_are_the_reference(young):
     at = [structure.dof(*sensor) for sensor in sensors]
     shapes = -3.0 * young.model.full_shapes(young.start)[at]
     data = fmu.ModalData([31.9, 197.9, 553.0, 1082.2, 1781.5], sensors=sensors, shapes=shapes)
-    problem = fmu.UpdatingProblem(structure, data, young.parameters, reduction=False)
+    problem = fmu.UpdatingProblem(structure, data, young.parameters)
     found = modal_states(problem, {"start": young.start})
     assert found["mac"].attrs["reference"] == "measured shapes, at the sensors"
     np.testing.assert_allclose(found["mac"][0], mac(shapes, shapes), rtol=1e-9, atol=1e-12)
@@ -74,7 +74,7 @@ def test_a_model_without_shapes_has_frequencies_alone(problem):
 def test_matrices_without_a_place_have_no_drawing(young):
     structure = young.model.structure
     bare = fmu.SeparableModel(structure.K_terms, structure.M_terms, structure.dofs)
-    problem = fmu.UpdatingProblem(bare, young.data, young.parameters, reduction=False)
+    problem = fmu.UpdatingProblem(bare, young.data, young.parameters)
     found = modal_states(problem, {"start": problem.start})
     assert set(found.data_vars) == {"theta", "frequency", "mac"}
 

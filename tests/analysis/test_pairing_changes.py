@@ -19,7 +19,7 @@ def crossing_problem(pairing):
     model = fmu.SeparableModel(K, [fmu.Term(np.eye(2), (0.0, 0.0))])
     data = fmu.ModalData([5.0, 5.1], sensors=((0, "x"), (1, "x")), labels=("A", "B"), sd_hz=0.1)
     parameters = [fmu.Parameter(f"k{k}", start, 0.8, 1.3) for k, start in ((1, 0.9), (2, 1.0))]
-    return fmu.UpdatingProblem(model, data, parameters, pairing=pairing)
+    return fmu.UpdatingProblem.reduced(model, data, parameters, pairing=pairing)
 
 
 def sampled(problem, **options):

@@ -48,7 +48,7 @@ def chain(prior="normal", known_mass=0.0, sd=0.01, error=None):
     parameters = [Parameter(name, 1.0, lower, upper, distribution) for name in ("k", "m")]
     data = ModalData(measured, sd_hz=sd * measured)
     settings = {} if error is None else {"error": error}
-    return UpdatingProblem(model, data, parameters, **settings)
+    return UpdatingProblem.reduced(model, data, parameters, **settings)
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def test_values(load, against, case, pairing, budget, n):
 @pytest.mark.parametrize("case", [YOUNG, SECTION])
 def test_values_by_general_assignment(load, against, case, n):
     problem, matrices = load(case), spd(n, 20)
-    general = fmu.UpdatingProblem(ByAssignment(problem.model), problem.data, problem.parameters)
+    general = fmu.UpdatingProblem.reduced(ByAssignment(problem.model), problem.data, problem.parameters)
     theta = prior_draws(problem, n)
     np.testing.assert_allclose(general.log_prob(theta), problem.log_prob(theta), rtol=1e-6)
     what = f"log_prob, {case} by general MAC assignment, batch of {n}, against eigh 20×20"

@@ -64,7 +64,7 @@ def beam_of_size(size):
         fmu.Parameter(f"E{g}", start=2.1e11, lower=1.7e11, upper=2.5e11, prior=Normal(2e11)) for g in range(8)
     ]
     data = fmu.ModalData([31.9, 190.0, 197.9, 540.0, 553.0, 1082.2])
-    problem = fmu.UpdatingProblem(model, data, parameters)
+    problem = fmu.UpdatingProblem.reduced(model, data, parameters)
     (b,) = (i for i, block in enumerate(problem.model.reduced.blocks) if isinstance(block, ReducedBlock))
     full, trained = problem.model.full.blocks[b], problem.model.reduced.blocks[b].n_trained
     blown_up = ReducedBlock(full, full.modes(problem.start[None], size)[1][0], trained)

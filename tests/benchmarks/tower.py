@@ -68,7 +68,7 @@ def tower_problem() -> fmu.UpdatingProblem:
     from fmu.fem.modes.modal import frequency_hz
 
     measured = frequency_hz(eigen(model.K(truth), model.M(truth), N_MODES)[0])
-    return fmu.UpdatingProblem(
+    return fmu.UpdatingProblem.reduced(
         model,
         fmu.ModalData(measured),
         parameters,

@@ -62,7 +62,7 @@ def test_error_models(text, folder):
     )
     data = fmu.ModalData([3.1, 9.8], sensors=[("first", "x"), ("second", "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
     parameters = [fmu.Parameter(name, 2.97e7, 1e7, 6e7) for name in ("k1", "k2")]
-    built = fmu.UpdatingProblem(model, data, parameters, error=errors, reduction=False)
+    built = fmu.UpdatingProblem(model, data, parameters, error=errors)
     assert from_file.names == built.names == ("k1", "k2", "sigma", "delta")
     theta = built.sample_prior(np.random.default_rng(1), 20)
     assert_allclose(from_file.log_prob(theta), built.log_prob(theta), rtol=1e-12)

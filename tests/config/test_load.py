@@ -61,7 +61,7 @@ def portal():
         Parameter("rho beam", 7850.0, 5000.0, 9000.0, Normal(500.0, 7850.0)),
     ]
     beta = 0.5 / np.array([0.1, 0.2]) ** 2
-    return fmu.UpdatingProblem(model, data, parameters, pairing="index", beta=beta, reduction=False)
+    return fmu.UpdatingProblem(model, data, parameters, pairing="index", beta=beta)
 
 
 def test_a_frame(frame_text, tmp_path):
@@ -106,7 +106,7 @@ def test_matrices(matrices_text, folder):
     )
     data = fmu.ModalData([3.1, 9.8], sensors=[("first", "x"), ("second", "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
     parameters = [fmu.Parameter(name, 2.97e7, 1e7, 6e7) for name in ("k1", "k2")]
-    built = fmu.UpdatingProblem(model, data, parameters, beta=0.5 / 0.05**2, reduction=False)
+    built = fmu.UpdatingProblem(model, data, parameters, beta=0.5 / 0.05**2)
     theta = built.sample_prior(np.random.default_rng(3), 30)
     assert_allclose(from_file.log_prob(theta), built.log_prob(theta), rtol=1e-12)
 

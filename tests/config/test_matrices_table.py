@@ -72,7 +72,7 @@ def abaqus(folder, name, matrix):
 NUMBER = {d: i for i, d in enumerate(("x", "y", "z", "rx", "ry", "rz"), start=1)}
 YOUNG = cantilever.young("index")
 BEAM = YOUNG.model.structure
-BUILT = fmu.UpdatingProblem(BEAM, YOUNG.data, YOUNG.parameters, pairing="index", beta=1.0, reduction=False)
+BUILT = fmu.UpdatingProblem(BEAM, YOUNG.data, YOUNG.parameters, pairing="index", beta=1.0)
 FORMATS = {suffix: with_suffix(suffix) for suffix in (".mtx", ".npz", ".npy", ".mat", ".h5", ".csv")} | {
     "one triangle": one_triangle,
     "Harwell-Boeing": harwell_boeing,

@@ -115,7 +115,7 @@ def test_a_function_beside_the_file(folder):
         ["k1", "k2"], [([[1.0, 0.0], [0.0, 0.0]], "k1"), ([[1.0, -1.0], [-1.0, 1.0]], "k2")], masses
     )
     data = fmu.ModalData([4.1, 10.9], sensors=[(0, "x"), (1, "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
-    built = fmu.UpdatingProblem(model, data, problem.parameters, beta=0.5 / 0.05**2, reduction=False)
+    built = fmu.UpdatingProblem(model, data, problem.parameters, beta=0.5 / 0.05**2)
     theta = built.sample_prior(np.random.default_rng(1), 30)
     assert_allclose(problem.log_prob(theta), built.log_prob(theta), rtol=1e-9)
     assert problem.model.by_shape

@@ -39,7 +39,7 @@ DATA = fmu.ModalData(1.05 * frequencies(START), sensors=((0, "x"), (1, "x")), sh
 
 
 def problem(model, data=DATA, **settings):
-    return fmu.UpdatingProblem(model, data, PARAMETERS, beta=2.0, **settings)
+    return fmu.UpdatingProblem.reduced(model, data, PARAMETERS, beta=2.0, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -306,7 +306,7 @@ def test_what_does_not_fit_the_problem():
 def test_named_matrices_want_their_parameters_in_order():
     swapped = PARAMETERS[::-1]
     with pytest.raises(ValueError, match=r"parameters: must be the model's, in its order \('k1', 'k2'\)"):
-        fmu.UpdatingProblem(SEPARABLE, DATA, swapped)
+        fmu.UpdatingProblem.reduced(SEPARABLE, DATA, swapped)
 
 
 def test_configuration_and_words():
@@ -357,7 +357,7 @@ def test_errors_of_shapes(theta, function):
     """Shapes have errors as those of a structure do; their slopes are differences."""
     errors = [fmu.FrequencyErrors(sd=0.02), fmu.ShapeErrors(sd=0.05)]
     of_function, of_matrices = (
-        fmu.UpdatingProblem(model, DATA, PARAMETERS, error=errors, reduction=False)
+        fmu.UpdatingProblem(model, DATA, PARAMETERS, error=errors)
         for model in (BlackBoxModel(function, 2), SEPARABLE)
     )
     value, gradient = of_function.log_prob_and_grad(theta)

@@ -35,7 +35,7 @@ def deadly(theta):
 
 def problem(model):
     parameters = [fmu.Parameter(name, 300.0, 100.0, 600.0) for name in ("k1", "k2")]
-    return fmu.UpdatingProblem(model, fmu.ModalData([1.7, 4.5]), parameters, beta=2.0)
+    return fmu.UpdatingProblem.reduced(model, fmu.ModalData([1.7, 4.5]), parameters, beta=2.0)
 
 
 @pytest.fixture(scope="module")

@@ -88,7 +88,7 @@ def test_the_posterior_is_the_same(tmp_path):
     data.to_uff(path)
     again = ModalData.from_uff(path, sd_hz=0.01)
     parameters = [Parameter("a", 60.0, 30.0, 120.0), Parameter("b", 100.0, 50.0, 200.0)]
-    one, other = (UpdatingProblem(model, d, parameters, reduction=False) for d in (data, again))
+    one, other = (UpdatingProblem(model, d, parameters) for d in (data, again))
     assert_allclose(one.log_prob(theta), other.log_prob(theta), rtol=1e-9)
     assert one.log_prob(start) > one.log_prob(theta[1]) + 10.0
 

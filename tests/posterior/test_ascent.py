@@ -71,7 +71,9 @@ def test_problem_as_least_squares(chain):
         Parameter("k0", 1.0, 0.1, 4.0, prior=Normal(0.5, mean=1.0)),
         Parameter("k1", 1.0, 0.1, 4.0),
     ]
-    problem = UpdatingProblem(chain, ModalData([0.1, 0.2]), parameters, pairing="index", beta=[300.0, 100.0])
+    problem = UpdatingProblem.reduced(
+        chain, ModalData([0.1, 0.2]), parameters, pairing="index", beta=[300.0, 100.0]
+    )
     V = GaussNewton(problem)
     u = np.array([[0.3, 0.4], [0.8, 0.1]])
     value, gradient, hessian = V(u)

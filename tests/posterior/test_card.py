@@ -41,7 +41,7 @@ def test_measured_modes_beside_the_initial_ones(young):
 def test_size_and_drawing(young):
     html = young._repr_html_()
     assert "300 degrees of freedom in 4 decoupled blocks; modes are paired by shape (MAC)." in html
-    assert re.search(r"A reduced model of \d+ unknowns answers within the bounds", html)
+    assert re.search(r"A reduced model with \d+ unknowns is used within the bounds", html)
     assert html.count("<svg") == 1
     assert html.count("&#9632;") == 5
 
@@ -49,7 +49,7 @@ def test_size_and_drawing(young):
 def test_matrices_without_a_place_are_not_drawn(young):
     whole = young.model.structure
     bare = SeparableModel(whole.K_terms, whole.M_terms, whole.dofs)
-    problem = fmu.UpdatingProblem(bare, young.data, young.parameters, pairing="index", reduction=False)
+    problem = fmu.UpdatingProblem(bare, young.data, young.parameters, pairing="index")
     html = problem._repr_html_()
     assert "<svg" not in html
     assert "&#9632;" not in html
@@ -69,7 +69,7 @@ class Spectrum:
 def test_names_are_shown_and_not_run():
     parameter = fmu.Parameter("<script>alert(1)", start=4.0, lower=1.0, upper=9.0, unit="<b>")
     data = fmu.ModalData([2.0, 4.2], labels=("<i>", "&"))
-    problem = fmu.UpdatingProblem(Spectrum(), data, [parameter], name="<img src=x>")
+    problem = fmu.UpdatingProblem.reduced(Spectrum(), data, [parameter], name="<img src=x>")
     html = problem._repr_html_()
     assert not re.search(r"<(script|b|i|img)\b", html)
     assert "&lt;script&gt;" in html
@@ -80,7 +80,7 @@ def test_names_are_shown_and_not_run():
 
 def test_unbounded_parameters(young):
     free = [replace(p, lower=-np.inf, upper=np.inf) for p in young.parameters]
-    problem = fmu.UpdatingProblem(young.model.structure, young.data, free, reduction=False)
+    problem = fmu.UpdatingProblem(young.model.structure, young.data, free)
     assert cells(problem._repr_html_())[1][3:5] == ["-∞", "∞"]
 
 
@@ -89,7 +89,7 @@ def test_inferred_errors_come_after_what_is_drawn(young):
     scatter = fmu.Parameter("scatter", 0.01, 1e-4, 0.1, fmu.LogNormal(0.01, 0.5))
     errors = [fmu.FrequencyErrors(discrepancy=scatter)]
     model = young.model.structure
-    problem = fmu.UpdatingProblem(model, data, young.parameters, error=errors, reduction=False)
+    problem = fmu.UpdatingProblem(model, data, young.parameters, error=errors)
     html = problem._repr_html_()
     table = cells(html)
     assert [row[0] for row in table[1:7]] == [*young.names, "scatter"]

@@ -70,7 +70,7 @@ def test_a_copy_elsewhere_starts_empty():
 
 
 def test_of_a_problem(oscillators):
-    problem = UpdatingProblem(oscillators(2, fails_above=3.0), ModalData([1.0, 1.5]), TWO)
+    problem = UpdatingProblem.reduced(oscillators(2, fails_above=3.0), ModalData([1.0, 1.5]), TWO)
     assert (problem.failures, problem.n_failures, problem.take_failures()) == ([], 0, [])
     problem.log_prob([[1.0, 2.0], [3.5, 2.0], [9.0, 2.0]])
     problem.log_prob_and_grad([3.5, 2.0])
@@ -86,7 +86,7 @@ def test_points_that_work_cost_no_second_look(oscillators):
     model = oscillators(2, fails_above=3.0)
     solve, batches = model.frequencies, []
     model.frequencies = lambda theta: batches.append(len(theta)) or solve(theta)
-    problem = UpdatingProblem(model, ModalData([1.0, 1.5]), TWO)
+    problem = UpdatingProblem.reduced(model, ModalData([1.0, 1.5]), TWO)
     problem.log_prob(np.full((5, 2), 1.0))
     problem.log_prob([[1.0, 2.0], [3.5, 2.0]])
     assert batches == [5, 2, 1]
@@ -120,7 +120,7 @@ def massless(b_lower, reduction=False):
         [np.diag([1.0, 0.0]), (eye - np.diag([1.0, 0.0]), "b")],
     )
     parameters = [Parameter("a", 1.0, 0.5, 4.0), Parameter("b", 1.0, b_lower, 4.0)]
-    return UpdatingProblem(model, ModalData([0.1, 0.3]), parameters, pairing="index", reduction=reduction)
+    return UpdatingProblem.reduced(model, ModalData([0.1, 0.3]), parameters, pairing="index", reduction=reduction)
 
 
 def test_of_a_structure():
@@ -166,7 +166,7 @@ TINY = [1e-150, 1e-150]
 def test_an_overflow_names_the_error_model(oscillators, errors, measured, theta, reason):
     parameters = [Parameter("a", 1.0, 0.5, 1e305), Parameter("b", 1.0, 0.5, 4.0)]
     beta = [1e300, 1.0] if errors == "frequency" else None
-    problem = UpdatingProblem(oscillators(2), ModalData(measured), parameters, error=errors, beta=beta)
+    problem = UpdatingProblem.reduced(oscillators(2), ModalData(measured), parameters, error=errors, beta=beta)
     assert problem.log_prob(theta) == -np.inf
     (failed,) = problem.take_failures()
     assert failed.reason == f"the log-likelihood is not finite: {reason}"
@@ -175,7 +175,7 @@ def test_an_overflow_names_the_error_model(oscillators, errors, measured, theta,
 def test_a_model_that_fails_now_and_then(oscillators):
     model = oscillators(2)
     solve = model.frequencies
-    problem = UpdatingProblem(model, ModalData([1.0, 1.0]), TWO)
+    problem = UpdatingProblem.reduced(model, ModalData([1.0, 1.0]), TWO)
     model.frequencies = lambda theta: setattr(model, "frequencies", solve) or np.full((1, 2), np.nan)
     assert problem.log_prob([1.0, 1.0]) == -np.inf
     (failed,) = problem.take_failures()

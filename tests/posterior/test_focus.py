@@ -136,7 +136,7 @@ def bases(tmp_path, monkeypatch):
 def oscillators(chain, **changes):
     """Return a problem of three masses, trained in no time."""
     parameters = [Parameter(n, 2.0, 1.0, 4.0, prior=Normal(2.0, mean=2.0)) for n in ("k0", "k1")]
-    return UpdatingProblem(chain, ModalData([0.1, 0.2]), parameters, pairing="index", **changes)
+    return UpdatingProblem.reduced(chain, ModalData([0.1, 0.2]), parameters, pairing="index", **changes)
 
 
 @pytest.fixture
@@ -208,7 +208,7 @@ def test_training_goes_on_until_the_log_probability_is_right(bases, monkeypatch)
     options = {"beta": 1e4, "name": "sharp"}
 
     def build():
-        return UpdatingProblem(
+        return UpdatingProblem.reduced(
             sharp.model.structure,
             ModalData(sharp.frequencies(sharp.start * 0.9), sensors=sharp.data.sensors),
             sharp.parameters,
@@ -243,7 +243,7 @@ def two_chains():
     shape = np.sin(np.pi * np.array([4, 8, 12]) / 25)
     middle = frequency_hz(np.array(0.0158 + coupling))  # of a chain by itself, and its links
     data = ModalData([middle, middle], sensors=sensors, shapes=np.kron(np.eye(2), shape).T, sd_hz=[0.0004, 0.0012])
-    return UpdatingProblem(model, data, [Parameter(name, 1.0, 0.7, 1.3) for name in ("k1", "k2")])
+    return UpdatingProblem.reduced(model, data, [Parameter(name, 1.0, 0.7, 1.3) for name in ("k1", "k2")])
 
 
 def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, monkeypatch):
@@ -321,7 +321,7 @@ def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_
     theta = young.sample_prior(np.random.default_rng(2), 100)
     exact = frequency_hz(young.model.full_modes(theta).eigenvalues)
     for reduction in (1e-6, 1e-4, 1e-2):
-        problem = UpdatingProblem(
+        problem = UpdatingProblem.reduced(
             young.model.structure, young.data, young.parameters, beta=young.likelihood.beta, reduction=reduction
         )
         sizes.append(sum(b.size for b in problem.model.reduced.blocks if isinstance(b, ReducedBlock)))

@@ -32,7 +32,7 @@ def storeys():
 
 def measured(rng):
     model = fmu.UpdatingProblem(
-        storeys(), fmu.ModalData([1.0, 2.0, 3.0, 4.0], sensors=SENSORS), parameters(), reduction=False
+        storeys(), fmu.ModalData([1.0, 2.0, 3.0, 4.0], sensors=SENSORS), parameters()
     ).model
     seen = model.observed(TRUTH[None])
     shapes = seen.shapes[0] / np.linalg.norm(seen.shapes[0], axis=0) + SIGMA_S * rng.standard_normal((3, MODES))
@@ -50,7 +50,7 @@ def problem():
     sigma = fmu.Parameter("sigma f", start=0.02, prior=fmu.HalfNormal(0.05))
     tau = fmu.Parameter("sigma s", start=0.05, lower=1e-3, upper=0.5)
     errors = [fmu.FrequencyErrors("relative", sd=sigma), fmu.ShapeErrors(sd=tau)]
-    return fmu.UpdatingProblem(storeys(), measured(np.random.default_rng(1)), parameters(), error=errors)
+    return fmu.UpdatingProblem.reduced(storeys(), measured(np.random.default_rng(1)), parameters(), error=errors)
 
 
 def test_standard_deviations_are_parameters(problem):
@@ -134,11 +134,11 @@ def test_the_reduced_model_is_good_enough_for_shapes_too():
     ]
     model = fmu.SeparableModel(K, [fmu.Term(np.eye(n), (0.0, 0.0))])
     bounded = [fmu.Parameter(name, 1.0, 0.7, 1.3) for name in ("lower", "upper")]
-    bare = fmu.UpdatingProblem(model, fmu.ModalData([1.0, 2.0, 3.0], sensors=sensors), bounded, reduction=False)
+    bare = fmu.UpdatingProblem(model, fmu.ModalData([1.0, 2.0, 3.0], sensors=sensors), bounded)
     seen = bare.model.observed(np.array([[1.1, 0.9]]))
     data = fmu.ModalData(seen.frequencies[0], sensors=sensors, shapes=seen.shapes[0])
     errors = [fmu.FrequencyErrors(sd=0.002), fmu.ShapeErrors(sd=0.002)]
-    problem = fmu.UpdatingProblem(model, data, bounded, error=errors)
+    problem = fmu.UpdatingProblem.reduced(model, data, bounded, error=errors)
     assert problem.model.reduced is not None
     theta = np.array([1.1, 0.9]) + 0.002 * np.random.default_rng(5).standard_normal((50, 2))
     exact = problem.likelihood.full_terms(theta).sum(axis=1)
@@ -149,7 +149,7 @@ def test_the_reduced_model_is_good_enough_for_shapes_too():
 
 def test_beta_and_error_models_exclude_each_other():
     with pytest.raises(ValueError, match=r"^beta: must not be given together with error models"):
-        fmu.UpdatingProblem(
+        fmu.UpdatingProblem.reduced(
             storeys(),
             fmu.ModalData([1.0, 2.0, 3.0, 4.0]),
             parameters(),
@@ -161,14 +161,14 @@ def test_beta_and_error_models_exclude_each_other():
 def test_names_of_noise_and_model_must_differ():
     sigma = fmu.Parameter("k1", start=0.02, lower=0.001, upper=0.1)
     with pytest.raises(ValueError, match=r"^parameters: names must be distinct \(got twice: \['k1'\]\)$"):
-        fmu.UpdatingProblem(
+        fmu.UpdatingProblem.reduced(
             storeys(), fmu.ModalData([1.0, 2.0, 3.0, 4.0]), parameters(), error=fmu.FrequencyErrors(sd=sigma)
         )
 
 
 def test_a_trace_of_errors_of_shapes_alone():
     data = measured(np.random.default_rng(1))
-    of_shapes = fmu.UpdatingProblem(storeys(), data, parameters(), error=fmu.ShapeErrors(sd=0.1), reduction=False)
+    of_shapes = fmu.UpdatingProblem(storeys(), data, parameters(), error=fmu.ShapeErrors(sd=0.1))
     maxima = fmu.find_map(of_shapes, starts=4)
     trace = fmu.sample(of_shapes, "mh", draws=20, warmup=20, chains=2, maxima=maxima)
     assert set(trace["log_likelihood"].data_vars) == {"modes"}

@@ -137,7 +137,7 @@ class Ridge:
 
 def test_a_maximum_on_a_kink_is_found():
     parameters = [Parameter("a", 1.5, -3.0, 3.0), Parameter("b", 1.0, -3.0, 3.0)]
-    problem = UpdatingProblem(Ridge(), ModalData([9.0, 1.2]), parameters, beta=[5.0, 5.0])
+    problem = UpdatingProblem.reduced(Ridge(), ModalData([9.0, 1.2]), parameters, beta=[5.0, 5.0])
     maxima = local_maxima(problem, starts=32)
     assert len(maxima) < 8
     assert_allclose(maxima[0].theta, [1.44, 1.2], atol=0.02)
@@ -146,7 +146,9 @@ def test_a_maximum_on_a_kink_is_found():
 
 def test_a_model_that_fails_at_some_starts_is_climbed_from_the_others(oscillators):
     parameters = [Parameter(name, 4.0, 1.0, 9.0) for name in ("a", "b")]
-    problem = UpdatingProblem(oscillators(2, fails_above=6.0), ModalData([2.0, 2.5]), parameters, beta=50.0)
+    problem = UpdatingProblem.reduced(
+        oscillators(2, fails_above=6.0), ModalData([2.0, 2.5]), parameters, beta=50.0
+    )
     (only,) = local_maxima(problem, starts=32)
     assert_allclose(only.theta, [4.0, 6.25], rtol=1e-6)
     assert 10 < only.starts < 32
@@ -156,7 +158,7 @@ def test_modal_residual_is_climbed_too(chain):
     shapes = np.array([[1.0, 0.3], [0.8, -0.6], [0.5, 0.2]])
     data = ModalData([0.1, 0.25], sensors=[(0, "x"), (1, "x"), (2, "x")], shapes=shapes)
     parameters = [Parameter(name, 1.0, 0.1, 4.0, prior=Normal(2.0, mean=1.0)) for name in ("k0", "k1")]
-    problem = UpdatingProblem(chain, data, parameters, error="modal-residual", beta=30.0)
+    problem = UpdatingProblem.reduced(chain, data, parameters, error="modal-residual", beta=30.0)
     maxima = local_maxima(problem, starts=8)
     assert sum(m.starts for m in maxima) == 8
     grid = np.stack(np.meshgrid(*2 * [np.linspace(0.1, 4.0, 60)]), axis=-1).reshape(-1, 2)

@@ -25,12 +25,12 @@ MEASURED = ModalData([0.1, 0.2])
 
 @pytest.fixture(scope="module")
 def bounded(chain):
-    return UpdatingProblem(chain, MEASURED, BOUNDED, beta=[50.0, 20.0], name="chain")
+    return UpdatingProblem.reduced(chain, MEASURED, BOUNDED, beta=[50.0, 20.0], name="chain")
 
 
 @pytest.fixture(scope="module")
 def unbounded(chain):
-    return UpdatingProblem(chain, MEASURED, UNBOUNDED, pairing="index")
+    return UpdatingProblem.reduced(chain, MEASURED, UNBOUNDED, pairing="index")
 
 
 def test_log_prob_is_the_sum_of_normalised_parts(bounded, chain):
@@ -137,7 +137,7 @@ def test_nan_and_infinite_theta_are_outside(bounded, unbounded, theta):
 
 def test_failed_solves_are_recorded(oscillators):
     parameters = [Parameter("a", 1.0, 0.5, 4.0), Parameter("b", 1.0, 0.5, 4.0)]
-    problem = UpdatingProblem(oscillators(2, fails_above=3.0), ModalData([1.0, 1.5]), parameters)
+    problem = UpdatingProblem.reduced(oscillators(2, fails_above=3.0), ModalData([1.0, 1.5]), parameters)
     theta = np.array([[1.0, 2.0], [3.5, 2.0], [9.0, 2.0], [2.0, 1.0], [3.2, 1.0]])
     value = problem.log_prob(theta)
     assert_array_equal(np.isfinite(value), [True, False, False, True, False])
@@ -152,7 +152,7 @@ def test_failed_solves_are_recorded(oscillators):
 
 def test_model_of_any_kind(oscillators):
     parameters = [Parameter("a", 1.0, 0.5, 4.0), Parameter("b", 1.0, prior=Normal(2.0, 1.0))]
-    problem = UpdatingProblem(oscillators(2), ModalData([1.0, 1.5]), parameters, beta=[2.0, 1.0])
+    problem = UpdatingProblem.reduced(oscillators(2), ModalData([1.0, 1.5]), parameters, beta=[2.0, 1.0])
     theta = np.array([2.0, 3.0])
     expected = -2 * (np.sqrt(2) - 1) ** 2 - (np.sqrt(3) - 1.5) ** 2 + 0.5 * np.log(2 / np.pi**2)
     assert problem.log_likelihood(theta) == pytest.approx(expected, rel=1e-13)
@@ -194,7 +194,7 @@ def test_a_batch_changes_no_bit(load_case, case, pairing):
 
 def test_a_batch_changes_no_bit_with_many_parameters_and_modes(oscillators):
     parameters = [Parameter(f"p{i}", 1.0, 0.5, prior=Normal(2.0, 1.0)) for i in range(20)]
-    problem = UpdatingProblem(oscillators(20), ModalData(np.linspace(1, 2, 20)), parameters)
+    problem = UpdatingProblem.reduced(oscillators(20), ModalData(np.linspace(1, 2, 20)), parameters)
     theta = problem.sample_prior(np.random.default_rng(7), 50)
     assert_array_equal(problem.log_prob(theta), [problem.log_prob(row) for row in theta])
 
@@ -232,11 +232,11 @@ def test_wrong_problems(chain, case):
     changes, message = WRONG[case]
     arguments = {"model": chain, "data": MEASURED, "parameters": BOUNDED} | changes
     with pytest.raises(ValueError, match=f"^{message}$"):
-        UpdatingProblem(**arguments)
+        UpdatingProblem.reduced(**arguments)
 
 
 def test_model_that_does_not_fit(oscillators):
     with pytest.raises(ValueError, match=r"^data: the model pairs 2 modes \(got 3\)$"):
-        UpdatingProblem(oscillators(2), ModalData([1.0, 2.0, 3.0]), BOUNDED)
+        UpdatingProblem.reduced(oscillators(2), ModalData([1.0, 2.0, 3.0]), BOUNDED)
     with pytest.raises(ValueError, match=r"^parameters: the model takes 3 \(got 2\)$"):
-        UpdatingProblem(oscillators(3), ModalData([1.0, 2.0, 3.0]), BOUNDED)
+        UpdatingProblem.reduced(oscillators(3), ModalData([1.0, 2.0, 3.0]), BOUNDED)

@@ -103,7 +103,7 @@ def test_gradient_with_priors_and_vector_beta(chain, beta, reduction):
         Parameter("a", 2.0, 1.0, 4.0, prior=Normal(0.2, 1.7)),
         Parameter("b", 1.5, 0.5, 3.0, prior=Uniform()),
     ]
-    problem = UpdatingProblem(
+    problem = UpdatingProblem.reduced(
         chain, ModalData([0.1, 0.4], numbers=(1, 3)), parameters, pairing="index", beta=beta, reduction=reduction
     )
     for theta in ([1.2, 0.8], [3.1, 2.0], [2.0, 2.9]):

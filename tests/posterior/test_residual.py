@@ -96,7 +96,7 @@ def parameters(**changes):
 
 
 def test_problem_with_the_modal_residual(beam, data):
-    problem = UpdatingProblem(beam, data, parameters(), error="modal-residual", beta=50.0, reduction=False)
+    problem = UpdatingProblem(beam, data, parameters(), error="modal-residual", beta=50.0)
     theta = THETA * [0.8, 1.2, 1.1]
     value, gradient = problem.log_prob_and_grad(theta)
     assert value == pytest.approx(problem.log_likelihood(theta) + problem.log_prior(theta), rel=1e-12)
@@ -116,13 +116,13 @@ def test_measured_shapes_pair_by_shape(beam, data):
     """In the order of the measurement, whatever the order of the spectrum."""
     order = [2, 0, 1]
     swapped = ModalData(data.frequencies_hz[order], sensors=SENSORS, shapes=data.shapes[:, order])
-    problem = UpdatingProblem(beam, swapped, parameters(), reduction=False)
+    problem = UpdatingProblem(beam, swapped, parameters())
     assert_allclose(problem.frequencies(THETA), data.frequencies_hz[order], rtol=0.05)
 
 
 def test_a_theta_without_stiffness_is_no_exception(beam, data):
     unbounded = [Parameter(n, start=t, prior=Normal(t, t)) for n, t in zip(("E", "I", "rho"), THETA, strict=True)]
-    problem = UpdatingProblem(beam, data, unbounded, error="modal-residual", reduction=False)
+    problem = UpdatingProblem(beam, data, unbounded, error="modal-residual")
     assert problem.log_prob(np.array([0.0, 0.0, 1.0])) == -np.inf
     assert problem.log_prob_and_grad(np.array([0.0, 0.0, 1.0]))[0] == -np.inf
     assert problem.n_failures == 2
@@ -147,7 +147,7 @@ def test_wrong_input(beam, data):
         ValueError,
         match=r"^error: must be one of \('frequency', 'modal-residual'\), or error models \(got 'mac'\)$",
     ):
-        UpdatingProblem(beam, data, parameters(), error="mac")
+        UpdatingProblem.reduced(beam, data, parameters(), error="mac")
 
 
 def test_structure_that_moves_with_its_sensors_held(beam, data):
@@ -167,4 +167,4 @@ def test_residual_needs_a_structure(oscillators, data):
     with pytest.raises(
         ValueError, match=r"^error: the modal residual needs a SeparableModel \(got Oscillators\)$"
     ):
-        UpdatingProblem(oscillators(3), data, parameters(), error="modal-residual")
+        UpdatingProblem.reduced(oscillators(3), data, parameters(), error="modal-residual")

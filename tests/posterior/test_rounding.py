@@ -58,7 +58,7 @@ def exact_hz(stiff, theta, number):
 
 def posed(stiff, error, reduction=False):
     measured = np.array([exact_hz(stiff, SOFT, number) for number in (1, 2)])
-    return UpdatingProblem(
+    return UpdatingProblem.reduced(
         chain(stiff),
         ModalData(measured),
         [Parameter("k", SOFT, 0.5 * SOFT, 2 * SOFT)],
@@ -142,9 +142,7 @@ def test_inferred_errors_count_as_they_start():
     measured = [exact_hz(1e16, SOFT, number) for number in (1, 2)]
     parameters = [Parameter("k", SOFT, 0.5 * SOFT, 2 * SOFT)]
     with pytest.warns(RoundingWarning):
-        problem = UpdatingProblem(
-            chain(1e16), ModalData(measured), parameters, error=errors, pairing="index", reduction=False
-        )
+        problem = UpdatingProblem(chain(1e16), ModalData(measured), parameters, error=errors, pairing="index")
     with pytest.warns(RoundingWarning):
         same = posed(1e16, 1e-3)
     np.testing.assert_allclose(rounding(problem).of_sd, rounding(same).of_sd, rtol=1e-3)

@@ -98,7 +98,7 @@ def test_gradient_where_sensors_see_a_part_and_masses_change(reduction):
     K = [fmu.Term(1e3 * A, (1.0, 0.0)), fmu.Term(1e3 * B, (0.0, 0.0))]
     M = [fmu.Term(np.eye(5) + 0.1 * C, (0.0, 0.0)), fmu.Term(0.2 * D, (0.0, 1.0))]
     data = fmu.ModalData([2.0, 6.0], sensors=((0, "x"), (2, "x"), (3, "x")), shapes=rng.standard_normal((3, 2)))
-    problem = fmu.UpdatingProblem(
+    problem = fmu.UpdatingProblem.reduced(
         fmu.SeparableModel(K, M),
         data,
         [fmu.Parameter("k", 1.0, 0.5, 2.0), fmu.Parameter("m", 1.0, 0.5, 2.0)],
@@ -183,7 +183,6 @@ def test_a_mode_that_no_sensor_sees_has_no_share():
         [fmu.Parameter("k", 1.1, 0.5, 2.0)],
         pairing="soft",
         error=[fmu.FrequencyErrors(sd=0.01), fmu.ShapeErrors(sd=0.1)],
-        reduction=False,
     )
     theta = np.array([[0.9], [1.0], [1.2]])
     candidates = problem.model.full_seen_candidates(theta)
@@ -252,10 +251,10 @@ def test_what_does_not_go_with_it():
     data = fmu.ModalData([5.0, 5.1], sensors=SENSORS, shapes=SHAPES, covariance_hz2=np.diag([0.01, 0.02]))
     parameters = [fmu.Parameter(f"k{k}", 1.0, 0.8, 1.3) for k in (1, 2)]
     with pytest.raises(ValueError, match=r"^pairing: soft needs errors that are independent from mode to mode"):
-        fmu.UpdatingProblem(veering_model(0.02), data, parameters, pairing="soft")
+        fmu.UpdatingProblem.reduced(veering_model(0.02), data, parameters, pairing="soft")
     black_box = fmu.BlackBoxModel(lambda theta: np.array([5.0, 5.1]) * theta[0], 2)
     with pytest.raises(ValueError, match=r"^pairing: soft needs a SeparableModel"):
-        fmu.UpdatingProblem(black_box, fmu.ModalData([5.0, 5.1]), parameters, pairing="soft")
+        fmu.UpdatingProblem.reduced(black_box, fmu.ModalData([5.0, 5.1]), parameters, pairing="soft")
     with pytest.raises(
         ValueError, match=r"^pairing: must be one of \('shape', 'index', 'soft'\) \(got 'softly'\)$"
     ):

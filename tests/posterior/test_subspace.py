@@ -21,7 +21,7 @@ def ring(error, reduction=True):
     shapes = [[1.0, 0.1], [-0.8, 0.9], [-0.3, -0.9]]
     data = fmu.ModalData([6.9, 7.0], sensors=SENSORS, shapes=shapes)
     parameters = [fmu.Parameter("k1", 1.1, 0.8, 1.3), fmu.Parameter("k2", 1.0, 0.8, 1.3)]
-    return fmu.UpdatingProblem(model, data, parameters, error=error, reduction=reduction)
+    return fmu.UpdatingProblem.reduced(model, data, parameters, error=error, reduction=reduction)
 
 
 @pytest.fixture(scope="module")

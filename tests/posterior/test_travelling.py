@@ -37,7 +37,7 @@ def chain(**settings):
         fmu.Parameter(name, start=1.0, lower=0.5, upper=1.5, prior=prior)
         for name, prior in zip(("lower", "upper"), priors, strict=True)
     ]
-    return fmu.UpdatingProblem(model, data, parameters, **settings)
+    return fmu.UpdatingProblem.reduced(model, data, parameters, **settings)
 
 
 def noise(name):

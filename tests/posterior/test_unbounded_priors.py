@@ -34,7 +34,7 @@ def chain(*priors, n=5, scale=1.0, **bounds):
         fmu.Parameter(name, 1.0, prior=prior, **bounds) for name, prior in zip("ab", priors, strict=True)
     ]
     data = fmu.ModalData(measured, numbers=(1, 2, 3, 4))
-    return fmu.UpdatingProblem(model, data, parameters, pairing="index", beta=1e3, reduction=n > 5)
+    return fmu.UpdatingProblem.reduced(model, data, parameters, pairing="index", beta=1e3, reduction=n > 5)
 
 
 def full(problem, theta):

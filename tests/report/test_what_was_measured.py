@@ -42,7 +42,7 @@ def problem():
     tests[3, 0] = np.nan
     parameters = [Parameter(name, start=0.0, lower=-8.0, upper=8.0, prior=Normal(1.0)) for name in ("a", "b", "c")]
     data = ModalData.from_tests(tests, labels=("W1", "W2", "T1"))
-    return UpdatingProblem(Deaf(), data, parameters, name="tests")
+    return UpdatingProblem.reduced(Deaf(), data, parameters, name="tests")
 
 
 @pytest.fixture(scope="module")

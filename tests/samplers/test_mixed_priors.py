@@ -74,7 +74,7 @@ def target():
 
 @pytest.fixture(scope="module")
 def problem():
-    return fmu.UpdatingProblem(Sums(), fmu.ModalData(MEASURED), PARAMETERS, beta=0.5 / SD**2)
+    return fmu.UpdatingProblem.reduced(Sums(), fmu.ModalData(MEASURED), PARAMETERS, beta=0.5 / SD**2)
 
 
 SAMPLERS = {

@@ -84,4 +84,4 @@ def scale_problem(size: Size, n_parameters: int, reduction: bool | float) -> fmu
         for name in names
     ]
     data = fmu.ModalData(measured, sd_hz=NOISE * measured)
-    return fmu.UpdatingProblem(model, data, parameters, reduction=reduction, name="frame")
+    return fmu.UpdatingProblem.reduced(model, data, parameters, reduction=reduction, name="frame")

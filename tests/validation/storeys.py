@@ -48,4 +48,4 @@ def problem(
     """Return the updating problem for the given measurement, in Hz."""
     data = fmu.ModalData(measured_hz)
     beta = 1.0 / (2.0 * SD_HZ**2)
-    return fmu.UpdatingProblem(model, data, PARAMETERS, pairing="index", beta=beta, reduction=reduction)
+    return fmu.UpdatingProblem.reduced(model, data, PARAMETERS, pairing="index", beta=beta, reduction=reduction)

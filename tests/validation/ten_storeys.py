@@ -86,7 +86,7 @@ def structure() -> PairedStructure:
 
 def problem(paired: PairedStructure, data: fmu.ModalData) -> fmu.UpdatingProblem:
     """Return the updating problem for the given measurement."""
-    return fmu.UpdatingProblem(paired, data, PARAMETERS, error=ERRORS, reduction=False)
+    return fmu.UpdatingProblem(paired, data, PARAMETERS, error=ERRORS)
 
 
 def nothing_measured() -> fmu.ModalData:

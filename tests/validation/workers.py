@@ -59,7 +59,7 @@ def function_run(at_work: Engine) -> Callable[[], Any]:
     """Return a run of an ensemble on a Python function, its evaluations spread."""
     model = fmu.BlackBoxModel(slow, 2)
     parameters = [fmu.Parameter(n, start=1.0, lower=0.5, upper=1.5) for n in ("k1", "k2")]
-    problem = fmu.UpdatingProblem(model, fmu.ModalData([1.4, 1.0], sd_hz=[0.02, 0.02]), parameters)
+    problem = fmu.UpdatingProblem.reduced(model, fmu.ModalData([1.4, 1.0], sd_hz=[0.02, 0.02]), parameters)
 
     def run() -> Any:
         with model.spread_over(at_work):

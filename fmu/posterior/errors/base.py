@@ -94,12 +94,15 @@ class ErrorTerm:
         Variances of the errors.
     needs_shapes : bool
         Whether the errors are those of mode shapes.
+    of_frequencies : bool
+        Whether they are those of frequencies, which `simulate` can add.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus what depends on the standard deviations alone.
     """
 
     spread: Spread
     needs_shapes: ClassVar[bool] = False
+    of_frequencies: ClassVar[bool] = False
     is_least_squares: ClassVar[bool] = False
 
     @property
@@ -133,6 +136,16 @@ class ErrorTerm:
         """Return the errors divided by their standard deviations, with their derivatives; see `evaluate`."""
         raise NotImplementedError
 
+    def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return measured frequencies (n, n_modes) for computed ones, Hz; see `of_frequencies`."""
+        raise NotImplementedError
+
+    def simulate_inferred(
+        self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added."""
+        return frequencies
+
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return a name for each residual, mode by mode."""
         raise NotImplementedError
@@ -152,8 +165,8 @@ class Likelihood:
     Attributes
     ----------
     of_modes : bool
-        Whether the errors are those of computed modes: then `full_terms`, `quadratic`, `sensitivity` and `labels`
-        exist.
+        Whether the errors are those of computed modes: then `full_terms`, `quadratic`, `sensitivity`, `labels` and
+        `in_standard_deviations` exist.
     needs_shapes : bool
         Whether errors of mode shapes are among them.
     simulates : bool
@@ -198,6 +211,10 @@ class Likelihood:
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return a name for each row of `sensitivity`."""
+        raise NotImplementedError
+
+    def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement."""
         raise NotImplementedError
 
     def simulate(

@@ -130,7 +130,7 @@ class FrequencyTerm(ErrorTerm):
         1/(2V), where it is given instead of the deviations.
     """
 
-    is_least_squares = True
+    of_frequencies = is_least_squares = True
     covariance_hz2: FloatArray | None = None
 
     def __init__(self, kind: str, measured: FloatArray, spread: Spread, beta: FloatArray | None = None) -> None:
@@ -195,11 +195,14 @@ class FrequencyTerm(ErrorTerm):
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
         return np.asarray(frequencies + error)
 
-    def inferred(self) -> FrequencyTerm:
-        """Return the inferred part of the errors alone."""
-        return FrequencyTerm(
-            self.kind, self.measured, replace(self.spread, fixed=np.zeros_like(self.spread.fixed))
-        )
+    def simulate_inferred(
+        self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added."""
+        if self.is_known:
+            return frequencies
+        inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))
+        return FrequencyTerm(self.kind, self.measured, inferred).simulate(rng, frequencies, noise)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return a name for each residual, see `ErrorTerm`."""
@@ -246,7 +249,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     the number of theta in a batch.
     """
 
-    is_least_squares = True
+    of_frequencies = is_least_squares = True
     kind = "absolute"
 
     def __init__(self, measured: FloatArray, covariance_hz2: FloatArray) -> None:

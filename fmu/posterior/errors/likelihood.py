@@ -54,12 +54,12 @@ class ModalLikelihood(Likelihood):
         self.needs_shapes = any(term.needs_shapes for term in self.terms_of)
         if self.needs_shapes and not model.gives_shapes:
             raise ValueError(f"error: errors of shapes need a model that gives shapes (got {model.name})")
-        of_frequencies = [t for t in self.terms_of if isinstance(t, FrequencyTerm | CorrelatedFrequencyTerm)]
+        of_frequencies = [term for term in self.terms_of if term.of_frequencies]
         self._frequency_term = of_frequencies[0] if of_frequencies else None
         self.simulates = self._frequency_term is not None
-        if len(self.terms_of) == len(of_frequencies) == 1:
-            (only,) = of_frequencies
-            self.error = only if only.is_known and only.kind == "absolute" else None
+        only = self.terms_of[0] if len(self.terms_of) == 1 else None
+        if isinstance(only, FrequencyTerm | CorrelatedFrequencyTerm) and only.is_known and only.kind == "absolute":
+            self.error = only
         self.beta = None if self.error is None else self.error.beta
         self.terms_name = "modes" if self.error is None else "frequency"
 
@@ -153,9 +153,9 @@ class ModalLikelihood(Likelihood):
         ValueError
             As `simulate` does.
         """
-        if not (isinstance(self._frequency_term, FrequencyTerm) and self._frequency_term.spread.sizes):
+        if self._frequency_term is None:
             return frequencies
-        return self._frequency_term.inferred().simulate(rng, frequencies, self._noise_of(frequencies, theta))
+        return self._frequency_term.simulate_inferred(rng, frequencies, self._noise_of(frequencies, theta))
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
