@@ -1,4 +1,4 @@
-"""What an updating problem is put together from: a model paired with the data, and the model of its errors."""
+"""Construction of the parts of an updating problem: the model paired with the data, and the likelihood."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an updating problem shows itself in a notebook."""
+"""The HTML card of an updating problem in a notebook."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST_DRAWN = 5000
 
 
 def problem_card(problem: Problem) -> str:
-    """Return the HTML of a problem: its structure drawn, its parameters, and measured beside initial modes."""
+    """Return the HTML of a problem: a drawing of its structure, its parameters, and measured and initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
     structure = problem.model.structure
@@ -76,7 +76,7 @@ def _modes(problem: Problem) -> str:
 
 
 def _table(header: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of cells that are HTML already."""
+    """Return a table whose cells are HTML."""
     head = "".join(f"<th>{cell}</th>" for cell in header)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -8,15 +8,14 @@ from fmu.fem.black_box import Failure as Failure
 from fmu.types import FloatArray
 
 MOST_KEPT = 10_000
-"""How many failures are kept for people, and how many until somebody takes them."""
+"""How many failures are kept, in `first` and until `take` is called."""
 
 
 class FailureRecord:
-    """What failed: the first points for people, and those since somebody last took them.
+    """The first failed points, and those since `take` was last called.
 
-    Of each the first `most` are kept, and the reasons found: however many fail, memory and time are bounded, and
-    `count` says how many there were. A copy in another process, or a pickled one, starts empty: it is about what
-    fails there.
+    At most `most` of each are kept with their reasons, so memory and time are bounded; `count` counts all. A copy
+    in another process, or a pickled one, starts empty and records the failures there.
 
     Parameters
     ----------
@@ -25,9 +24,9 @@ class FailureRecord:
     Attributes
     ----------
     first : list of Failure
-        A theta that fails again while its record waits to be taken is not recorded twice.
+        A theta that fails again before `take` is called is recorded once.
     count : int
-        Failed evaluations, repeated ones among them.
+        Failed evaluations, including repeated ones.
     """
 
     def __init__(self, most: int = MOST_KEPT) -> None:
@@ -40,7 +39,7 @@ class FailureRecord:
         return FailureRecord, (self.most,)
 
     def add(self, points: FloatArray, why: Callable[[FloatArray], str]) -> None:
-        """Record failed points (n, ndim); ``why(theta)`` is asked for the reason of those that are kept."""
+        """Record failed points (n, ndim); ``why(theta)`` gives the reason for those that are kept."""
         self.count += len(points)
         for theta in points:
             if len(self._waiting) >= self.most:
@@ -54,7 +53,7 @@ class FailureRecord:
                 self.first.append(failure)
 
     def take(self) -> list[Failure]:
-        """Return what failed since this was last called, in the order in which it did."""
+        """Return the failures since this was last called, in order."""
         taken = list(self._waiting.values())
         self._waiting.clear()
         return taken

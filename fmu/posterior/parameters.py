@@ -1,4 +1,4 @@
-"""Updating parameters: name, unit, bounds, start and what was known of them before the measurement."""
+"""Updating parameters: name, unit, bounds, start and prior."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 from fmu.types import FloatArray
 
 DIMENSIONS = ("chain", "draw")
-"""Of the draws in a trace."""
+"""Dimensions of the draws in a trace."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Parameter:
     name : str
         See `require_name`.
     start : float
-        Where the model stands before updating, in `unit`.
+        Value in the model before updating, in `unit`.
     lower, upper : float
-        Bounds; they truncate the prior. Where the prior itself ends before them, its ends are the bounds.
+        Bounds; they truncate the prior. They are moved inwards to the ends of the support of the prior.
     prior : Prior
         `Uniform` by default, which needs finite bounds.
     unit : str
@@ -38,7 +38,7 @@ class Parameter:
     Raises
     ------
     ValueError
-        If the name is none that a parameter can have, or a bound, the start or the prior does not fit the others.
+        If the name is not allowed, or bounds, start and prior do not fit together.
     """
 
     name: str
@@ -76,13 +76,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """The least value with a density: `lower`, or the next number above where the prior vanishes there."""
+        """Lowest value with a positive density: `lower`, or the next number above if the prior is zero there."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """The greatest value with a density: `upper`, or the next number below where the prior vanishes there."""
+        """Highest value with a positive density: `upper`, or the next number below if the prior is zero there."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 
@@ -91,9 +91,9 @@ class Parameter:
 
 
 def require_name(name: str) -> None:
-    """Raise ValueError if a parameter cannot have a name: a trace could not keep it, or nobody could read it.
+    """Raise ValueError for a name that a trace could not store or nobody could read.
 
-    Spaces, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are letters like others.
+    Spaces, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are allowed.
     """
     if not name or "/" in name:
         rule = "must not be empty or contain '/'"
@@ -131,7 +131,7 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
 class JointPrior:
     """The product of the parameters' priors, truncated to the bounds and normalised over them.
 
-    Gaussian priors, the common case, are evaluated as one array, with those of half a Gaussian and of a logarithm.
+    Normal, half-normal and log-normal priors, the common ones, are evaluated together as one array.
     """
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:

@@ -1,4 +1,4 @@
-"""What an updating problem offers to what works on one: maxima, reduced models, rounding, its card."""
+"""The protocol of an updating problem, for modules that `fmu.posterior.problem` imports itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fmu.types import FloatArray
 
 
 class Problem(Protocol):
-    """`fmu.posterior.problem.UpdatingProblem`, which says what each of these is."""
+    """What is documented in `fmu.posterior.problem.UpdatingProblem`."""
 
     name: str
     data: ModalData

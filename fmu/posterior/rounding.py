@@ -1,13 +1,13 @@
 """Whether the digits of the matrices are enough for the errors of the measurement.
 
-An entry of K is rounded to one part in 10¹⁶ of itself. Where stiff parts hardly strain, as a rigid link or a
-spring of 1e16 N/m beside others of 1e5 N/m, their energy in a mode is a small difference of large numbers,
-φᵀKφ = Σ K_ij φ_i φ_j, and so is λ:
+An entry of K is rounded to one part in 10¹⁶. Where stiff parts hardly strain, such as a rigid link, or a spring of
+1e16 N/m beside others of 1e5 N/m, their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
+large numbers, and so is λ:
 
     δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,
 
-with u = 1.1e-16, for rounding that is independent from entry to entry (first-order perturbation, Stewart & Sun
-1990, *Matrix Perturbation Theory*, section VI.2). A reduced model adds the rounding of its own highest eigenvalue.
+with u = 1.1e-16, if rounding is independent from entry to entry (first-order perturbation, Stewart & Sun 1990,
+*Matrix Perturbation Theory*, section VI.2). A reduced model adds rounding relative to its own highest eigenvalue.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from fmu.types import FloatArray
 UNIT = 2.0**-53
 WARN, REFUSE = 0.05, 1.0
 """Expected error of a frequency by rounding, in standard deviations of its measurement."""
-# Solvers, and the sums that make an entry, err by a few roundings: with this factor the error expected is two to
-# thirty times the one found against extended precision.
+# Solvers, and the sums that make an entry, commit several roundings: with this factor the expected error is 2 to
+# 30 times the error found in extended precision.
 _ROUNDINGS = 4.0
-# Energy of a term in a motion, of what it is the difference of: with less the motion does not strain it, but for
-# rounding, also of matrices exported with ten digits.
+# Strain energy of a term in a motion, relative to the sum of the magnitudes that cancel in it. Below this the
+# motion does not strain the term, apart from rounding, also in matrices exported with ten digits.
 _LOST = 1e-6
 _RIGID_AT_MOST = 7
 
@@ -48,7 +48,7 @@ class RoundingWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """What rounding does to the frequencies at the start.
+    """Errors of the frequencies at the start due to rounding.
 
     Attributes
     ----------
@@ -57,11 +57,11 @@ class Rounding:
     of_sd : ndarray, shape (n_modes,)
         The same in standard deviations of its measurement.
     mode : str
-        The measured mode that it does most to.
+        The measured mode with the largest error, relative to its standard deviation.
     where : str
-        The degree of freedom whose stiffness does it.
+        The degree of freedom that contributes most to it.
     stiffness : float
-        That stiffness.
+        Stiffness on the diagonal of K there.
     """
 
     relative: FloatArray
@@ -83,14 +83,15 @@ class Rounding:
 
 
 def rounding(problem: Problem) -> Rounding | None:
-    """Return what rounding does to a problem's frequencies at the start; None where the model has no matrices.
+    """Return the rounding errors of a problem's frequencies at the start.
 
-    None too where its errors are not those of modes, or a solve fails at the start.
+    None if the model has no matrices, its likelihood is not one of computed modes, or the solve at the start
+    fails.
 
     Raises
     ------
     ValueError
-        If a soft part is lost beside a stiff one.
+        If the stiffness of a soft part is lost in rounding beside a stiff one.
     """
     model, likelihood = problem.model.as_structure(), problem.likelihood
     if model is None or not likelihood.of_modes:
@@ -118,7 +119,7 @@ def rounding(problem: Problem) -> Rounding | None:
 
 
 def require_digits(problem: Problem) -> None:
-    """Raise ValueError where rounding is larger than the errors of the measurement, and warn where it counts.
+    """Raise ValueError if rounding errors exceed the errors of the measurement; warn if they are not negligible.
 
     Warns
     -----
@@ -133,10 +134,10 @@ def require_digits(problem: Problem) -> None:
 
 
 def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float) -> None:
-    """Raise ValueError where a term strains in a mode that pairing leaves out, as one of a rigid body.
+    """Raise ValueError if a mode taken for a rigid-body mode strains a term of K.
 
-    Beside modes as high as `top` a λ so low is taken for zero. Where one of the terms of K has energy there, that
-    is wrong: it was lost in the sum, or is as good as lost.
+    A λ that is tiny relative to `top` is taken for zero, and pairing ignores the mode. If a term of K has strain
+    energy in it, that is wrong: the term was lost in the sum, or nearly.
     """
     structure = model.structure
     for block in model.full.blocks:
@@ -169,7 +170,7 @@ def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
 
 
 def _reduced(model: PairedStructure, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
-    """Return the highest eigenvalue of the reduced block that answers for each mode, 0 where the full one does."""
+    """Return the highest eigenvalue of the reduced block of each mode, 0 where the full model is used."""
     if model.reduced is None:
         return np.zeros(len(owners))
     highest = {}

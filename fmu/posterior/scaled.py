@@ -1,4 +1,4 @@
-"""The affinely scaled view of a density that samplers and optimisers work on."""
+"""A log-density in affinely scaled coordinates, which samplers and optimisers work in."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from fmu.types import FloatArray, LogDensity
 
 
 class ScaledDensity:
-    """A log-density in the coordinates u = (theta − offset)/scale, so that metrics and widths are of order one.
+    """A log-density in the coordinates u = (theta − offset)/scale, in which metrics and widths are of order one.
 
-    The unit box where both bounds are finite. The values are those of the density in theta: the Jacobian of an
-    affine map is a constant, and left out.
+    Coordinates with two finite bounds lie in the unit box. Values are those of the density in theta; the Jacobian
+    of an affine map is constant and left out.
 
     Parameters
     ----------
     density : LogDensity
-        Its attributes `offset` and `scale`, shape (ndim,), give the view if it has them; otherwise the bounds do:
-        unit box where both are finite, else offset 0 and scale 1.
+        Its attributes `offset` and `scale`, shape (ndim,), are used if it has them. Otherwise they follow from the
+        bounds: the unit box where both are finite, else offset 0 and scale 1.
 
     Raises
     ------
@@ -52,7 +52,7 @@ class ScaledDensity:
         return (theta - self.offset) / self.scale
 
     def to_theta(self, u: FloatArray) -> FloatArray:
-        """Return theta for u inside the scaled box; rounding never puts it outside the original one."""
+        """Return theta for u in the scaled box, clipped so that rounding cannot move it out of the bounds."""
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def log_prob(self, u: Any) -> Any:

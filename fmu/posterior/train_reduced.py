@@ -1,4 +1,4 @@
-"""Make a problem's reduced model good where its posterior lives, and remember it."""
+"""Training of a problem's reduced model: accurate in the box, and more so where the posterior has its mass."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, typed
-from fmu.posterior.maxima.local_maxima import local_maxima
+from fmu.posterior.maxima import local_maxima
 from fmu.posterior.protocol import Problem
 from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
@@ -23,7 +23,7 @@ from fmu.types import BoolArray, FloatArray
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
 LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
-# Below the maximum by more than this, a probability does not matter.
+# Log-probabilities lower than the maximum by more than this are neglected.
 PLAUSIBLE = 50.0
 PATIENCE = 3
 _AT_ONCE = 16  # points
@@ -31,12 +31,12 @@ _CHECKED, _CHECK_SEED = 32, 10_000
 
 
 class ReductionWarning(UserWarning):
-    """Training ended before the reduced model was as good as asked for."""
+    """Training ended before the reduced model met its tolerance."""
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """What a reduced model promises.
+    """Errors that a reduced model may have.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Tolerance:
 
     @classmethod
     def of(cls, reduction: bool | float) -> Tolerance | None:
-        """Return what a problem's argument `reduction` asks for, None if it wants no reduced model.
+        """Return the tolerance for the argument `reduction` of a problem, None for no reduced model.
 
         Raises
         ------
@@ -60,11 +60,11 @@ class Tolerance:
 
         Notes
         -----
-        Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, z_i being
-        the standardised errors: it is proportional to them, and so is what is allowed, from 1e-3 at 1e-6 on. But
-        where log P is off by ε(θ), |ε| ≤ t, a posterior mean moves by Cov(g, ε) ≤ t sd(g) to first order: by up to
-        t of its own standard deviation. So t stays at 0.1 however loose the frequencies are, beside which the
-        Monte Carlo error of 100 effective draws is as large.
+        Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, where z_i
+        are the standardised errors. The tolerance of the log-probability is therefore proportional to that of the
+        frequencies: 1e-3 at 1e-6. An error ε(θ) of log P with |ε| ≤ t moves the posterior mean of g by Cov(g, ε) ≤
+        t sd(g) to first order, at most t posterior standard deviations. So t never exceeds 0.1, which is the Monte
+        Carlo error of 100 effective draws.
         """
         if isinstance(reduction, bool | np.bool_):
             return cls() if reduction else None
@@ -80,14 +80,14 @@ class Tolerance:
 def reduce_model(
     problem: Problem, structure: PairedStructure, tolerance: Tolerance, engine: Engine | None = None
 ) -> None:
-    """Train the reduced model of `structure`, or fetch it from the cache.
+    """Train the reduced model of `structure`, or read it from the cache.
 
-    Frequencies are good to the tolerance over the whole box, and the log-probability to its own wherever it is
-    within `PLAUSIBLE` of its maximum, at every point that was tried. Points on a jump, where modes swap and either
-    model may take either of them, say nothing of the basis. Where more points do not help, as what is left is
-    rounding of the full model, or the basis would have more vectors than pay
-    (`fmu.fem.reduced.training.affordable`), training ends; a run's certificate says what was promised and not kept
-    (`fmu.analysis.certificate`). An engine solves the full model at several points at once.
+    At every point tested, frequencies meet their tolerance over the whole box, and the log-probability meets its
+    own wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
+    choose differently, are not counted. Training ends early where more points do not help, because only rounding
+    of the full model is left, or where a larger basis would not pay (`fmu.fem.reduced.training.affordable`). After
+    a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). An engine solves the
+    full model at several points at once.
 
     Warns
     -----
@@ -118,7 +118,7 @@ def reduce_model(
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         return points[:, :n] if wrong.any() and not has_stalled(differences) else None
 
-    # without such terms the computed modes take no part in the log-probability
+    # a pseudo-likelihood without computed modes has no log-probability to compare
     state = structure.train(
         lower, upper, tolerance.frequency, inaccurate_points if likelihood.of_modes else None, engine
     )
@@ -166,18 +166,18 @@ def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dic
 
 
 def _looser(tolerance: Tolerance, reached: float) -> float:
-    """Return the next power of ten that has been reached, or is looser than what was asked for."""
+    """Return the next power of ten above the error reached and above the tolerance."""
     wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
     return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 
 
 def has_stalled(differences: Sequence[float]) -> bool:
-    """Say whether the last `PATIENCE` rounds of training halved no largest difference that came before them."""
+    """Say whether the last `PATIENCE` rounds of training did not halve the smallest of the earlier differences."""
     return len(differences) > PATIENCE and min(differences[-PATIENCE:]) > 0.5 * min(differences[:-PATIENCE])
 
 
 def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> BoolArray:
-    """Say, shape (n,), where the reduced model has the modes that the full one pairs, and yet pairs others.
+    """Return where the reduced model has the full model's modes but pairs others, as where two swap, shape (n,).
 
     Parameters
     ----------
@@ -206,13 +206,13 @@ def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -
 def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `PLAUSIBLE` of its maximum.
 
-    From every local maximum that is itself plausible, along random directions of the Laplace approximation, to
-    where the log-probability has dropped by a random amount, or to the bounds.
+    From every plausible local maximum they lie along random directions of the Laplace approximation, where the
+    log-probability has decreased by a random amount, or at the bounds.
 
     Parameters
     ----------
     n : int
-        Points a maximum.
+        Points per maximum.
 
     Returns
     -------
@@ -245,7 +245,7 @@ def _along(problem: Problem, origin: FloatArray, direction: FloatArray, step: Fl
 
 
 def _laplace_directions(problem: Problem, theta: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return random directions with the covariance of the Gauss–Newton approximation, bent inward at walls."""
+    """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds."""
     information = problem.likelihood.quadratic(theta[None])[2][0]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
     z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T

@@ -14,7 +14,7 @@ from fmu.analysis.initial_modes import COUNTERPARTS_GIVEN, initial_modes
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame.components import DIRECTIONS
 from fmu.fem.pairing.rules import count_rigid
-from fmu.posterior.maxima.local_maxima import local_maxima
+from fmu.posterior.maxima import local_maxima
 
 MEASURED = [6.38, 16.10, 33.13, 33.53, 35.65, 48.38, 49.43, 55.08, 63.04, 66.50]
 

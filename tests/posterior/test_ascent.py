@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import lsq_linear
 
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.maxima.ascent import GaussNewton, ascend, decrement
+from fmu.posterior.maxima import GaussNewton, ascend, decrement
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem

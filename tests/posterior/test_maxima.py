@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.maxima.local_maxima import STARTS, local_maxima
+from fmu.posterior.maxima import STARTS, local_maxima
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem

@@ -15,7 +15,7 @@ from fmu.progress.phases import phase
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
-    from fmu.posterior.maxima.local_maxima import Maximum
+    from fmu.posterior.maxima import Maximum
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -50,7 +50,7 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     ----------
     problem : UpdatingProblem
     starts : int, optional
-        Climbs, see `fmu.posterior.maxima.local_maxima.local_maxima`. Fewer are faster and may miss a maximum. 256,
+        Climbs, see `fmu.posterior.maxima.local_maxima`. Fewer are faster and may miss a maximum. 256,
         or 16 where the model has no derivatives of its own.
     seed : int
         Chooses the starts, and the draws that weigh the maxima.
@@ -77,7 +77,7 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
 
 
 def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
-    from fmu.posterior.maxima.local_maxima import local_maxima
+    from fmu.posterior.maxima import local_maxima
 
     found = local_maxima(problem, starts, seed)
     theta = np.array([maximum.theta for maximum in found])
@@ -168,7 +168,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     hessian : ndarray, shape (ndim, ndim)
     source : {"differences", "Gauss-Newton"}
     """
-    from fmu.posterior.maxima.ascent import GaussNewton
+    from fmu.posterior.maxima import GaussNewton
     from fmu.posterior.scaled import ScaledDensity
 
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))

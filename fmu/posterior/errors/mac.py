@@ -18,7 +18,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
 
 _RIDGE = 1e-14
-"""Added to the Gram matrix of shapes, of its trace: two that are one at the sensors span a line."""
+"""Added to the Gram matrix of shapes, relative to its trace: two shapes equal at the sensors span only a line."""
 
 Groups = tuple[tuple[int, ...], ...]
 
@@ -27,8 +27,9 @@ Groups = tuple[tuple[int, ...], ...]
 class MACErrors:
     """Half-Gaussian errors ε = 1 − MAC at the sensors.
 
-    Normalised as a density of ε on [0, 1]. A habit of the field rather than a model of how shapes are measured:
-    with noise of size σ at the sensors 1 − MAC is of size (q − 1) σ², and that is what `ShapeErrors` says.
+    Normalised as a density of ε on [0, 1]. This is a convention of the field rather than a model of measurement
+    noise: noise with standard deviation σ at q sensors gives 1 − MAC of about (q − 1) σ², which is what
+    `ShapeErrors` models.
 
     Attributes
     ----------
@@ -37,9 +38,9 @@ class MACErrors:
     weights : array_like, shape (n_modes,), optional
         Trust in each mode: the variance of ε_i is sd²/w_i.
     together : sequence of sequence of str
-        Groups of modes, by their labels, too close in frequency to have shapes of their own, as the pairs of a
-        nearly symmetric structure. Each is compared with all that the computed modes of its group span, for which
-        it does not matter how the shapes turn into each other (`in_span`).
+        Groups of modes, by their labels, whose frequencies are too close for their shapes to be distinct, such as
+        the pairs of a nearly symmetric structure. Each mode is compared with the space that the computed modes of
+        its group span, which does not depend on how the shapes rotate into each other (`in_span`).
     """
 
     sd: ArrayLike | Parameter
@@ -123,12 +124,12 @@ class MACTerm(ErrorTerm):
 
 
 def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensors: int) -> Groups:
-    """Return groups of modes, given by their names, as numbers from 0.
+    """Return groups of modes, given by their labels, as numbers from 0.
 
     Raises
     ------
     ValueError
-        If a mode is unknown or named twice, or a group is of one mode or of as many as there are sensors.
+        If a mode is unknown or named twice, or a group has one mode, or as many as there are sensors.
     """
     named = [str(name) for group in together for name in group]
     unknown = [name for name in named if name not in labels]
@@ -146,13 +147,13 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
 
 
 def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPrediction:
-    """Return what is seen with each shape of a group replaced by what the group's span has of the measured one.
+    """Return the prediction with each shape of a group replaced by the projection of the measured one.
 
     With S the computed shapes of a group at the sensors and P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i,
-    so that its MAC with u_i is ‖P u_i‖², whatever basis of the span the eigensolver returned (cf. D'Ambrogio &
+    so its MAC with u_i is ‖P u_i‖², whatever basis of the span the eigensolver returned (cf. D'Ambrogio &
     Fregolent 2003, Higher-order MAC for the correlation of close and multiple modes, *Mech. Syst. Signal Process.*
-    17). Its slopes are ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u, from which turns of the shapes within their span
-    drop out: through a veering they stay of order one.
+    17). Its derivative is ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u. Rotations of the shapes within their span
+    cancel in it, so it remains of order one through a veering.
 
     Parameters
     ----------

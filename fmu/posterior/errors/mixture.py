@@ -1,4 +1,4 @@
-"""Measured modes that several computed ones share: a likelihood without the jumps of a pairing one to one."""
+"""Mixture pairing: a likelihood without the jumps of a one-to-one pairing of modes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Pairs(NamedTuple):
     log_weight, log_density : ndarray
         log w_ik and log p(measured mode i | candidate k).
     of : list of Evaluated
-        What each error model says of the pairs, as rows n·k.
+        Log-densities of the pairs from each error model, in rows n·k.
     """
 
     log_weight: FloatArray
@@ -37,12 +37,12 @@ class _Pairs(NamedTuple):
 
     @property
     def responsibility(self) -> FloatArray:
-        """What each candidate contributes to the likelihood of a measured mode: sums to 1 over k."""
+        """Share of each candidate in the likelihood of a measured mode; the sum over k is 1."""
         return np.exp(self.log_weight + self.log_density - self.terms[:, None])
 
 
 class MixtureLikelihood(ModalLikelihood):
-    """The likelihood of each measured mode as a mixture over the computed ones that might answer to it.
+    """The likelihood of each measured mode as a mixture over the computed modes that might correspond to it.
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
@@ -66,19 +66,19 @@ class MixtureLikelihood(ModalLikelihood):
 
     Notes
     -----
-    - It is *not* one to one: two measured modes may claim one candidate. That costs them the difference in MAC
-      over τ, no more; where two measured shapes are alike at the sensors, it costs nothing.
-    - A candidate whose MAC is lower by Δ than that of the best has the weight e^(−Δ/τ). With the default τ = 0.02
-      that is at most 50 nats, below which nothing matters elsewhere in this package either. Frequencies known so
-      well that a wrong one costs more than that make another mode plausible whose frequency fits, at the price of
-      its shape: then τ must be smaller, or the shapes have errors of their own. τ → 0 is the best MAC.
-    - With errors of frequencies alone it is a density of the frequencies, given the measured shapes. With errors
-      of shapes too the weights use the measured shapes a second time, and it is a density no more: evidences of
+    - The pairing is *not* one to one: two measured modes may use the same candidate. The cost is the difference in
+      MAC divided by τ; where two measured shapes are alike at the sensors, it is zero.
+    - A candidate whose MAC is lower than the best by Δ has the relative weight e^(−Δ/τ). With the default τ = 0.02 this
+      costs at most 50 nats. If frequencies are known so well that a wrong one costs more, another mode with a
+      matching frequency but a wrong shape becomes plausible: then reduce τ or add errors of shapes. τ → 0 selects
+      the best MAC.
+    - With errors of frequencies alone this is a density of the frequencies, given the measured shapes. With errors of
+      shapes the weights use the measured shapes a second time, and it is no longer a density: evidences of
       problems of different softness must not be compared.
-    - ``frequencies`` of the model stay those of the one-to-one assignment, which jump at a veering, as a mean over
-      candidates is the frequency of none.
-    - Candidates end with the highest mode that a block offers; where that one veers with the next, what is left of
-      a jump has its weight.
+    - ``frequencies`` of the model remain those of the one-to-one assignment, which jump at a veering, since a mean over
+      candidates is not the frequency of any mode.
+    - The candidates of a block end with its highest computed mode. Where that one veers with the next, a jump of the
+      size of its weight remains.
     """
 
     model: PairedStructure
@@ -110,9 +110,10 @@ class MixtureLikelihood(ModalLikelihood):
         return self._mixed(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return errors over their standard deviations, and their slopes, of the candidates of the best MAC.
+        """Return the errors divided by their standard deviations, and their derivatives, for the best MAC.
 
-        Those are what the data are about, also where frequencies are still so far off that others contribute more.
+        The modes of the best MAC are the measured ones even where frequencies are still so wrong that other
+        candidates contribute more.
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))
@@ -121,7 +122,7 @@ class MixtureLikelihood(ModalLikelihood):
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The information is that of the candidates that contribute most.
+        The information is that of the candidates with the largest share.
         """
         candidates = self._candidates(theta, True)
         pairs = self._pairs(candidates, theta, True)
@@ -154,7 +155,7 @@ class MixtureLikelihood(ModalLikelihood):
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             of = [term.evaluate(each, noise, gradient) for term in self.terms_of]
         log_density = np.asarray(sum(part.terms for part in of)).reshape(n, k, m)
-        # a mode that no sensor sees has a weight of 0, and no density of its shape
+        # a mode that moves no sensor has zero weight, and the density of its shape is undefined
         return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
 
     def _mixed(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -172,7 +173,7 @@ class MixtureLikelihood(ModalLikelihood):
             for part in pairs.of:
                 if part.by_frequency is not None:
                     by = _weighted(share, part.by_frequency.reshape(n, k, m))
-                    # a rigid-body mode has none, nor any share
+                    # a rigid-body mode has no derivative of its frequency, and no share
                     slopes = np.where(np.any(by != 0.0, axis=2)[..., None], slopes_of.frequency_slopes, 0.0)
                     leading += np.einsum("nkm,nkp->nmp", by, slopes)
                 if part.by_shape is not None:
@@ -189,7 +190,7 @@ def _best(score: FloatArray) -> IntArray:
 
 
 def _picked(candidates: Candidates, best: IntArray) -> ModalPrediction:
-    """Return what the sensors see of one candidate for each measured mode, with its slopes."""
+    """Return one candidate for each measured mode at the sensors, with its derivatives."""
     of: Any = candidates
     return ModalPrediction(
         np.take_along_axis(of.frequencies, best, axis=1),
@@ -208,5 +209,5 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
 
 
 def _weighted(share: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return their product, 0 where the share is: a candidate far off may have no slope at all."""
+    """Return their product, 0 where the share is 0: the derivative of a distant candidate may not exist."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

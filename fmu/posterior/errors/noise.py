@@ -1,4 +1,4 @@
-"""How large errors are: known, inferred with the parameters, or both."""
+"""Standard deviations of errors: known, inferred with the parameters, or both."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
 
 NoiseIndex = Callable[[Parameter], int]
-"""Gives an inferred standard deviation its place among those of the problem."""
+"""Returns the number of an inferred standard deviation among those of the problem."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Variances V = fixed² + Σ_k (noise_k · size_k)², independent errors adding up.
+    """Variances V = fixed² + Σ_k (noise_k · size_k)² of sums of independent errors.
 
     Attributes
     ----------
     fixed : ndarray, any shape
         Known standard deviations.
     sizes : mapping of int to ndarray of the same shape
-        What the inferred standard deviation number k is multiplied by.
+        Factor of the inferred standard deviation number k.
     """
 
     fixed: FloatArray
@@ -69,25 +69,26 @@ def spread(
     size: FloatArray,
     index: NoiseIndex,
 ) -> Spread:
-    """Return the spread of errors of a kind.
+    """Return the spread of the errors of one error model.
 
     Parameters
     ----------
     name : str
-        Of the errors, for messages.
+        Name of the errors, for messages.
     sd : float, array_like or Parameter or None
-        Standard deviations in units of `size`: known, inferred (one number for all), or none but the discrepancy.
+        Standard deviations in units of `size`: known, inferred (one for all), or None if only the discrepancy
+        counts.
     discrepancy : Parameter, optional
         A further standard deviation to be inferred, in units of `size`.
     size : ndarray
-        What one unit is for each error.
+        Size of one unit for each error.
     index : NoiseIndex
 
     Raises
     ------
     ValueError
-        If a standard deviation is not positive and finite, does not have the errors' shape, can be negative, or
-        there is none.
+        If a standard deviation is not positive and finite, has another shape than the errors, can be negative, or
+        is missing.
     """
     inferred = [p for p in (sd, discrepancy) if isinstance(p, Parameter)]
     for parameter in inferred:

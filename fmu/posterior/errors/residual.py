@@ -17,7 +17,7 @@ from fmu.types import FloatArray
 
 
 class ModalResidual(Likelihood):
-    """How far measured modes are from being modes of the condensed model.
+    """Residual of the measured modes in the equations of motion of the condensed model, eq. (2).
 
     ε_i = (K_c − ω_i² M_c) φ_i / ‖K_c(θ_ref) φ_i‖, with the measured ω_i and φ_i and the matrices condensed onto
     the sensors by Guyan reduction (eq. 2 and the text below it). The log-likelihood of mode i is
@@ -29,7 +29,7 @@ class ModalResidual(Likelihood):
     data : ModalData
         With sensors and shapes.
     reference : ndarray, shape (n_parameters,)
-        θ_ref, as a rule the model before updating.
+        θ_ref, usually the model before updating.
     beta : float or array_like, shape (n_modes,)
         Dimensionless: the residual is a force relative to the reference's elastic force.
 
@@ -37,14 +37,14 @@ class ModalResidual(Likelihood):
     ------
     ValueError
         If no shapes were measured, a sensor is not at a degree of freedom of its own, a β is not positive and
-        finite, or the model can move with its sensors held.
+        finite, or the model can move with its sensors fixed.
 
     Notes
     -----
-    This is a *pseudo*-likelihood: ε is made of data and of model, its distribution is not that of anything
-    measured, and where both K and M can shrink it rewards that they do. The fixed scale makes modes of different
-    frequency comparable and β dimensionless; it does not heal that. No evidence may be computed from it. It needs
-    no pairing of modes, and no eigenproblem either, but one factorisation of the unmeasured part at each theta.
+    This is a *pseudo*-likelihood: ε mixes data and model and is not the error of any measured quantity, and the
+    density grows as K and M both shrink, where they can. The fixed scale makes modes of different frequency
+    comparable and β dimensionless; it does not cure this. No evidence may be computed from it. It needs no pairing
+    of modes and no eigenproblem, but one factorisation of the unmeasured part at each theta.
     """
 
     terms_name = "residual"
@@ -107,9 +107,9 @@ class ModalResidual(Likelihood):
     def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the terms at one theta, and their gradients by adjoints; NaN where the condensation fails.
 
-        With u = Tφ, w = Tr and T the static condensation, of which dT_s = −K_ss⁻¹ (dK T)_s, the change of
-        r = Tᵀ(K − ω²M)u along itself is wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements
-        under the loads Mu and Mw with the sensors held.
+        T is the static condensation, u = Tφ, r = Tᵀ(K − ω²M)u and w = Tr. From dT_s = −K_ss⁻¹ (dK T)_s follows
+        rᵀdr = wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements under the loads Mu and Mw
+        with the sensors fixed.
         """
         slope = np.full((len(self.beta), theta.shape[1]), np.nan)
         try:

@@ -26,9 +26,10 @@ class ShapeErrors:
 
     log p = −½ εᵀΛε + ½ log det Λ − ½ log(φᵀΛφ / φᵀφ) − ½ (q − 1) log 2π.
 
-    That is the Gaussian density of the direction of u beside that of φ: the component along φ, a matter of scale,
-    is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). It has q − 1 dimensions at q
-    sensors. With one σ for all sensors εᵀΛε = (1 − MAC)/σ². Signs and scales of shapes play no part.
+    This is the Gaussian density of the direction of u relative to that of φ: the component along φ, which depends
+    on the scale alone, is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). It has q − 1
+    dimensions at q sensors. With one σ for all sensors εᵀΛε = (1 − MAC)/σ². The signs and scales of shapes have no
+    effect.
 
     Attributes
     ----------

@@ -1,0 +1,317 @@
+"""Local maxima of a posterior, from several starts: an optimum found once is not the mode.
+
+Gauss–Newton ascents from all starts run in lockstep as one array; then equal results are merged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.protocol import Problem
+from fmu.posterior.scaled import ScaledDensity
+from fmu.progress.phases import advanced, phase
+from fmu.types import BoolArray, FloatArray
+
+STARTS = 256
+_TOLERANCE = 1e-8
+_SAME = 1e-3
+_VALLEY = 0.1
+_ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
+_MOST_POLISHED = 8
+Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
+"""Maps (n, ndim) to V = −log P, shape (n,), its gradient (n, ndim) and Gauss–Newton Hessian (n, ndim, ndim)."""
+
+_FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e12
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """A local maximum within the bounds: theta (ndim,), its log-probability, and how many starts led to it."""
+
+    theta: FloatArray
+    log_prob: float
+    starts: int
+
+
+def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple[Maximum, ...]:
+    """Return the distinct local maxima of the log-probability within the bounds, the highest first.
+
+    The starts are the problem's own and points of a scrambled Sobol sequence in its box. If the errors are those
+    of computed modes, all starts climb by Gauss–Newton steps in lockstep (`ascend`); of those that stall at a
+    kink, the best eight continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Otherwise every start climbs by
+    L-BFGS-B. Two results count as one maximum if no valley separates them: on the straight line between them the
+    log-probability is nowhere more than 0.1 below the lower of the two.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    starts : int
+        At least 1; the first is ``problem.start``. Where modes swap, few starts may lead to an important maximum:
+        in cantilever-section, paired by number, one start in twelve reaches the maximum that holds nearly all of
+        the probability.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If `starts` is not positive.
+    """
+    if starts < 1:
+        raise ValueError(f"starts: must be at least 1 (got {starts})")
+    scaled = ScaledDensity(problem)
+    points = _starting_points(problem, scaled, starts, seed)
+    with phase("search", starts):
+        return _found(problem, scaled, points)
+
+
+def _found(problem: Problem, scaled: ScaledDensity, points: FloatArray) -> tuple[Maximum, ...]:
+    """Return the maxima reached from scaled points (n, ndim)."""
+    if not problem.likelihood.of_modes:
+        return _merged(problem, [_climb(scaled, u) for u in points])
+    ends = ascend(GaussNewton(problem), points, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
+    arrived = _merged(problem, _ended(scaled, ends.position[ends.stationary]))
+    near: list[Maximum] = []
+    lost: list[Maximum] = []
+    for stalled in _merged(problem, _ended(scaled, ends.position[~ends.stationary])):
+        (near if any(_is_same(problem, stalled, m) for m in arrived) else lost).append(stalled)
+    polished = [_climb(scaled, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
+    return _merged(problem, [*arrived, *near, *polished])
+
+
+def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
+    """Return scaled points (starts, ndim) within the bounds."""
+    from scipy.stats import qmc
+
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters]).T
+    sobol = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed))
+    unit = sobol.random_base2(int(np.ceil(np.log2(starts))))[: starts - 1]
+    theta = np.concatenate([problem.start[None], lower + (upper - lower) * unit])
+    return np.clip(scaled.to_scaled(theta), scaled.lower, scaled.upper)
+
+
+def _ended(scaled: ScaledDensity, u: FloatArray) -> list[Maximum]:
+    """Return the scaled points (n, ndim) with a finite log-probability as maxima."""
+    theta = scaled.to_theta(u)
+    values = scaled.density.log_prob(theta)
+    return [Maximum(x, float(v), 1) for x, v in zip(theta, values, strict=True) if np.isfinite(v)]
+
+
+def _is_same(problem: Problem, one: Maximum, other: Maximum) -> bool:
+    if np.all(np.abs(one.theta - other.theta) < _SAME * problem.scale):
+        return True
+    between = problem.log_prob(one.theta + _ON_THE_WAY * (other.theta - one.theta))
+    return bool(np.min(between) >= min(one.log_prob, other.log_prob) - _VALLEY)
+
+
+def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
+    """Return the distinct maxima, the highest first, each with the starts of all that are equal to it."""
+    distinct: list[Maximum] = []
+    for maximum in sorted(maxima, key=lambda m: -m.log_prob):
+        for i, known in enumerate(distinct):
+            if _is_same(problem, maximum, known):
+                distinct[i] = Maximum(known.theta, known.log_prob, known.starts + maximum.starts)
+                break
+        else:
+            distinct.append(maximum)
+    return tuple(distinct)
+
+
+def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum:
+    """Climb by L-BFGS-B from a scaled point."""
+    from scipy.optimize import minimize
+
+    def negative(u: FloatArray) -> tuple[float, FloatArray]:
+        value, gradient = scaled.log_prob_and_grad(u)
+        if not (np.isfinite(value) and np.all(np.isfinite(gradient))):
+            return 1e300, np.zeros_like(u)
+        return -value, -gradient
+
+    result = minimize(
+        negative,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(scaled.lower, scaled.upper, strict=True)),
+        options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 500, "maxcor": 20},
+    )
+    theta = scaled.to_theta(result.x)
+    advanced(starts)
+    return Maximum(theta, float(scaled.density.log_prob(theta)), starts)
+
+
+@dataclass(frozen=True)
+class Ascent:
+    """Results of `ascend`: final points (n, ndim), whether each is stationary, and the number of steps."""
+
+    position: FloatArray
+    stationary: BoolArray
+    steps: int
+
+
+class GaussNewton:
+    """V = −log P of a problem, in the coordinates u = (θ − offset)/scale.
+
+    With the residuals r (errors divided by their standard deviations) and their Jacobian J, ∇²V is approximated by
+    JᵀJ plus the curvature of the prior; the terms r_i ∇²r_i are neglected (Nocedal & Wright 2006, section 10.3).
+    Inferred standard deviations contribute their Fisher information (Fisher scoring).
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self._scaled = ScaledDensity(problem)
+
+    def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
+        p, scale = self.problem, self._scaled.scale
+        theta = self._scaled.to_theta(u)
+        log_likelihood, slope, information = p.likelihood.quadratic(theta)
+        value = -log_likelihood - np.asarray(p.log_prior(theta))
+        prior_slope, prior_curvature = self._prior(theta)
+        gradient = -slope * scale - prior_slope
+        hessian = information * np.outer(scale, scale)
+        i = np.arange(p.ndim)
+        hessian[:, i, i] += prior_curvature
+        failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
+        hessian[failed] = np.eye(p.ndim)
+        return np.where(failed, np.inf, value), np.where(failed[:, None], 0.0, gradient), hessian
+
+    def _prior(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slope and curvature −∂² of the log-prior in u, each (n, ndim); the parameters are independent."""
+        slope, curvature = np.empty_like(theta), np.empty_like(theta)
+        for k, parameter in enumerate(self.problem.parameters):
+            slope[:, k], curvature[:, k] = _prior_in_one(parameter, theta[:, k], self._scaled.scale[k])
+        return slope, curvature
+
+
+def _prior_in_one(parameter: Parameter, x: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return slope and curvature of one parameter's log-prior, the curvature by differences of the slope."""
+    h = 1e-4 * scale
+    low, high = parameter.prior.support
+    near = np.clip(x, low + 2.0 * h, high - 2.0 * h)
+    ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
+    curvature = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale**2
+    return parameter.prior.log_pdf_gradient(x) * scale, curvature
+
+
+def ascend(
+    quadratic: Quadratic,
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    tolerance: float = 1e-9,
+    max_steps: int = 100,
+) -> Ascent:
+    """Climb from every start to a local maximum of −V within a box.
+
+    Levenberg–Marquardt: the step minimises the quadratic model with its diagonal enlarged, within the box, and the
+    enlargement follows the ratio of actual and predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3).
+    At a kink, where computed modes swap, the quadratic model fails: such an ascent does not end at a stationary
+    point.
+
+    Parameters
+    ----------
+    quadratic : callable
+    start : ndarray, shape (n, ndim)
+        Within the box. Starts with an infinite V are returned unchanged.
+    lower, upper : ndarray, shape (ndim,)
+    tolerance : float
+        A point is stationary if the decrease predicted there is smaller; V is in units of log-probability.
+    max_steps : int
+
+    Returns
+    -------
+    Ascent
+    """
+    u = start.copy()
+    V, g, H = quadratic(u)
+    damping = np.full(len(u), _FIRST_DAMPING)
+    stationary = np.zeros(len(u), dtype=bool)
+    i = np.arange(u.shape[1])
+    going = np.flatnonzero(np.isfinite(V))
+    advanced(len(u) - len(going))
+    step = 0
+    for step in range(max_steps):  # noqa: B007
+        stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
+        on = going[~stationary[going] & (damping[going] < _MOST_DAMPING)]
+        advanced(len(going) - len(on))
+        going = on
+        if not going.size:
+            break
+        damped = _invertible(H[going])
+        damped[:, i, i] *= 1.0 + damping[going, None]
+        s = _box_step(u[going], g[going], damped, lower, upper)
+        new_V, new_g, new_H = quadratic(u[going] + s)
+        predicted = np.maximum(_predicted_decrease(s, g[going], H[going]), np.finfo(float).tiny)
+        ratio = (V[going] - new_V) / predicted
+        better = ratio > 1e-4
+        change = np.where(better, np.where(ratio > 0.75, 0.2, np.where(ratio < 0.25, 3.0, 1.0)), 5.0)
+        damping[going] = np.maximum(damping[going] * change, 1e-10)
+        moved = going[better]
+        u[moved] += s[better]
+        V[moved], g[moved], H[moved] = new_V[better], new_g[better], new_H[better]
+    return Ascent(np.clip(u, lower, upper), stationary, step)
+
+
+def pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
+    """Return which coordinates are at a bound with V decreasing outwards, shape (n, ndim)."""
+    return ((u <= lower) & (g > 0)) | ((u >= upper) & (g < 0))
+
+
+def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return the decrease of V that an undamped step predicts, with the pressed coordinates held, shape (n,)."""
+    held = pressed(u, g, lower, upper)
+    s = _newton(g, _invertible(H), held, np.zeros_like(u))
+    return -0.5 * np.sum(np.where(held, 0.0, g) * s, axis=1)
+
+
+def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return steps that decrease the model g·s + sᵀAs/2 within the box, shape (n, ndim).
+
+    The exact minimum in a box is a quadratic programme. Three cheap candidates are enough, since the damping
+    corrects a poor step: the Newton step clipped to the box, the Newton step shortened to the first bound, and an
+    active-set step, which fixes coordinates at the bounds they would cross and solves for the others until none is
+    outside.
+    """
+    # coordinates at a bound that V pushes outwards do not move at all
+    held = pressed(u, g, lower, upper)
+    s = _newton(g, A, held, np.zeros_like(u))
+    # the fraction of the step at which the first coordinate meets its bound
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(s > 0, (upper - u) / s, np.where(s < 0, (lower - u) / s, np.inf))
+    cut = s * np.clip(room.min(axis=1), 0.0, 1.0)[:, None]
+    candidates = [np.clip(u + s, lower, upper) - u, cut]
+    for _ in range(u.shape[1]):  # each pass holds at least one more coordinate
+        outside = ((u + s < lower) | (u + s > upper)) & ~held
+        if not outside.any():
+            break
+        held = held | outside
+        s = _newton(g, A, held, np.where(outside, np.clip(u + s, lower, upper) - u, s))
+    candidates.append(np.clip(u + s, lower, upper) - u)
+    best = np.argmax([_predicted_decrease(c, g, A) for c in candidates], axis=0)
+    return np.stack(candidates)[best, np.arange(len(u))]
+
+
+def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> FloatArray:
+    """Return the minimiser of g·s + sᵀAs/2 over the free coordinates, those of `s` that are held being fixed."""
+    i = np.arange(g.shape[1])
+    s = np.where(held, s, 0.0)
+    # identity rows keep the system of one size for the whole batch, whatever is held
+    B = np.where(held[:, :, None] | held[:, None, :], 0.0, A)
+    B[:, i, i] = np.where(held, 1.0, B[:, i, i])
+    right = np.where(held, 0.0, -(g + np.einsum("nij,nj->ni", A, s)))
+    return np.where(held, s, np.linalg.solve(B, right[..., None])[..., 0])
+
+
+def _predicted_decrease(s: FloatArray, g: FloatArray, A: FloatArray) -> FloatArray:
+    """Return the decrease of the model along `s`, shape (n,)."""
+    return -np.sum(g * s, axis=1) - 0.5 * np.einsum("ni,nij,nj->n", s, A, s)
+
+
+def _invertible(H: FloatArray) -> FloatArray:
+    """Return H with a small multiple of the identity added, for directions that nothing determines."""
+    n = H.shape[1]
+    return H + (1e-12 * (1.0 + np.trace(H, axis1=1, axis2=2)))[:, None, None] * np.eye(n)

@@ -1,4 +1,0 @@
-"""Local maxima of a posterior.
-
-Reading order: ascent, local_maxima.
-"""
