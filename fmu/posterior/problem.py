@@ -33,11 +33,10 @@ class UpdatingProblem:
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure; or a function of the user's own; or any map from theta to the frequencies of the measured
-        modes, already paired.
+        The structure, a function of the user, or any map from theta to the frequencies of the measured modes.
     data : ModalData
     parameters : sequence of Parameter
-        Of the model, in the order of theta. Standard deviations that `error` infers come after them.
+        Parameters of the model, in the order of theta. Standard deviations inferred by `error` follow them.
     pairing : {"shape", "index", "soft"}
         How the modes of a SeparableModel are paired with the measured ones (`fmu.fem.pairing.rules`): by MAC with
         the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
@@ -46,20 +45,19 @@ class UpdatingProblem:
     softness : float
         τ, for ``"soft"`` alone.
     beta : float or array_like, shape (n_modes,), optional
-        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual. For
-        frequencies the uncertainty of `data` holds if they have one, and then `beta` must not be given; otherwise
-        it is 1, the paper's.
+        Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual; 1 by
+        default, as in the paper. It must not be given if `data` have standard deviations or a covariance.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
-        ε = f − f^m in Hz; or the residual of eq. (2) at the sensors, a pseudo-likelihood
-        (`fmu.posterior.errors.residual`) that needs measured shapes and a SeparableModel; or what is to be summed
-        of `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`, with standard deviations known or inferred.
+        ``"frequency"``: ε = f − f^m in Hz. ``"modal-residual"``: the residual of eq. (2) at the sensors, a
+        pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`). Or the
+        error models to be summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`.
     name : str
 
     Attributes
     ----------
     ndim : int
     n_structural : int
-        How many of them are the model's; inferred standard deviations are the others.
+        Number of parameters of the model; the others are inferred standard deviations.
     names, units : tuple of str
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
@@ -70,7 +68,7 @@ class UpdatingProblem:
         ``(theta, reason)`` for every theta inside the bounds whose solve failed or whose log-likelihood was not
         finite, the first ten thousand.
     n_failures : int
-        How often that happened.
+        Number of such evaluations.
 
     Raises
     ------
@@ -81,7 +79,7 @@ class UpdatingProblem:
     Warns
     -----
     RoundingWarning
-        If that rounding counts beside the errors.
+        If rounding is not negligible beside those errors.
 
     Notes
     -----
@@ -267,7 +265,7 @@ class UpdatingProblem:
     def simulate_test(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return what one more test would measure where the model has `frequencies`, Hz, shape (n, n_modes).
+        """Return simulated frequencies of one more test where the model has `frequencies`, Hz, shape (n, n_modes).
 
         `simulate_data` repeats the data, the mean of all tests; a single test scatters √n times as much
         (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are those of `simulate_data`.
@@ -293,10 +291,9 @@ class UpdatingProblem:
         return self._failed.count
 
     def take_failures(self) -> list[Failure]:
-        """Return what failed since this was last called: `failures` stay, and each is returned once.
+        """Return the failures since this was last called; they remain in `failures`.
 
-        A theta that fails several times in between is there once. At most ten thousand wait; `n_failures` counts
-        all.
+        A theta that failed several times is returned once; at most ten thousand are kept, `n_failures` counts all.
         """
         return self._failed.take()
 

@@ -46,10 +46,10 @@ class MixtureLikelihood(ModalLikelihood):
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
-    over the candidates k: the lowest modes of all blocks that a measured shape moves in
-    (`fmu.fem.pairing.prediction.CandidateView`). The weights depend on the computed shapes, and so on θ, their
-    slopes are part of the gradient. Where two modes of a block veer, shapes turn into each other continuously, and
-    so does this; a pairing one to one jumps there.
+    over the candidates k, the lowest modes of all blocks in which a measured shape moves
+    (`fmu.fem.pairing.prediction.CandidateView`). The weights depend on the computed shapes and thus on θ; the
+    gradient contains their derivatives. Where two modes of a block veer, their shapes change continuously, and so
+    does this likelihood; a one-to-one pairing jumps there.
 
     Parameters
     ----------
@@ -68,17 +68,17 @@ class MixtureLikelihood(ModalLikelihood):
     -----
     - The pairing is *not* one to one: two measured modes may use the same candidate. The cost is the difference in
       MAC divided by τ; where two measured shapes are alike at the sensors, it is zero.
-    - A candidate whose MAC is lower than the best by Δ has the relative weight e^(−Δ/τ). With the default τ = 0.02 this
-      costs at most 50 nats. If frequencies are known so well that a wrong one costs more, another mode with a
+    - A candidate whose MAC is lower than the best by Δ has the relative weight e^(−Δ/τ). With the default τ = 0.02
+      this costs at most 50 nats. If frequencies are known so well that a wrong one costs more, another mode with a
       matching frequency but a wrong shape becomes plausible: then reduce τ or add errors of shapes. τ → 0 selects
       the best MAC.
-    - With errors of frequencies alone this is a density of the frequencies, given the measured shapes. With errors of
-      shapes the weights use the measured shapes a second time, and it is no longer a density: evidences of
+    - With errors of frequencies alone this is a density of the frequencies, given the measured shapes. With errors
+      of shapes the weights use the measured shapes a second time, and it is no longer a density: evidences of
       problems of different softness must not be compared.
-    - ``frequencies`` of the model remain those of the one-to-one assignment, which jump at a veering, since a mean over
-      candidates is not the frequency of any mode.
-    - The candidates of a block end with its highest computed mode. Where that one veers with the next, a jump of the
-      size of its weight remains.
+    - ``frequencies`` of the model remain those of the one-to-one assignment, which jump at a veering, since a mean
+      over candidates is not the frequency of any mode.
+    - The candidates of a block end with its highest computed mode. Where that one veers with the next, a jump of
+      the size of its weight remains.
     """
 
     model: PairedStructure
