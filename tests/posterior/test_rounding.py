@@ -177,7 +177,6 @@ def test_a_rod_on_a_rotational_spring(modulus):
         ModalData([swing], sensors=((n, "z"),)),
         [Parameter("k", k, 0.5 * k, 2.0 * k)],
         beta=0.5 / (0.01 * swing) ** 2,
-        reduction=False,
     )
     if modulus <= 1e17:
         assert posed().frequencies([k])[0] == pytest.approx(swing, rel=0.2 if modulus < 1e12 else 1e-3)
