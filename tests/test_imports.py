@@ -12,7 +12,7 @@ import fmu
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
     {"types", "numbers", "interruption", "durable_files"},
-    {"text_table", "formats", "progress"},
+    {"tables", "formats", "progress"},
     {"engines"},
     {"fem"},
     {"posterior"},

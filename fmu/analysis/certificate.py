@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.trace.reading import parameter_draws
+from fmu.fem.modes.modal import frequency_hz
 from fmu.numbers import apart, typed
 from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts
@@ -62,8 +63,6 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
     draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
     theta = draws[rng.permutation(len(draws))[:n]]
-
-    from fmu.fem.modes.modal import frequency_hz
 
     structural = theta[:, : structure.n_parameters]
     parts = by_parts("certificate", structure.full_modes, structural, _AT_ONCE)

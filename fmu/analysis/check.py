@@ -21,7 +21,7 @@ from fmu.fem.frame.drawing import changed_elements, drawing, parameter_colours
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.numbers import fixed, given, listed, significant, with_sd
-from fmu.text_table import text_table, wrapped
+from fmu.tables import data_frame, text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,8 +60,6 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return one row a parameter: unit, start, bounds (SI units), prior in words, what it changes if known."""
-    import pandas as pd
-
     structure = problem.model.structure
     rows = []
     for j, parameter in enumerate(problem.parameters):
@@ -78,7 +76,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
                 "changes": changes,
             }
         )
-    table = pd.DataFrame(rows, index=pd.Index(problem.names, name="parameter"))
+    table = data_frame(rows, "parameter", problem.names)
     return table if any(table["changes"]) else table.drop(columns="changes")
 
 

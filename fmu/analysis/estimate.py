@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fmu.numbers import fixed, whole
+from fmu.samplers.registry import named
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -47,8 +48,6 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     workers : int
         Processes that share the work.
     """
-    from fmu.samplers.registry import named
-
     per_gradient = problem.solves_per_gradient
     is_function = problem.model.black_box is not None
     one_s = _seconds_of_one(problem)

@@ -12,8 +12,10 @@ import numpy as np
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
+from fmu.analysis.trace.reading import array_of, has
 from fmu.numbers import apart, given, significant, with_sd
 from fmu.samplers.tempering.tempering import rejections
+from fmu.tables import data_frame
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -129,7 +131,7 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
         raise ValueError(f"method: must be one of {', '.join(METHODS)} (got {method!r})")
     if GROUP not in getattr(trace, "children", {}):
         raise ValueError("trace: must come from parallel tempering, fmu.sample(problem, 'tempering')")
-    draws = trace[GROUP]["log_likelihood"].transpose("chain", "draw", "rung").to_numpy()
+    draws = array_of(trace, GROUP, "log_likelihood")
     t = trace[GROUP]["inverse_temperature"].to_numpy()
     estimate = {"stepping-stone": _stepping_stone, "thermodynamic": _thermodynamic}[method]
     whole = estimate(draws, t)
@@ -181,10 +183,8 @@ def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
 
 def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
     """Return the table of `Evidence`."""
-    import pandas as pd
-
     finite = np.where(np.isfinite(draws), draws, np.nan)
-    return pd.DataFrame(
+    return data_frame(
         {
             "inverse_temperature": t,
             "mean": np.nanmean(finite, axis=(0, 1)),
@@ -194,7 +194,8 @@ def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
             "rejection": np.append(rejections(draws, t).mean(axis=0), np.nan),
             "log_ratio": np.append(_stones(draws, t)[1], np.nan),
         },
-        index=pd.RangeIndex(len(t), name="rung"),
+        "rung",
+        range(len(t)),
     )
 
 
@@ -260,18 +261,16 @@ def found_evidences(
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
-    found = [
-        _of_tempering(name, trace, verdicts[name]) for name, trace in traces.items() if GROUP in trace.children
-    ]
+    found = [_of_tempering(name, trace, verdicts[name]) for name, trace in traces.items() if has(trace, GROUP)]
     if maxima is not None:
-        reached = max(float(trace["sample_stats"]["lp"].max()) for trace in traces.values())
+        reached = max(float(array_of(trace, "sample_stats", "lp").max()) for trace in traces.values())
         found.append(_of_maxima(maxima, reached))
     return _compared(found)
 
 
 def is_pseudo(trace: xr.DataTree) -> bool:
     """Say whether a trace is of the modal residual, whose pseudo-likelihood is no density of the data."""
-    return "log_likelihood" in trace.children and "residual" in trace["log_likelihood"]
+    return has(trace, "log_likelihood", "residual")
 
 
 def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvidence:

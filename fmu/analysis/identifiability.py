@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.modal_states import MAXIMUM, START
+from fmu.analysis.trace.reading import check_trace, has, parameter_draws, parameter_names, with_group
 from fmu.numbers import fixed, share, significant
 from fmu.progress.phases import phase
-from fmu.text_table import distinct, text_table, wrapped
+from fmu.tables import data_frame, distinct, text_table, wrapped
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -103,12 +104,10 @@ class Identifiability:
 
     def table(self) -> pd.DataFrame:
         """Return one row a direction: ``singular_value``, ``remaining_sd`` and the component of each parameter."""
-        import pandas as pd
-
         s = self.singular_values
         names = distinct(["singular_value", "remaining_sd", *self.names])
         columns = dict(zip(names, (s, 1.0 / np.sqrt(1.0 + s**2), *self.directions.T), strict=True))
-        return pd.DataFrame(columns, index=pd.RangeIndex(1, len(s) + 1, name="direction"))
+        return data_frame(columns, "direction", range(1, len(s) + 1))
 
     def sentences(self) -> list[str]:
         """Say in words what the data constrain, and what is left to the prior and the bounds."""
@@ -215,14 +214,12 @@ def with_identifiability(
         "unit": ("parameter", list(found[0].units)),
         "mode": list(found[0].labels),
     }
-    kept = trace.copy()
-    kept[GROUP] = xr.DataTree(xr.Dataset(variables, coords=coordinates))
-    return kept
+    return with_group(trace, GROUP, xr.Dataset(variables, coords=coordinates))
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
     """Return what `with_identifiability` kept, by the name of the state; empty if nothing was."""
-    if GROUP not in trace.children:
+    if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()
     names, units, labels = (tuple(map(str, kept[name].to_numpy())) for name in ("parameter", "unit", "mode"))
@@ -264,15 +261,11 @@ def contraction(trace: xr.DataTree) -> pd.DataFrame:
     ValueError
         If the trace has no draws from the prior.
     """
-    import pandas as pd
-
-    from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
-
     check_trace(trace)
-    if "prior" not in trace.children:
+    if not has(trace, "prior"):
         raise ValueError("trace: must have draws from the prior (it has no group prior)")
     names = parameter_names(trace)
     before = np.array([trace["prior"][name].to_numpy().std(ddof=1) for name in names])
     after = parameter_draws(trace).std(axis=(0, 1), ddof=1)
     columns = {"prior_sd": before, "posterior_sd": after, "contraction": 1.0 - (after / before) ** 2}
-    return pd.DataFrame(columns, index=pd.Index(names, name="parameter"))
+    return data_frame(columns, "parameter", names)

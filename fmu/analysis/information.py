@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.identifiability import Identifiability, kept_identifiability
 from fmu.analysis.trace.modal_states import MAXIMUM, START
-from fmu.analysis.trace.reading import parameter_draws, parameter_names
+from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
 from fmu.numbers import fixed, share
 from fmu.types import FloatArray
 
@@ -209,7 +209,7 @@ def information(trace: xr.DataTree) -> Information | None:
     Information or None
         None where the trace has no draws from the prior, or the posterior's are of one point.
     """
-    if "prior" not in trace.children:
+    if not has(trace, "prior"):
         return None
     names = parameter_names(trace)
     z = normal_scores(trace)

@@ -10,10 +10,11 @@ import numpy as np
 
 from fmu.analysis.trace.modal_states import GROUP as MODES
 from fmu.analysis.trace.modal_states import START
-from fmu.analysis.trace.reading import check_trace, parameter_draws
+from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_draws, with_group
 from fmu.fem.modes.modal import frequency_hz
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
+from fmu.tables import data_frame
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -72,16 +73,15 @@ class PairingChanges:
 
     def table(self) -> pd.DataFrame:
         """Return one row a measured mode: shares of draws, and the nearest other mode's distance, in per cent."""
-        import pandas as pd
-
-        return pd.DataFrame(
+        return data_frame(
             {
                 "swapped_percent": 100.0 * self.swapped.max(axis=1, initial=0.0),
                 "swapped_with": [self._swapped_with(i) for i in range(len(self.labels))],
                 "other_mode_percent": 100.0 * self.changed,
                 "closest_percent": 100.0 * self.gap,
             },
-            index=pd.Index(self.labels, name="mode"),
+            "mode",
+            self.labels,
         )
 
     def sentences(self) -> tuple[str, ...]:
@@ -158,13 +158,12 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
         If `trace` is no trace, or keeps no frequencies, at the draws or before updating.
     """
     check_trace(trace)
-    if "posterior_predictive" not in trace.children or MODES not in trace.children:
+    if not has(trace, "posterior_predictive") or not has(trace, MODES):
         raise ValueError(
             "trace: must be of an updating problem, with frequencies at the draws and before updating"
         )
-    frequency = trace["posterior_predictive"]["model_frequency"].transpose("chain", "draw", "mode")
-    labels = tuple(map(str, frequency["mode"].to_numpy()))
-    f = frequency.to_numpy().reshape(-1, len(labels))
+    labels = tuple(map(str, trace["posterior_predictive"]["mode"].to_numpy()))
+    f = array_of(trace, "posterior_predictive", "model_frequency").reshape(-1, len(labels))
     before = trace[MODES]["frequency"].sel(state=START).to_numpy()
     swapped = np.zeros((len(labels), len(labels)))
     gap = np.full(len(labels), np.inf)
@@ -172,7 +171,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
         apart = f - f[:, i : i + 1]
         swapped[i] = np.mean(apart * (before - before[i]) < 0, axis=0)
         gap[i] = np.min(np.delete(np.abs(apart), i, axis=1) / f[:, i : i + 1], initial=np.inf)
-    if GROUP not in trace.children:
+    if not has(trace, GROUP):
         return PairingChanges(labels, swapped, None, False, 0, np.full(len(labels), np.nan), 0, gap)
     kept = trace[GROUP]
     rule, constant = str(kept.attrs["rule"]), bool(kept.attrs["constant"])
@@ -190,7 +189,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
 def jump_warnings(trace: xr.DataTree) -> list[str]:
     """Say in how many draws the log-probability is on another side of a jump than at the most probable draw."""
-    if GROUP not in trace.children or trace[GROUP].attrs["rule"] != "shape":
+    if not has(trace, GROUP) or trace[GROUP].attrs["rule"] != "shape":
         return []
     found = pairing_changes(trace)
     if found.jumps == 0:
@@ -217,7 +216,7 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
         return trace
     draws = parameter_draws(trace)[..., : problem.n_structural]
     theta = draws.reshape(-1, draws.shape[-1])
-    highest = int(np.argmax(trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy()))
+    highest = int(np.argmax(array_of(trace, "sample_stats", "lp")))
     constant = structure.pairing.is_constant and bool(structure.within(theta).all())
     picked = np.unique(np.linspace(0, len(theta) - 1, min(len(theta), MOST_DRAWS)).astype(int))
     picked = np.array([highest]) if constant else np.union1d(picked, highest)
@@ -239,9 +238,7 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
         "constant": int(constant),
         "most_probable": int(np.searchsorted(picked, highest)),
     }
-    kept = trace.copy()
-    kept[GROUP] = xr.DataTree(xr.Dataset(variables, coords=coordinates, attrs=attributes))
-    return kept
+    return with_group(trace, GROUP, xr.Dataset(variables, coords=coordinates, attrs=attributes))
 
 
 def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:

@@ -13,8 +13,17 @@ from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.analysis.initial_modes import ALIKE
 from fmu.analysis.trace.conversion import GIVEN_OTHERS, ONE_MORE_TEST
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
-from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names, walkers_of
+from fmu.analysis.trace.reading import (
+    array_of,
+    check_trace,
+    has,
+    parameter_draws,
+    parameter_names,
+    parameter_units,
+    walkers_of,
+)
 from fmu.numbers import apart, fixed, given, share
+from fmu.tables import data_frame
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -96,8 +105,6 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     ValueError
         If the trace holds no frequencies, or `ci_prob` does not lie between 0 and 1.
     """
-    import pandas as pd
-
     lower, upper = interval_columns(ci_prob)
     model = expectation(trace, "model_frequency")
     predictive = trace["posterior_predictive"]
@@ -110,7 +117,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     for prefix, name in (("", "model_frequency"), ("noisy_", "frequency")):
         if name not in predictive:
             continue
-        values = predictive[name].transpose("chain", "draw", "mode").to_numpy()
+        values = array_of(trace, "posterior_predictive", name)
         low, high = np.quantile(values, ends, axis=(0, 1))
         columns |= {
             f"{prefix}sd": values.std(axis=(0, 1), ddof=1),
@@ -118,14 +125,14 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
             f"{prefix}{upper}": high,
         }
     if ONE_MORE_TEST in predictive:
-        values = predictive[ONE_MORE_TEST].transpose("chain", "draw", "mode").to_numpy()
+        values = array_of(trace, "posterior_predictive", ONE_MORE_TEST)
         columns[f"test_{lower}"], columns[f"test_{upper}"] = np.quantile(values, ends, axis=(0, 1))
-    return pd.DataFrame(columns, index=pd.Index(predictive["mode"].to_numpy(), name="mode"))
+    return data_frame(columns, "mode", predictive["mode"].to_numpy())
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:
     """Return the single tests (n_tests, n_modes) in Hz, NaN where one missed a mode; None if there is none."""
-    if "observed_data" not in trace.children or "tests" not in trace["observed_data"]:
+    if not has(trace, "observed_data", "tests"):
         return None
     return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())
 
@@ -164,15 +171,14 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     import warnings
 
     import arviz as az
-    import pandas as pd
 
     check_trace(trace)
-    if "log_likelihood" not in trace.children:
+    if not has(trace, "log_likelihood"):
         raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
     kept = list(map(str, trace["log_likelihood"].data_vars))
     # correlated errors: the terms that sum to the joint do not say what each mode is like, given the others
     name = GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0]
-    terms = trace["log_likelihood"][name].transpose("chain", "draw", "mode").to_numpy()
+    terms = array_of(trace, "log_likelihood", name)
     walkers = walkers_of(trace)
     n = terms.shape[0] * terms.shape[1]
     efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
@@ -185,17 +191,17 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
             found = az.loo(trace, pointwise=True, var_name=name, reff=efficiency)
             elpd, k, good = found.elpd_i.to_numpy(), found.pareto_k.to_numpy(), found.good_k
     columns = {"elpd": elpd, "pareto_k": k, "reliable": k <= good}
-    return pd.DataFrame(columns, index=pd.Index(trace["log_likelihood"]["mode"].to_numpy(), name="mode"))
+    return data_frame(columns, "mode", trace["log_likelihood"]["mode"].to_numpy())
 
 
 def _named(trace: xr.DataTree, name: str) -> FloatArray:
     """Return the draws of a stored variable, shape (chains, draws) or (chains, draws, k)."""
     known = []
     for group in ("posterior", "posterior_predictive"):
-        if group in trace.children:
+        if has(trace, group):
             known += list(trace[group].data_vars)
             if name in trace[group].data_vars:
-                return trace[group][name].transpose("chain", "draw", ...).to_numpy()
+                return array_of(trace, group, name)
     raise ValueError(f"G: must be a callable or one of {', '.join(map(str, known))} (got {name!r})")
 
 
@@ -228,11 +234,10 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))
     draws = parameter_draws(trace).reshape(-1, len(names))
-    for k, name in enumerate(names):
+    for k, (name, unit) in enumerate(zip(names, parameter_units(trace), strict=True)):
         x, margin = draws[:, k], NEAR_A_BOUND * (upper[k] - lower[k])
         if not np.isfinite(margin):
             continue
-        unit = trace["posterior"][name].attrs.get("units", "")
         for side, bound, sign in (("lower", lower[k], 1.0), ("upper", upper[k], -1.0)):
             near = float(np.mean(sign * (x - bound) < margin))
             before = _prior_share(trace, name, bound, sign, margin)
@@ -248,7 +253,7 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
     """Return the share of the prior near a bound, that of a uniform one where no draws from the prior are."""
-    if "prior" not in trace.children:
+    if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))
 
@@ -261,7 +266,7 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
     Measurement noise is in it, and 99 % of the probability. Nothing can be said where there is no predictive
     distribution of frequencies: of the modal residual, and of a plain density.
     """
-    if "posterior_predictive" not in trace.children or "frequency" not in trace["posterior_predictive"]:
+    if not has(trace, "posterior_predictive", "frequency"):
         return []
     table = predict_frequencies(trace, INTERVAL)
     per_cent = f"{100 * INTERVAL:g}"
@@ -304,7 +309,7 @@ def _below(mac: float) -> str:
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
     """Return MAC (state, reference_mode, mode) with the measured shapes; None where the trace keeps none."""
-    if GROUP not in trace.children or "mac" not in trace[GROUP]:
+    if not has(trace, GROUP, "mac"):
         return None
     found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
     return found if found.attrs["reference"] == MEASURED else None
@@ -312,7 +317,7 @@ def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
     """Say so if a draw has a higher log-probability than any maximum that was found."""
-    reached = float(trace["sample_stats"]["lp"].max())
+    reached = float(array_of(trace, "sample_stats", "lp").max())
     if reached <= highest + 1e-3:
         return []
     draw, known = apart(reached, highest, sd=1.0)

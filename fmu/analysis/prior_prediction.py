@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.numbers import fixed, given, with_sd
+from fmu.tables import data_frame
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -101,8 +102,6 @@ class PriorPrediction:
 
     def table(self) -> pd.DataFrame:
         """Return one row a mode: ``measured``, ``mean``, ``sd``, the interval's ends, Hz, and ``distance``."""
-        import pandas as pd
-
         lower, upper = self.interval
         columns = {
             "measured": self.measured,
@@ -111,7 +110,7 @@ class PriorPrediction:
             "eti90_lb": lower,
             "eti90_ub": upper,
         }
-        return pd.DataFrame(columns | {"distance": self.distance}, index=pd.Index(self.labels, name="mode"))
+        return data_frame(columns | {"distance": self.distance}, "mode", self.labels)
 
 
 def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> PriorPrediction:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fmu.numbers import MISSING, apart, fixed, rounded, significant
-from fmu.text_table import text_table, wrapped
+from fmu.tables import text_table, wrapped
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.convergence.diagnostics import ESS_LIMIT, summary
+from fmu.analysis.trace.reading import array_of, parameter_draws, walkers_of
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -41,8 +43,6 @@ class Reference:
 
 def pooled(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
     """Return the mean of several traces, each weighted by its effective sample size, and their sd."""
-    from fmu.analysis.convergence.diagnostics import summary
-
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])
@@ -109,8 +109,6 @@ class Needed:
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
     """Follow the mean of each chain as its draws come in, at lengths that grow geometrically."""
-    from fmu.analysis.trace.reading import parameter_draws, walkers_of
-
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     chains, total, ndim = draws.shape
@@ -138,8 +136,6 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     The warm-up is what it was; the draws are cut off at lengths that grow by `GROWTH`. Looking from the whole run
     backwards and stopping at the first failure guards against lengths that pass by luck.
     """
-    from fmu.analysis.trace.reading import walkers_of
-
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
     solves = solves_by_step(trace).sum(axis=0)
@@ -156,8 +152,6 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
 
     In proportion to the smallest bulk or tail ESS of the draws at hand, warm-up left out; None where that is NaN.
     """
-    from fmu.analysis.convergence.diagnostics import ESS_LIMIT, summary
-
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())
     return round(solves * ESS_LIMIT / ess) if ess > 0 else None
@@ -165,9 +159,7 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
 
 def solves_by_step(trace: xr.DataTree) -> IntArray:
     """Return each chain's model solves up to every step kept, warm-up counted, shape (chains, steps)."""
-    from fmu.analysis.trace.reading import walkers_of
-
-    kept = trace["sample_stats"]["n_solves"].transpose("chain", "draw").to_numpy()
+    kept = array_of(trace, "sample_stats", "n_solves")
     kept = kept.reshape(len(kept), -1, walkers_of(trace)).sum(axis=2)
     before = trace["warmup_sample_stats"]["n_solves"].sum("draw").to_numpy()
     return before[:, np.newaxis] + np.cumsum(kept, axis=1)

@@ -11,7 +11,7 @@ from fmu.numbers import fixed, given, share, significant
 from fmu.paper import spectrum
 from fmu.paper.experiment import rows_of
 from fmu.paper.published import EXPERIMENTS
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 
 if TYPE_CHECKING:
     import pandas as pd

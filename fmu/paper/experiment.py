@@ -9,6 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
+from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
+from fmu.analysis.maxima.missed import missed_maxima
+from fmu.analysis.maxima.search import find_map
+from fmu.analysis.prediction import predict_frequencies
+from fmu.analysis.trace.reading import parameter_draws
 from fmu.paper.convergence import (
     Curve,
     Needed,
@@ -25,6 +31,7 @@ from fmu.paper.published import Experiment as Published
 from fmu.paper.spectrum import paired_names, shares
 from fmu.progress import Report
 from fmu.report.plots import TITLES
+from fmu.tables import data_frame
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -117,9 +124,6 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         Called after every step as ``progress(phase, done, total, info)``, the phase being the experiment's name.
     """
     from fmu import cases
-    from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
-    from fmu.analysis.convergence.diagnostics import summary
-    from fmu.analysis.maxima.search import find_map
 
     published = EXPERIMENTS[case]
     problem = cases.load(case, pairing)
@@ -160,9 +164,6 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
 
 def _needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
     """Return when a run began to pass for converged; one that never did needs no search."""
-    from fmu.analysis.convergence.diagnostics import convergence_failures
-    from fmu.analysis.maxima.missed import missed_maxima
-
     if not diagnosis.converged:
         return Needed(None, None)
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
@@ -172,8 +173,6 @@ def starts_in_the_posterior(
     long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
 ) -> NDArray[np.float64] | None:
     """Return draws (chains, ndim) spread over a converged run of a trusted sampler; None where none has."""
-    from fmu.analysis.trace.reading import parameter_draws
-
     for name in TRUSTED:
         if diagnoses[name].converged:
             draws = parameter_draws(long[name])
@@ -192,8 +191,6 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
     """Return which physical modes are paired at some thousands of draws spread over a trace."""
-    from fmu.analysis.trace.reading import parameter_draws
-
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -204,8 +201,6 @@ CI_PROB = 0.9
 
 def posterior_mean(trace: xr.DataTree) -> FloatArray:
     """Return the mean of all draws kept, shape (ndim,), SI units."""
-    from fmu.analysis.trace.reading import parameter_draws
-
     return parameter_draws(trace).mean(axis=(0, 1))
 
 
@@ -216,10 +211,6 @@ def parameter_table(result: Result) -> pd.DataFrame:
     protocol; ``long_*_mean``, ``_sd``, ``_mcse`` and the ends of the interval, of the long runs; the same of the
     ``reference`` without an interval.
     """
-    import pandas as pd
-
-    from fmu.analysis.convergence.diagnostics import interval_columns, summary
-
     columns: dict[str, object] = {"unit": result.problem.units}
     for name, column in result.published.columns.items():
         columns[f"published_{name}"] = column.printed_theta
@@ -233,7 +224,7 @@ def parameter_table(result: Result) -> pd.DataFrame:
             columns[f"long_{name}_{statistic.removesuffix('_mean')}"] = table[statistic].to_numpy()
     for statistic in ("mean", "sd", "mcse"):
         columns[f"reference_{statistic}"] = getattr(result.reference, statistic)
-    return pd.DataFrame(columns, index=pd.Index(result.problem.names, name="parameter"))
+    return data_frame(columns, "parameter", result.problem.names)
 
 
 def frequency_table(result: Result) -> pd.DataFrame:
@@ -244,11 +235,6 @@ def frequency_table(result: Result) -> pd.DataFrame:
     maximum of the posterior; ``paper_*`` and ``long_*`` of the model at our posterior mean. ``long_*_predictive``
     with its interval is the posterior predictive distribution of a new measurement, eq. (10).
     """
-    import pandas as pd
-
-    from fmu.analysis.convergence.diagnostics import interval_columns
-    from fmu.analysis.prediction import predict_frequencies
-
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}
     for name, column in result.published.columns.items():
@@ -270,7 +256,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
                 columns[f"long_{name}_predictive"] = predicted["mean"].to_numpy()
                 columns[f"long_{name}_predictive_{lower}"] = predicted[f"noisy_{lower}"].to_numpy()
                 columns[f"long_{name}_predictive_{upper}"] = predicted[f"noisy_{upper}"].to_numpy()
-    return pd.DataFrame(columns, index=pd.Index(result.problem.data.labels, name="mode"))
+    return data_frame(columns, "mode", result.problem.data.labels)
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
@@ -312,8 +298,6 @@ def agreement(result: Result) -> tuple[float, float, tuple[str, ...]]:
         that difference. NaN with fewer than two converged runs.
     samplers : tuple of str
     """
-    from fmu.analysis.convergence.diagnostics import summary
-
     names = tuple(s for s in result.long if result.is_converged(s))
     tables = [summary(result.long[s]) for s in names]
     in_sd = in_mcse = np.nan

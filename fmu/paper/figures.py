@@ -24,6 +24,7 @@ from fmu.report.plots import (
     plot_frequency_errors,
     plot_traces,
 )
+from fmu.report.plots.corner import plot_corner
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,8 +37,6 @@ ENOUGH = 0.05
 
 def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) -> None:
     """Draw and write all figures of an experiment."""
-    from fmu.report.plots.corner import plot_corner
-
     heading = f"Section {result.published.section}, paired {PAIRED_BY[result.pairing]}"
     for name, trace in result.long.items():
         columns, published = {"long run": trace}, None

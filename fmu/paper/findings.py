@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from fmu.analysis.convergence.diagnosis import CONVERGED
 from fmu.numbers import fixed, significant, whole
 from fmu.paper.experiment import (
     PAIRED_BY,
@@ -135,8 +136,6 @@ class Findings:
 
     def is_converged(self, sampler: str) -> bool:
         """Return whether the verdict on the long run of a sampler was good."""
-        from fmu.analysis.convergence.diagnosis import CONVERGED
-
         return bool(self.comparison.loc[sampler, "verdict"] == CONVERGED)
 
     def value(self, sampler: str, column: str) -> float:

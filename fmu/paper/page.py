@@ -10,7 +10,7 @@ from fmu.paper.experiment import CI_PROB, PAIRED_BY, rows_of
 from fmu.paper.findings import SEPARATED, Findings, judge, statement
 from fmu.paper.plan import PAPER_SAMPLERS
 from fmu.report.plots import TITLES
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 
 ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
 

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from fmu.analysis.certificate import CertificateWarning
 from fmu.paper.published import EXPERIMENTS, N_SAMPLES
 from fmu.progress import Report
+from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, named
 from fmu.samplers.kernel import Sampler
 
 if TYPE_CHECKING:
@@ -102,8 +104,6 @@ def paper_settings(name: str) -> Sampler:
     The paper prints no step size and no width; these let its samplers move. HMC has the numerical gradient of
     eq. (15), and trajectories of one length.
     """
-    from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice
-
     settings: dict[str, Sampler] = {
         "mh": MetropolisHastings(RandomWalk(0.01)),
         "slice": Slice(scheme="hyperrectangle", width=0.5),
@@ -117,8 +117,6 @@ def long_settings(name: str) -> Sampler:
 
     They mix about four times as fast here as emcee's default, the stretch move.
     """
-    from fmu.samplers import Ensemble, named
-
     return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else named(name)
 
 
@@ -154,7 +152,6 @@ class Runs:
 
     def run(self, words: str, settings: Sampler, length: Length, init: Any = "prior") -> xr.DataTree:
         """Make a run, called `words` in the line of progress, and return its trace."""
-        from fmu.analysis.certificate import CertificateWarning
         from fmu.sampling import sample
 
         with warnings.catch_warnings():

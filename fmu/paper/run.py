@@ -7,11 +7,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fmu.analysis.trace.conversion import save_trace
+from fmu.analysis.trace.provenance import versions
 from fmu.engines import default_workers, engine
+from fmu.fem.modes.modal import single_thread
 from fmu.numbers import fixed, share
 from fmu.paper.errata import Erratum, computed_errata, errata_page, recompute, recomputed_page
 from fmu.paper.experiment import Result, compute, directory_of
+from fmu.paper.figures import write_figures
 from fmu.paper.findings import Findings
+from fmu.paper.page import experiment_page
 from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
 from fmu.paper.published import EXPERIMENTS
 from fmu.paper.summary import summary_page
@@ -25,6 +30,7 @@ from fmu.paper.vector_beta import (
 )
 from fmu.progress import Report
 from fmu.report.files import OutputDirectory
+from fmu.report.pages import FOLDER, write_pages
 from fmu.report.plots import DPI
 
 if TYPE_CHECKING:
@@ -77,8 +83,6 @@ def _one_of(common: tuple[Plan, Path], experiment: tuple[str, str], progress: Re
 
 def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Report | None) -> Findings:
     """Compute one experiment and write its directory and its traces below `stage`."""
-    from fmu.fem.modes.modal import single_thread
-
     with single_thread():
         result = compute(case, pairing, plan, progress)
         weighted = _weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
@@ -89,8 +93,6 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: R
 
 def _weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
     """Make the run with a β for every mode, and write its trace."""
-    from fmu.analysis.trace.conversion import save_trace
-
     trace = sample_weighted(result, plan, progress)
     (stage / "traces").mkdir(parents=True, exist_ok=True)
     save_trace(trace, stage / "traces" / f"{result.name}-{SAMPLER}-vector-beta.nc")
@@ -99,11 +101,6 @@ def _weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) 
 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
     """Write tables, figures and traces of one experiment, and a report on its long runs."""
-    from fmu.analysis.trace.conversion import save_trace
-    from fmu.paper.figures import write_figures
-    from fmu.paper.page import experiment_page
-    from fmu.report.pages import FOLDER, write_pages
-
     directory, traces = stage / findings.name, stage / "traces"
     for path in (directory, traces):
         path.mkdir(parents=True, exist_ok=True)
@@ -145,7 +142,6 @@ def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
 def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path) -> None:
     """Write README.md, errata.md, the recomputed frequencies and the study with a vector β."""
     from fmu import cases
-    from fmu.analysis.trace.provenance import versions
 
     by_number, by_shape = (
         {case: cases.load(case, pairing) for case in EXPERIMENTS} for pairing in ("index", "shape")

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.types import FloatArray, StrArray
 
 if TYPE_CHECKING:
@@ -42,8 +44,6 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
 
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
     """Return name and frequency (Hz) of the lowest modes of the whole structure at one theta, ascending."""
-    from fmu.fem.modes.modal import frequency_hz
-
     structure = structure_of(problem)
     modes = structure.full.spectrum(theta[np.newaxis], count)
     return list(

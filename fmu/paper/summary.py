@@ -10,7 +10,7 @@ from fmu.paper.findings import Findings, judge, statement
 from fmu.paper.page import ENDS, WOULD_NEED
 from fmu.paper.vector_beta import RELATIVE, VectorBeta, outcome
 from fmu.report.plots import TITLES
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 
 FILES = {
     "errata.md": "what in the paper is not so, from its tables and the model",

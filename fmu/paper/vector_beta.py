@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.convergence.diagnosis import diagnose
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.maxima.search import find_map
 from fmu.numbers import fixed, given, share, with_sd
 from fmu.paper.experiment import PAIRED_BY, Result, directory_of, posterior_mean, rows_of
 from fmu.paper.plan import Plan, Runs, long_settings
@@ -15,7 +18,7 @@ from fmu.paper.published import EXPERIMENTS
 from fmu.progress import Report
 from fmu.report.plots import BLACK, COLOURS, FONT, GREY, finish, new_figure
 from fmu.report.plots.style import shown
-from fmu.text_table import markdown_table
+from fmu.tables import data_frame, markdown_table
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -84,7 +87,6 @@ class VectorBeta:
 def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) -> xr.DataTree:
     """Repeat the long HMC run of an experiment, settings and seed the same, with a weight for every mode."""
     from fmu import cases
-    from fmu.analysis.maxima.search import find_map
 
     beta = relative_weights(result.published.measured_hz)
     problem = cases.load(result.published.case, result.pairing, beta=beta)
@@ -98,9 +100,6 @@ def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
     """Return the tables of the long HMC run with the scalar β and of `sample_weighted`."""
     import pandas as pd
-
-    from fmu.analysis.convergence.diagnosis import diagnose
-    from fmu.analysis.convergence.diagnostics import summary
 
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}
     diagnoses = {SCALAR: result.diagnoses[SAMPLER], VECTOR: diagnose(weighted)}
@@ -116,14 +115,13 @@ def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
         case=result.published.case,
         pairing=result.pairing,
         modes=_mode_table(result, traces),
-        parameters=pd.DataFrame(parameters, index=pd.Index(result.problem.names, name="parameter")),
+        parameters=data_frame(parameters, "parameter", result.problem.names),
         runs=pd.DataFrame.from_dict(runs, orient="index", columns=["converged", "rhat", "ess"]),
         reasons={name: diagnosis.reasons for name, diagnosis in diagnoses.items()},
     )
 
 
 def _mode_table(result: Result, traces: Mapping[str, xr.DataTree]) -> pd.DataFrame:
-    import pandas as pd
 
     published, problem = result.published, result.problem
     printed, error = published.columns[SAMPLER], published.error_percent
@@ -135,7 +133,7 @@ def _mode_table(result: Result, traces: Mapping[str, xr.DataTree]) -> pd.DataFra
         at_mean = problem.frequencies(posterior_mean(trace))
         columns[f"{name}_sigma_hz"] = 1.0 / np.sqrt(2.0 * beta[name])
         columns |= {f"{name}_hz": at_mean, f"{name}_error": error(at_mean)}
-    return pd.DataFrame(columns, index=pd.Index(problem.data.labels, name="mode"))
+    return data_frame(columns, "mode", problem.data.labels)
 
 
 REMARK = (

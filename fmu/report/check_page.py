@@ -28,6 +28,9 @@ from fmu.report.document import (
 )
 from fmu.report.files import OutputDirectory
 from fmu.report.pages import INDEX, render
+from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
+from fmu.report.plots.modes import plot_mode
+from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -156,8 +159,6 @@ def _modes(found: Check) -> PageSection:
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
     """Return the structure deformed in each measured mode, as many as can be looked at."""
-    from fmu.report.plots.modes import plot_mode
-
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):
@@ -181,9 +182,6 @@ def _largest_error(found: Check) -> str:
 
 
 def _prior(found: Check) -> PageSection:
-    from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
-    from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
-
     prior, labels = found.prior, found.prior.labels
     parts: list[Part] = [Items(tuple(prior.sentences()))]
     start = [found.modes.of(k).frequency_hz for k in range(len(labels))]

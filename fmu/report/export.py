@@ -16,11 +16,12 @@ import numpy as np
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
-from fmu.analysis.trace.reading import parameter_draws, parameter_names
+from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
 from fmu.config.kept import kept
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant
 from fmu.report.files import OutputDirectory
+from fmu.tables import data_frame
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -165,11 +166,11 @@ def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
         raise ValueError(f"model: must be the problem that was sampled (it differs in: {', '.join(differs)})")
     if sampled.get("model") == now["model"]:
         return
-    if "posterior_predictive" not in trace.children:
+    if not has(trace, "posterior_predictive"):
         raise ValueError("model: must be the problem that was sampled (it differs in: model)")
     draws = parameter_draws(trace)[0]
     picked = np.linspace(0, len(draws) - 1, min(_DRAWS, len(draws))).astype(int)
-    told = trace["posterior_predictive"]["model_frequency"].isel(chain=0).transpose("draw", ...).to_numpy()[picked]
+    told = array_of(trace, "posterior_predictive", "model_frequency")[0, picked]
     difference = float(np.max(np.abs(problem.frequencies(draws[picked]) / told - 1.0)))
     if not difference <= _MATCHING:
         raise ValueError(
@@ -179,17 +180,16 @@ def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
 
 
 def _values(trace: xr.DataTree, theta: FloatArray) -> pd.DataFrame:
-    import pandas as pd
 
     names, draws = parameter_names(trace), parameter_draws(trace)
     columns = {
-        "unit": [str(trace["posterior"][name].attrs.get("units", "")) for name in names],
-        "start": [float(trace["constant_data"]["start"].sel(parameter=name)) for name in names],
+        "unit": parameter_units(trace),
+        "start": [constant(trace, "start", name) for name in names],
         "mean": draws.mean(axis=(0, 1)),
         "sd": draws.std(axis=(0, 1), ddof=1),
         "value": theta,
     }
-    return pd.DataFrame(columns, index=pd.Index(names, name="name"))
+    return data_frame(columns, "name", names)
 
 
 def _remarks(
@@ -197,8 +197,8 @@ def _remarks(
 ) -> list[str]:
     """Say what speaks against the values: chains that have not converged, a mean where the posterior is not."""
     remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
-    if at == "mean" and "lp" in trace["sample_stats"]:
-        lp = trace["sample_stats"]["lp"].to_numpy()
+    if at == "mean":
+        lp = array_of(trace, "sample_stats", "lp")
         if float(problem.log_prob(theta)) < float(np.quantile(lp, _TAIL)):
             remarks.append(
                 "The posterior mean is less probable than 99 % of the draws: the posterior has several peaks "

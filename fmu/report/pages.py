@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fmu.analysis.trace.conversion import load_trace
 from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
+from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
 from fmu.report.sections import updating as evidence
@@ -147,8 +149,6 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
         If it is no directory, contains no traces, or traces of different problems; or if files of other origin
         stand where the report shall be.
     """
-    from fmu.analysis.trace.conversion import load_trace
-
     directory = Path(run_directory)
     if not directory.is_dir():
         raise ValueError(f"run_directory: must be a directory (got {directory})")
@@ -160,8 +160,6 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
 
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:
     """Write the report of traces in memory as `write_report` does, and return its index."""
-    from fmu.report.files import OutputDirectory
-
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])
     with output.staged() as stage:

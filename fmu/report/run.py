@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of, side_by_side
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.prediction import predict_frequencies
-from fmu.analysis.trace.reading import check_trace, parameter_names, walkers_of
+from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of
 from fmu.report.plots.style import TITLES, Unit, unit_of
 
 if TYPE_CHECKING:
@@ -107,6 +107,5 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
 
 
 def _predicted(trace: xr.DataTree) -> pd.DataFrame | None:
-    if "posterior_predictive" not in trace.children or "observed_data" not in trace.children:
-        return None
-    return predict_frequencies(trace)
+    has_frequencies = has(trace, "posterior_predictive") and has(trace, "observed_data")
+    return predict_frequencies(trace) if has_frequencies else None

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import fmu
 from fmu.paper.plan import Plan
 from fmu.paper.run import run_experiment
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from fmu.types import FloatArray
 
 CASE, PAIRING = "cantilever-young", "shape"

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from threadpoolctl import threadpool_info
 
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 
 HEAD = """# Benchmarks: the speed budget
 

@@ -3,7 +3,7 @@
 import pytest
 
 from fmu.report.plots.style import shown
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 
 
 def test_table():

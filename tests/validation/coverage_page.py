@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.numbers import significant
 from fmu.report.plots.style import FONT, GREY, PALE, colour, new_figure, tint
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.validation import coverage, ten_storeys
 from tests.validation.bands import UniformRanks
 

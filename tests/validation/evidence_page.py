@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.two_storeys import SD
 from tests.validation.evidence import AGREE, CHAINS, DRAWS, IMPORTANCE_DRAWS, WARMUP, Estimate, Row
 

@@ -26,7 +26,7 @@ from fmu.numbers import fixed, significant
 from fmu.report.plots.frequencies import plot_frequency_updates
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.plots.style import DPI
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:

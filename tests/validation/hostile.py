@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmu.engines import default_workers
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.validation.hostile_beside import count
 from tests.validation.hostile_files import SEED
 from tests.validation.hostile_run import BAD_INPUT, MOST_MIB, SOON_S, Verdict, verdicts

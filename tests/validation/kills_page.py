@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.validation.kills import KILLS, OF_THEM_WRITING, PHASES, Row
 from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES
 

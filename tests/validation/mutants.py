@@ -16,7 +16,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.validation.faults import FAULTS, Fault
 
 PROJECT = Path(__file__).parents[2]

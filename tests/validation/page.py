@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu.numbers import significant
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.validation.bands import UniformRanks
 from tests.validation.calibration import DRAWS, QUANTITIES, Calibration
 from tests.validation.effective_size import BIAS, Ratio, limits

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.fem.reduced.training import affordable
 from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, new_figure
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -25,7 +25,7 @@ from fmu.analysis.convergence.effective import by_walker, longest_stands
 from fmu.analysis.maxima.missed import NEGLIGIBLE, draws_of_maxima
 from fmu.analysis.maxima.results import Maxima, share_of_mass
 from fmu.analysis.trace.reading import parameter_draws
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.four_storeys import SD, TRUTH, four_storeys
 

@@ -21,7 +21,7 @@ import numpy as np
 import fmu
 from fmu.engines import default_workers, engine
 from fmu.engines.base import Engine
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.validation.scale_model import Size, scale_problem
 
 PAIRS = 3

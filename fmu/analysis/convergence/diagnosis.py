@@ -23,7 +23,8 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import check_trace, parameter_names, walkers_of
+from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, with_group
+from fmu.tables import data_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -236,16 +237,12 @@ def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:
 
 def maxima_of(trace: xr.DataTree) -> Maxima | None:
     """Return the maxima that a trace keeps, None if it keeps none."""
-    return Maxima.from_dataset(trace[GROUP].to_dataset()) if GROUP in trace.children else None
+    return Maxima.from_dataset(trace[GROUP].to_dataset()) if has(trace, GROUP) else None
 
 
 def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
     """Return the trace with the maxima kept in it, so that every later verdict on it knows of them."""
-    import xarray as xr
-
-    kept = trace.copy()
-    kept[GROUP] = xr.DataTree(maxima.to_dataset())
-    return kept
+    return with_group(trace, GROUP, maxima.to_dataset())
 
 
 def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
@@ -292,10 +289,8 @@ def side_by_side(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> pd.DataFrame:
     """Return the table of `compare`, where summaries and verdicts are at hand."""
-    import pandas as pd
-
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
-    table = pd.DataFrame(rows, index=pd.Index(list(traces), name="sampler"))
+    table = data_frame(rows, "sampler", list(traces))
     table["divergences"] = table["divergences"].astype("Int64")
     return table
 

@@ -19,8 +19,17 @@ from fmu.analysis.convergence.remedies import (
     required_ess,
 )
 from fmu.analysis.convergence.remedies import RHAT_LIMIT as RHAT_LIMIT
-from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names, walkers_of
+from fmu.analysis.trace.reading import (
+    array_of,
+    check_trace,
+    has,
+    parameter_draws,
+    parameter_names,
+    parameter_units,
+    walkers_of,
+)
 from fmu.numbers import apart, given
+from fmu.tables import data_frame
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -57,8 +66,6 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     ValueError
         If `ci_prob` does not lie between 0 and 1, or `trace` is no trace.
     """
-    import pandas as pd
-
     check_trace(trace)
     lower, upper = interval_columns(ci_prob)
     walkers = walkers_of(trace)
@@ -78,8 +85,8 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
                 "mcse_mean": effective.mcse_mean(x, walkers),
             }
         )
-    table = pd.DataFrame(rows, index=pd.Index(names, name="parameter"))
-    table.attrs["units"] = {name: trace["posterior"][name].attrs.get("units", "") for name in names}
+    table = data_frame(rows, "parameter", names)
+    table.attrs["units"] = dict(zip(names, parameter_units(trace), strict=True))
     return table
 
 
@@ -177,17 +184,17 @@ def _standing(trace: xr.DataTree) -> list[str]:
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
     """Return what speaks against Hamiltonian trajectories; an empty list for samplers without them."""
-    stats, failures = trace["sample_stats"], []
-    if "diverging" in stats:
-        diverging = stats["diverging"].to_numpy()
+    failures = []
+    if has(trace, "sample_stats", "diverging"):
+        diverging = array_of(trace, "sample_stats", "diverging")
         if not np.mean(diverging) <= DIVERGING_LIMIT:
             failures.append(
                 f"{int(diverging.sum())} of {diverging.size} trajectories diverged; use a shorter step: "
                 "fmu.HamiltonianMonteCarlo(target_accept=0.95)"
             )
-    if "energy" in stats:
-        chains = [f"chain {k}" for k in range(stats.sizes["chain"])]
-        fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
+    if has(trace, "sample_stats", "energy"):
+        fraction = energy_fraction(array_of(trace, "sample_stats", "energy"))
+        chains = [f"chain {k}" for k in range(len(fraction))]
         failures += _below(fraction, ENERGY_LIMIT, chains, "E-BFMI is {}; at least {} is needed")
     return failures
 

@@ -184,9 +184,10 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
     ----------
     energy : ndarray, shape (chains, draws)
     """
-    spread = np.sum((energy - energy.mean(axis=1, keepdims=True)) ** 2, axis=1)
+    from arviz_stats.base.array import array_stats
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.sum(np.diff(energy, axis=1) ** 2, axis=1) / spread
+        return np.asarray(array_stats.bfmi(energy, chain_axis=0, draw_axis=1))
 
 
 MOST_RANKED = 2000

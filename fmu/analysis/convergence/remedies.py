@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.trace.reading import has
 from fmu.numbers import typed
 from fmu.types import FloatArray
 
@@ -108,7 +109,7 @@ SHORTEST_WARMUP = 1000
 
 def for_chains_apart(trace: xr.DataTree) -> str:
     """Return the remedy for chains that stand still, or are where next to no probability is."""
-    if "observed_data" in trace.children and trace.attrs["init"] != "maxima":
+    if has(trace, "observed_data") and trace.attrs["init"] != "maxima":
         return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))
     return f"; lengthen the warm-up: --warmup {warmup}"
@@ -117,7 +118,7 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 def for_missed_maximum(trace: xr.DataTree) -> str:
     """Return the remedy for a maximum that no chain visited, or that chains cannot travel to and from."""
     if trace.attrs["sampler"] != "tempering" and (
-        trace.attrs["init"] == "maxima" or "observed_data" not in trace.children
+        trace.attrs["init"] == "maxima" or not has(trace, "observed_data")
     ):
         return "; use parallel tempering, which moves between maxima: --sampler tempering"
     return for_chains_apart(trace)

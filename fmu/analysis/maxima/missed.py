@@ -13,7 +13,7 @@ from scipy.special import gammaincinv
 from fmu.analysis.convergence.effective import by_walker, ess_mean
 from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maximum
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, in_words, mass_in_words
-from fmu.analysis.trace.reading import parameter_draws, parameter_names, walkers_of
+from fmu.analysis.trace.reading import array_of, parameter_draws, parameter_names, parameter_units, walkers_of
 from fmu.numbers import apart, rounded, share, whole
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -112,7 +112,7 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     theta = draws.reshape(-1, draws.shape[2])
-    lp = trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy()
+    lp = array_of(trace, "sample_stats", "lp")
     reached = float(lp.max())
     nearest = nearest_maxima(theta, maxima)
     unseen = [k for k, m in enumerate(maxima) if m.share > NEGLIGIBLE and k not in nearest]
@@ -251,7 +251,7 @@ def missed_places(
         if place is not None and not (maxima is not None and nearest_maxima(place[0][None], maxima)[0] >= 0):
             theta, log_prob, mass = place
             there, best = apart(log_prob, float(here.log_prob.max()), sd=1.0)
-            where = in_words(names, theta, [trace["posterior"][n].attrs.get("units", "") for n in names])
+            where = in_words(names, theta, parameter_units(trace))
             found.append(
                 f"run {name} visited {where}, and no draw of this run is near: the log-probability there is "
                 f"{there} (best draw here: {best}), and it holds {mass_in_words(mass)} of the "
@@ -266,7 +266,7 @@ class _Paths:
     def __init__(self, trace: xr.DataTree) -> None:
         walkers = walkers_of(trace)
         position = by_walker(parameter_draws(trace), walkers)
-        lp = by_walker(trace["sample_stats"]["lp"].transpose("chain", "draw").to_numpy(), walkers)
+        lp = by_walker(array_of(trace, "sample_stats", "lp"), walkers)
         every = max(1, lp.size // _MOST_DRAWS)
         self.chains = len(lp)
         self.log_prob: FloatArray = lp[:, :, ::every].reshape(-1, len(range(0, lp.shape[2], every))).astype(float)

@@ -12,7 +12,7 @@ import numpy as np
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.trace.provenance import configuration_hash
 from fmu.numbers import apart, given, hertz, rounded, share, written_digits
-from fmu.text_table import distinct, text_table, wrapped
+from fmu.tables import data_frame, distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -158,8 +158,6 @@ class Maxima:
         standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.
         A name that is taken by another column gets an underscore: a parameter ``share`` is in ``share_``.
         """
-        import pandas as pd
-
         best = self.maxima
         columns: list[tuple[str, list[Any]]] = [
             ("log_prob", [m.log_prob for m in best]),
@@ -172,8 +170,8 @@ class Maxima:
             columns += [(f"{name}_mean", [m.mean[k] for m in best]), (f"{name}_sd", [m.sd[k] for m in best])]
         columns += [(f"{label}_hz", [m.frequencies[k] for m in best]) for k, label in enumerate(self.labels)]
         names = distinct([name for name, _ in columns])
-        index = pd.RangeIndex(1, len(best) + 1, name="maximum")
-        table = pd.DataFrame(dict(zip(names, (values for _, values in columns), strict=True)), index=index)
+        content = dict(zip(names, (values for _, values in columns), strict=True))
+        table = data_frame(content, "maximum", range(1, len(best) + 1))
         table.attrs["units"] = dict(zip(names[4 : 4 + len(self.names)], self.units, strict=True))
         return table
 

@@ -169,7 +169,6 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     source : {"differences", "Gauss-Newton"}
     """
     from fmu.posterior.maxima import GaussNewton
-    from fmu.posterior.scaled import ScaledDensity
 
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))
     step = np.clip(_OF_THE_WIDTH / np.sqrt(np.maximum(rough, 1.0)), 1e-6, 1e-2)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.trace.reading import parameter_draws
+from fmu.analysis.trace.reading import parameter_draws, with_group
 from fmu.fem.modes.modal import mac
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray
@@ -32,13 +32,9 @@ _AXES = ("x", "y", "z")
 
 def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> xr.DataTree:
     """Return the trace with the structure's modes before and after updating kept in it."""
-    import xarray as xr
-
-    kept = trace.copy()
     states = states_of(trace, problem, maxima)
     with phase("modes", len(states)):
-        kept[GROUP] = xr.DataTree(modal_states(problem, states))
-    return kept
+        return with_group(trace, GROUP, modal_states(problem, states))
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:

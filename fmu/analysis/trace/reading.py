@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmu.types import FloatArray
 
@@ -24,19 +25,50 @@ def check_trace(trace: Any, origin: str = "trace") -> None:
         raise ValueError(f"{origin}: must be a trace written by fmu (it has no {', '.join(missing)})")
 
 
+def has(trace: xr.DataTree, group: str, variable: str | None = None) -> bool:
+    """Say whether a trace has a group, and in it a variable."""
+    return group in trace.children and (variable is None or variable in trace[group])
+
+
+def array_of(trace: xr.DataTree, group: str, variable: str) -> NDArray[Any]:
+    """Return a variable of a group with one value, or one array, for each draw, shape (chains, draws, ...)."""
+    return trace[group][variable].transpose("chain", "draw", ...).to_numpy()
+
+
+def with_group(trace: xr.DataTree, group: str, dataset: xr.Dataset) -> xr.DataTree:
+    """Return a copy of the trace with one more group; the copy shares the arrays."""
+    import xarray as xr
+
+    extended = trace.copy()
+    extended[group] = xr.DataTree(dataset)
+    return extended
+
+
 def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the names of the sampled parameters, in the order of theta."""
     return tuple(str(name) for name in trace["posterior"].data_vars)
 
 
+def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
+    """Return the units of the sampled parameters, in the order of theta; empty where a parameter has none."""
+    return tuple(str(trace["posterior"][name].attrs.get("units", "")) for name in parameter_names(trace))
+
+
 def parameter_draws(trace: xr.DataTree) -> FloatArray:
     """Return the retained draws, shape (chains, draws, ndim), SI units."""
-    posterior = trace["posterior"]
-    return np.stack(
-        [posterior[name].transpose("chain", "draw").to_numpy() for name in parameter_names(trace)], axis=-1
+    return np.stack([array_of(trace, "posterior", name) for name in parameter_names(trace)], axis=-1)
+
+
+def constant(trace: xr.DataTree, which: str, name: str) -> float:
+    """Return the ``"lower"`` bound, the ``"upper"`` one or the ``"start"`` of a parameter, SI units.
+
+    NaN if the trace does not know it.
+    """
+    return (
+        float(trace["constant_data"][which].sel(parameter=name)) if has(trace, "constant_data", which) else np.nan
     )
 
 
 def walkers_of(trace: xr.DataTree) -> int:
-    """Return the number of walkers a chain of the trace consists of."""
+    """Return the number of walkers of an ensemble; 1 if each chain is a single point."""
     return int(trace.attrs["walkers"])

@@ -8,6 +8,16 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.analysis.convergence.diagnostics import RHAT_LIMIT, summary
+from fmu.analysis.convergence.effective import (
+    apart,
+    autocorrelation,
+    ess_bulk,
+    lengths,
+    running_means,
+    running_rhat,
+)
+from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, walkers_of
 from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
@@ -17,7 +27,6 @@ from fmu.report.plots.style import (
     PALE,
     chain_colours,
     colour,
-    constant,
     finish,
     legend_below,
     literal,
@@ -56,8 +65,6 @@ def plot_traces(
     -------
     ndarray of Axes, shape (parameters, traces)
     """
-    from fmu.analysis.trace.reading import parameter_names
-
     names = parameter_names(next(iter(traces.values())))
     figure = figure or new_figure(5.2 * len(traces) + 0.4, 1.55 * len(names) + 0.8)
     axes = figure.subplots(len(names), len(traces), sharex="col", squeeze=False)
@@ -95,8 +102,7 @@ def _plot_path(axes: Axes, trace: xr.DataTree, name: str) -> None:
     unit = unit_of(trace, name)
     walkers = int(trace.attrs["walkers"])
     warm, kept = (
-        trace[group][name].transpose("chain", "draw").to_numpy()[:, ::walkers] / unit.factor
-        for group in ("warmup_posterior", "posterior")
+        array_of(trace, group, name)[:, ::walkers] / unit.factor for group in ("warmup_posterior", "posterior")
     )
     paths = np.concatenate([warm, kept], axis=1)
     every = max(1, paths.shape[1] // _MAX_POINTS)
@@ -147,9 +153,6 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     from arviz_plots import plot_rank
     from arviz_plots.plot_collection import PlotCollection
 
-    from fmu.analysis.convergence.effective import apart
-    from fmu.analysis.trace.reading import parameter_names, walkers_of
-
     names, walkers = parameter_names(trace), walkers_of(trace)
     posterior = trace["posterior"].to_dataset()
     if posterior.sizes["chain"] < 2:
@@ -182,9 +185,6 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
 
 def _independent(trace: xr.DataTree) -> float:
     """Return the smallest effective sample size of a parameter, NaN where one has none."""
-    from fmu.analysis.convergence.effective import ess_bulk
-    from fmu.analysis.trace.reading import parameter_draws, walkers_of
-
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
@@ -203,9 +203,6 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
     -------
     ndarray of Axes, shape (parameters,)
     """
-    from fmu.analysis.convergence.effective import autocorrelation
-    from fmu.analysis.trace.reading import parameter_draws, parameter_names, walkers_of
-
     names, walkers = parameter_names(trace), walkers_of(trace)
     draws = parameter_draws(trace)
     axes = stacked(len(names), figure, sharey=True)
@@ -241,9 +238,9 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     ValueError
         If the sampler has no energies.
     """
-    if "energy" not in trace["sample_stats"]:
+    if not has(trace, "sample_stats", "energy"):
         raise ValueError(f"trace: must have energies (the sampler {trace.attrs['sampler']} has none)")
-    energy = trace["sample_stats"]["energy"].transpose("chain", "draw").to_numpy()
+    energy = array_of(trace, "sample_stats", "energy")
     figure = figure or new_figure(NARROW, 3.0)
     axes = figure.subplots()
     about, changes = (energy - energy.mean()).ravel(), np.diff(energy, axis=1).ravel()
@@ -284,10 +281,6 @@ def plot_running_means(
     -------
     ndarray of Axes, shape (parameters,)
     """
-    from fmu.analysis.convergence.diagnostics import summary
-    from fmu.analysis.convergence.effective import lengths, running_means
-    from fmu.analysis.trace.reading import parameter_names, walkers_of
-
     names = parameter_names(trace)
     table = summary(trace) if table is None else table
     axes = stacked(len(names), figure)
@@ -322,10 +315,6 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     -------
     Axes
     """
-    from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
-    from fmu.analysis.convergence.effective import running_rhat
-    from fmu.analysis.trace.reading import parameter_names
-
     figure = figure or new_figure(NARROW, 3.4)
     axes = figure.subplots()
     at, rhat = running_rhat(trace)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, constant, literal, new_figure, tint, unit_of
+from fmu.analysis.trace.reading import constant, parameter_draws, parameter_names
+from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, literal, new_figure, tint, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,8 +49,6 @@ def plot_corner(
         If there are fewer draws than parameters.
     """
     import corner
-
-    from fmu.analysis.trace.reading import parameter_draws, parameter_names
 
     known = parameter_names(trace)
     names = known if names is None else tuple(names)

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
+from fmu.analysis.trace.modal_states import GROUP, START
+from fmu.analysis.trace.reading import has
 from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
@@ -121,8 +124,6 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     -------
     Axes
     """
-    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
-
     table, tests = predict_frequencies(trace), measured_tests(trace)
     series = []
     before = frequencies_before(trace)
@@ -146,11 +147,9 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
     """Return the model's frequencies before updating in Hz, None where the trace does not keep them."""
-    from fmu.analysis.trace.modal_states import GROUP, START
-
-    if GROUP in trace.children:
+    if has(trace, GROUP):
         return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
-    if "maxima" in trace.children:
+    if has(trace, "maxima"):
         return np.asarray(trace["maxima"]["before"], dtype=float)
     return None
 
@@ -176,8 +175,6 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     ValueError
         If the trace has no predictive distribution of measurements.
     """
-    from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
-
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:
         raise ValueError("trace: must have a predictive distribution of measurements (it has none)")

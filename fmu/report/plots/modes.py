@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.trace.modal_states import GROUP, MEAN, START
+from fmu.analysis.trace.reading import has
 from fmu.numbers import fixed, hertz
 from fmu.report.plots.style import (
     BLACK,
@@ -62,8 +64,6 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     ValueError
         If the trace keeps no MAC, or none of that state.
     """
-    from fmu.analysis.trace.modal_states import MEAN
-
     state = MEAN if state is None else state
     modes = _modes(trace, "mac")
     if state not in modes["state"]:
@@ -115,8 +115,6 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     ValueError
         If the trace keeps no shapes.
     """
-    from fmu.analysis.trace.modal_states import MEAN, START
-
     modes = _modes(trace, "displacement")
     coordinates, ends = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
     labels = [str(label) for label in modes["mode"].to_numpy()]
@@ -159,9 +157,7 @@ def _in_pairs(n: int, figure: Figure | None) -> NDArray[Any]:
 
 
 def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
-    from fmu.analysis.trace.modal_states import GROUP
-
-    if GROUP not in trace.children or needed not in trace[GROUP]:
+    if not has(trace, GROUP, needed):
         raise ValueError(f"trace: must keep {needed} in its group {GROUP} (it has none)")
     return trace[GROUP].to_dataset()
 

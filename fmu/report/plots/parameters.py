@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.analysis.convergence.diagnosis import CONVERGED, compare
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.trace.reading import constant, parameter_names
 from fmu.numbers import significant
 from fmu.report.plots.style import (
     BLACK,
@@ -19,7 +22,6 @@ from fmu.report.plots.style import (
     TITLES,
     VERMILLION,
     colour,
-    constant,
     finish,
     legend_below,
     literal,
@@ -64,9 +66,6 @@ def plot_parameter_updates(
     ndarray of Axes, shape (units,)
         One for the parameters of each unit, inferred standard deviations of errors apart.
     """
-    from fmu.analysis.convergence.diagnostics import summary
-    from fmu.analysis.trace.reading import parameter_names
-
     first = next(iter(traces.values()))
     names = parameter_names(first)
     noise = inferred_deviations(first)
@@ -160,8 +159,6 @@ def plot_efficiency(
     -------
     Axes
     """
-    from fmu.analysis.convergence.diagnosis import CONVERGED, compare
-
     table = compare(traces) if table is None else table
     figure = figure or new_figure(NARROW, 0.62 * len(traces) + 0.9)
     axes = figure.subplots()

@@ -95,13 +95,6 @@ def unit_of(trace: xr.DataTree, name: str) -> Unit:
     return shown(trace["posterior"][name].attrs.get("units", ""))
 
 
-def constant(trace: xr.DataTree, which: str, name: str) -> float:
-    """Return a bound or the start of one parameter, SI units; NaN if the trace does not know it."""
-    if "constant_data" not in trace.children or which not in trace["constant_data"]:
-        return np.nan
-    return float(trace["constant_data"][which].sel(parameter=name))
-
-
 def finish(axes: Axes) -> None:
     """Set what all axes have in common.
 

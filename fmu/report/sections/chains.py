@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.effective import energy_fraction
-from fmu.analysis.trace.reading import parameter_draws
+from fmu.analysis.trace.reading import array_of, has, parameter_draws
 from fmu.numbers import decimals, fixed, given, significant, span
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
 from fmu.report.plots.chains import (
@@ -160,17 +160,17 @@ def _strongest_correlation(run: ReportedRun) -> str:
 
 def energies(run: ReportedRun) -> PageSection | Omitted:
     """Return the energies of Hamiltonian trajectories."""
-    title, stats = "Energies of the trajectories", run.trace["sample_stats"]
-    if "energy" not in stats:
+    title = "Energies of the trajectories"
+    if not has(run.trace, "sample_stats", "energy"):
         return Omitted(title, "this sampler has none")
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
-    fraction = energy_fraction(stats["energy"].transpose("chain", "draw").to_numpy())
+    energy, diverging = (array_of(run.trace, "sample_stats", name) for name in ("energy", "diverging"))
+    fraction = energy_fraction(energy)
     values = ", ".join(fixed(x, 2) for x in fraction)
-    diverged = int(stats["diverging"].sum()) if "diverging" in stats else 0
     said = (
         f"E-BFMI of the chains: {values} (below 0.3: poor exploration). "
-        f"{diverged} of {stats['energy'].size} trajectories diverged."
+        f"{int(diverging.sum())} of {energy.size} trajectories diverged."
     )
     drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",
                       "Energies of the trajectories, and their change from draw to draw.")  # fmt: skip

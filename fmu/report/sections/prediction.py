@@ -16,6 +16,7 @@ from fmu.analysis.prediction import (
 )
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.modal_states import MEAN
+from fmu.analysis.trace.reading import array_of, has
 from fmu.numbers import decimals, fixed, given, share, span
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
 from fmu.report.plots.frequencies import plot_predictive_check
@@ -103,7 +104,7 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, NO_FREQUENCIES)
     if "noisy_sd" not in table:
         return Omitted(title, NO_NOISE)
-    replicate = run.trace["posterior_predictive"]["frequency"].transpose("chain", "draw", "mode").to_numpy()
+    replicate = array_of(run.trace, "posterior_predictive", "frequency")
     below = (replicate < table["measured"].to_numpy()).mean(axis=(0, 1))
     distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
     inside = (table["measured"] >= table["noisy_eti90_lb"]) & (table["measured"] <= table["noisy_eti90_ub"])
@@ -162,7 +163,7 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 def left_out(run: ReportedRun) -> PageSection | Omitted:
     """Return how each mode is predicted by the others."""
     title = "Leave-one-mode-out check"
-    if "log_likelihood" not in run.trace.children:
+    if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")
     posterior = run.trace["posterior"]
     if posterior.sizes["chain"] * posterior.sizes["draw"] < _FEWEST or run.summary["ess_bulk"].isna().all():

@@ -8,6 +8,7 @@ from fmu.analysis.identifiability import Identifiability, contraction, kept_iden
 from fmu.analysis.pairing_changes import pairing_changes
 from fmu.analysis.prediction import measured_mac
 from fmu.analysis.trace.modal_states import GROUP, MEAN, START
+from fmu.analysis.trace.reading import has
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
@@ -28,7 +29,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
     if kept:
         tables = tuple(_directions(state, found) for state, found in kept.items())
         parts.append(Details("Directions and singular values", tables))
-    if "prior" in run.trace.children:
+    if has(run.trace, "prior"):
         parts.append(_contraction(run))
     if not parts:
         return Omitted(title, "the trace has neither a linearised model nor draws from the prior")
@@ -72,7 +73,7 @@ def _contraction(run: ReportedRun) -> PageTable:
 def mac(run: ReportedRun) -> PageSection | Omitted:
     """Return how alike the shapes are to those of the reference."""
     title = "Modal assurance criterion"
-    if GROUP not in run.trace.children or "mac" not in run.trace[GROUP]:
+    if not has(run.trace, GROUP, "mac"):
         return Omitted(title, NO_SHAPES)
     criterion = run.trace[GROUP]["mac"]
     values = criterion.sel(state=MEAN).transpose("reference_mode", "mode").to_numpy()
@@ -106,7 +107,7 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
 def pairing(run: ReportedRun) -> PageSection | Omitted:
     """Return how often computed modes changed places over the draws."""
     title = "Pairing over the draws"
-    if GROUP not in run.trace.children or "posterior_predictive" not in run.trace.children:
+    if not has(run.trace, GROUP) or not has(run.trace, "posterior_predictive"):
         return Omitted(title, "the trace has no frequencies at the draws and before updating")
     found = pairing_changes(run.trace)
     parts: list[Part] = [Items(found.sentences())]
@@ -133,7 +134,7 @@ def pairing(run: ReportedRun) -> PageSection | Omitted:
 def shapes(run: ReportedRun) -> PageSection | Omitted:
     """Return the structure deformed in its modes."""
     title = "Mode shapes before and after"
-    if GROUP not in run.trace.children or "displacement" not in run.trace[GROUP]:
+    if not has(run.trace, GROUP, "displacement"):
         return Omitted(title, "the trace has no geometry to draw them on")
     modes = run.trace[GROUP].to_dataset()
     moved = modes["displacement"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.text_table import markdown_table
+from fmu.tables import markdown_table
 from tests.benchmarks.peers.figure import draw, short
 from tests.benchmarks.peers.outcome import Cost, Figures
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmu.text_table import WIDTH, distinct, text_table, wrapped
+from fmu.tables import WIDTH, distinct, text_table, wrapped
 
 
 def test_columns_are_as_wide_as_their_cells():

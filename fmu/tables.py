@@ -1,6 +1,11 @@
-"""Tables as text, never wider than a terminal, and in Markdown."""
+"""Tables: as pandas data frames, as text never wider than a terminal, and in Markdown."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -9,6 +14,22 @@ WIDTH = 100
 _GAP = "  "
 _NARROWEST = 12
 """Fewest characters that a column of words is wrapped to."""
+
+
+def data_frame(content: Any, name: str, index: Any) -> pd.DataFrame:
+    """Return a data frame from its columns (a mapping) or its rows (a list of mappings).
+
+    Parameters
+    ----------
+    content : mapping of str to array_like, or list of mapping
+    name : str
+        Of the index.
+    index : sequence or ndarray
+        An entry for each row.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(content, index=pd.Index(index, name=name))
 
 
 def text_table(
