@@ -1,4 +1,4 @@
-"""The run's certificate: how far the reduced model that was sampled is from the full one, where it was sampled."""
+"""The certificate of a run: the error of the reduced model against the full one, at the draws."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _OF_MODES = ("eigenvalues", "block", "rank")
 
 
 class CertificateWarning(UserWarning):
-    """The reduced model is further from the full one than its tolerance, at draws that were kept."""
+    """The reduced model misses its tolerance at retained draws."""
 
 
 def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0) -> dict[str, Any]:
-    """Solve a random sample of the retained draws again with the full model.
+    """Solve a random sample of the retained draws with the full model.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem
-        What was sampled. Anything without a reduced model gives an empty certificate.
+        The problem that was sampled. Without a reduced model the certificate is empty.
     n : int
-        Draws to solve again, at random without replacement; the trace's seed chooses them.
+        Number of draws to solve, chosen at random by the seed of the trace.
     full_solves : int
         ``problem.model.full_solves`` before the run.
 
@@ -43,11 +43,10 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
     dict of str to float, int or str
         ``certificate_draws``; ``certificate_frequency_error``, the largest relative error of a frequency;
         ``certificate_log_prob_error``, the largest error of the log-probability among those of these draws whose
-        likelihood is within e⁵⁰ of the highest: further down, where a chain may have started, nothing is promised;
-        ``certificate_pairing_changes``, draws at which the full model, paired by the rule itself, answers a
-        measured mode with another computed mode; ``certificate_full_solves``, how often the full model had to
-        answer during the run because a theta lay outside the reduced model's box;
-        ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``, what was promised
+        likelihood is within e⁵⁰ of the highest: lower down, where a chain may have started, it is not bounded;
+        ``certificate_pairing_changes``, draws at which the full model pairs a measured mode with another computed
+        mode; ``certificate_full_solves``, how often the full model was solved during the run because a theta lay
+        outside the trained box; ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``
         (`fmu.posterior.train_reduced.Tolerance`).
 
     Warns
@@ -98,7 +97,7 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
 
 
 def _missed(certificate: dict[str, Any]) -> str:
-    """Say by how much the reduced model is off."""
+    """Return by how much the reduced model misses its tolerance."""
     off = []
     for words, name in (("frequency error", "frequency"), ("log-probability error", "log_prob")):
         found, tolerance = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))

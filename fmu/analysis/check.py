@@ -13,6 +13,7 @@ from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.information import doubts as doubts_of_information
 from fmu.analysis.initial_modes import InitialModes, initial_modes, modes_as_text
+from fmu.analysis.maxima.search import is_searchable
 from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
@@ -36,7 +37,7 @@ _TRANSLATIONS = ("x", "y", "z")
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Say what a problem's model is: its size, its decoupled parts, its mass, what answers for it."""
+    """Describe the model of a problem: its size, decoupled blocks, mass, pairing and reduced model."""
     model = problem.model.as_structure()
     if model is None:
         return [f"The model is the function {problem.model.name}, treated as a black box."]
@@ -90,7 +91,7 @@ def prior_in_words(settings: dict[str, Any]) -> str:
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG and the colour of what each parameter changes; empty and None if not drawn."""
+    """Return the structure as SVG, and a colour for each parameter; an empty text and None if it is not drawn."""
     structure = problem.model.structure
     if structure is None or not _is_drawable(structure):
         return "", [None] * problem.ndim
@@ -103,11 +104,11 @@ def _is_drawable(structure: SeparableModel) -> bool:
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
-    """Say what mass moves when all that is free to does so in one direction: a check on units and densities.
+    """Return the mass moved if all free degrees of freedom translate together: a check on units and densities.
 
-    Of three directions the smallest mass counts: beside a support, where such a motion bends the elements, their
-    rotary inertia takes part in the others. Degrees of freedom without names may point anywhere: theirs are not
-    added up.
+    The smallest of the masses in x, y and z is given. Next to a support this motion bends the elements, and their
+    rotary inertia adds to the masses in the other directions. Degrees of freedom without named directions are not
+    summed.
     """
     M = structure.M(problem.start[: structure.n_parameters])
     if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
@@ -136,7 +137,7 @@ def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:
 
 
 def _changes(structure: SeparableModel, j: int) -> str:
-    """Say what a parameter changes: ``"stiffness of 10 of 50 elements"``."""
+    """Describe what a parameter changes: ``"stiffness of 10 of 50 elements"``."""
     if j >= structure.n_parameters:
         return ""
     kinds = []
@@ -167,29 +168,28 @@ class Check:
     name : str
         Of the problem.
     model : tuple of str
-        What the model is, a sentence each.
+        The model in words, a sentence each.
     parameters : pandas.DataFrame
         One row a parameter, SI units: ``unit``, ``start``, ``lower``, ``upper``, ``prior``, ``changes``.
     modes : InitialModes
         Computed modes at the start beside the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
-        None where errors are not those of modes, or the gradient is not finite.
+        None if the errors are not errors of modes, or the gradient is not finite.
     prior : PriorPrediction
         Prior prediction for the measurement.
     rounding : str
-        What is doubtful of the digits that the matrices have; empty if nothing is.
+        A warning if the matrices have too few digits; else empty.
     drawing : str
-        The structure as SVG; empty where there is none to draw.
+        The structure as SVG; empty if it has no geometry or too many elements.
     colours : tuple of (str or None)
-        Of the elements that each parameter changes, in the drawing.
+        For each parameter, the colour in the drawing of the elements that it changes.
     measurement : str
         What a measured frequency is: ``"a measurement"``, or ``"the mean of 5 tests"``.
     tests : tuple of str
-        What is doubtful in the order of repeated tests, a sentence each.
+        Warnings about repeated tests, a sentence each.
     shapes : xarray.Dataset or None
-        The shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), where there is a structure to
-        draw.
+        The mode shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), if there is a drawing.
     """
 
     name: str
@@ -208,7 +208,7 @@ class Check:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What to look into before sampling, a sentence each; empty if there is nothing."""
+        """What to look into before sampling, a sentence each."""
         found = [*self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
         if self.identifiability is not None:
             found += doubts_of_information(self.identifiability)
@@ -219,7 +219,7 @@ class Check:
         return tuple(found)
 
     def sentences(self) -> list[str]:
-        """Say in words: the model, the pairing, the gradient, what the data tell, what the prior expects."""
+        """Return all findings in words: model, pairing, gradient, identifiability, prior prediction."""
         said = [*self.model, *self.modes.notes, *self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
         said.append(self.gradient.sentence())
         if self.identifiability is not None:
@@ -227,11 +227,11 @@ class Check:
         return said + self.prior.sentences()
 
     def mode_table(self) -> pd.DataFrame:
-        """Return the computed modes as text, ready to print; many in a row that move no sensor are one row."""
+        """Return the computed modes as text; three or more in a row that move no sensor share a row."""
         return modes_as_text(self.modes)
 
     def prior_table(self) -> pd.DataFrame:
-        """Return prior predictions beside the measurement as text, ready to print."""
+        """Return the prior predictions beside the measured frequencies, as text."""
         table = self.prior.table()
         shown = table[["measured"]].map(given)
         shown["prior prediction"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]
@@ -239,51 +239,46 @@ class Check:
         return shown
 
     def parameter_table(self) -> pd.DataFrame:
-        """Return the parameters as text, ready to print."""
+        """Return the parameters as text."""
         numbers = self.parameters.select_dtypes("number").columns
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
-    def __str__(self) -> str:
-        parts = [
-            _lines(self.model),
-            f"Parameters\n{_as_text(self.parameter_table().reset_index(names=''))}",
-            f"Modes at the start\n{_as_text(self.mode_table())}",
-            *map(wrapped, self.modes.notes),
-            f"Gradient\n{wrapped(self.gradient.sentence())}",
+    def _blocks(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+        """Return what is shown below the model: titles, sentences, and tables as text."""
+        blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
+            ("Parameters", (), self.parameter_table().reset_index(names="")),
+            ("Modes at the start", self.modes.notes, self.mode_table()),
+            ("Gradient", (self.gradient.sentence(),), None),
         ]
         if self.identifiability is not None:
-            parts.append(f"Identifiability\n{_lines(self.identifiability.sentences())}")
-        predicted = _as_text(self.prior_table().reset_index(names=""))
-        parts.append(f"Prior prediction for {self.measurement}, Hz\n{predicted}")
-        parts.append(_lines(self.prior.sentences()))
+            blocks.append(("Identifiability", self.identifiability.sentences(), None))
+        title = f"Prior prediction for {self.measurement}, Hz"
+        return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
+
+    def __str__(self) -> str:
+        parts = [_lines(self.model)]
+        for title, sentences, table in self._blocks():
+            if table is None:
+                parts.append(f"{title}\n{_lines(sentences)}")
+            else:
+                parts += [f"{title}\n{_as_text(table)}", *filter(None, [_lines(sentences)])]
         return "\n\n".join([*parts, self.verdict()])
 
     def verdict(self) -> str:
-        """Return what is doubtful as a list, or that nothing is."""
+        """Return the warnings as a list, or that there are none."""
         if not self.doubts:
             return "No warnings."
         return "Warnings\n" + "\n".join(wrapped(doubt, "  - ", "    ") for doubt in self.doubts)
 
     def _repr_html_(self) -> str:
-        def words(title: str, *sentences: str) -> str:
-            return f"<h4>{title}</h4>" + "".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences)
+        def words(title: str, sentences: Iterable[str]) -> str:
+            return f"<h4>{html.escape(title)}</h4>" + "".join(f"<p>{html.escape(said)}</p>" for said in sentences)
 
-        parts = [
-            words(html.escape(self.name), *self.model),
-            self.drawing,
-            self.parameter_table().to_html(),
-            words("Modes at the start", *self.modes.notes),
-            self.mode_table().to_html(index=False),
-            words("Gradient", self.gradient.sentence()),
-        ]
-        if self.identifiability is not None:
-            parts.append(words("Identifiability", *self.identifiability.sentences()))
-        parts += [
-            words(f"Prior prediction for {self.measurement}, Hz", *self.prior.sentences()),
-            self.prior_table().to_html(),
-        ]
+        parts = [words(self.name, self.model), self.drawing]
+        for title, sentences, table in self._blocks():
+            parts.append(words(title, sentences) + ("" if table is None else table.to_html(index=False)))
         doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
-        parts.append(words("Warnings") + f"<ul>{doubts}</ul>" if doubts else words("No warnings."))
+        parts.append(words("Warnings", ()) + f"<ul>{doubts}</ul>" if doubts else words("No warnings.", ()))
         return f'<div class="fmu-check">{"".join(parts)}</div>'
 
 
@@ -302,29 +297,27 @@ def _as_text(table: pd.DataFrame) -> str:
 
 
 def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
-    """Look at a problem before a sampler is started.
+    """Check a problem before sampling.
 
     Parameters
     ----------
     problem : UpdatingProblem
     draws : int
-        Draws from the prior at which the model is solved, at least 2; fewer where a solve is slow.
+        Draws from the prior at which the model is solved, at least 2.
     seed : int
-        Chooses them, and the points at which the gradient is checked.
+        Of these draws, and of the points at which the gradient is checked.
 
     Returns
     -------
     Check
-        Prints itself as text, and shows itself in a notebook.
+        Can be printed, and is shown as HTML in a notebook.
 
     Raises
     ------
     ValueError
         If `problem` is no updating problem, `draws` is less than 2, or the model has no frequencies at the start.
     """
-    import numpy as np
-
-    if not (hasattr(problem, "parameters") and hasattr(problem, "likelihood")):
+    if not is_searchable(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
     if not np.all(np.isfinite(problem.frequencies(problem.start))):
         raise ValueError(f"start: the model must have frequencies there (got {problem.start.tolist()})")

@@ -1,4 +1,4 @@
-"""What a run will cost, about: solves of the model, and seconds at the cost of one that was just measured."""
+"""Estimate of what a run will cost: model solves, and seconds at the measured cost of one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CERTIFIED = 64
 
 
 class Estimate(NamedTuple):
-    """What a part of a run costs, about: its name, solves, seconds."""
+    """Estimated cost of a part of a run: name, solves, seconds."""
 
     name: str
     solves: float
@@ -33,18 +33,18 @@ class Estimate(NamedTuple):
 
 
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
-    """Return what the parts of a run will cost: each sampler, and what else takes more than a second.
+    """Return what the parts of a run will cost: each sampler, and every other part of more than a second.
 
-    Nothing, where all of it takes less.
+    Empty if the whole run takes less than a second.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        It is solved a few times, to measure how long that takes.
+        It is solved a few times, to measure how long a solve takes.
     orders : mapping of str
         ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``init`` of the run.
     starts : int
-        Climbs of the search for maxima.
+        Optimiser starts of the search for maxima.
     workers : int
         Processes that share the work.
     """
@@ -65,7 +65,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         solves = lines * (orders["warmup"] * warmup + orders["draws"] * draws) * per_step
         if not is_slow:
             side_by_side, each_s = 1, one_s + _OVERHEAD_S
-            with suppress(ValueError):  # a start without a probability, which the run will tell of
+            with suppress(ValueError):  # a start without a finite log-probability: the run will report it
                 each_s = _seconds_in_a_sampler(problem, settings, orders)
         else:
             each_s = one_s + _OVERHEAD_S
@@ -85,13 +85,13 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     return [part for part in found if part.name in samplers or part.seconds >= 1.0]
 
 
-def in_words(parts: list[Estimate]) -> str:
-    """Return what a run will cost, in one line: ``hmc: about 36 000 solves, 12 s``."""
+def estimates_in_words(parts: list[Estimate]) -> str:
+    """Return the estimates in one line: ``hmc: about 36 000 solves, 12 s``."""
     return "; ".join(f"{part.name}: about {_rounded(part.solves)} solves, {_time(part.seconds)}" for part in parts)
 
 
 def _seconds_of_one(problem: UpdatingProblem) -> float:
-    """Return how long a solve takes: of a function, one call."""
+    """Return the time of one solve; for a function, of one call."""
     function = problem.model.black_box
     if function is not None:
         return _timed(lambda: function.at(problem.start[: problem.n_structural]))
@@ -99,7 +99,7 @@ def _seconds_of_one(problem: UpdatingProblem) -> float:
 
 
 def _timed(work: Callable[[], object]) -> float:
-    """Return the seconds that the second of two tries takes: the first may have something to load."""
+    """Return the time of the second of two calls, since the first may load modules; s."""
     took = 0.0
     for _ in range(2):
         began = time.perf_counter()
@@ -111,7 +111,7 @@ def _timed(work: Callable[[], object]) -> float:
 
 
 def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any]) -> float:
-    """Return how long a solve takes in a sampler, its own work counted, from the first steps of its warm-up."""
+    """Return the time of a solve, the work of the sampler included, in the first steps of warm-up."""
     from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, GroupState, RunContext, advance
     from fmu.samplers.loop.run import n_groups
 
@@ -129,7 +129,7 @@ def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: M
         solves = int(done.steps.stats["n_solves"].sum())
         each_s.append((time.perf_counter() - began) / max(solves, 1))
         group = done.group
-    return float(np.median(each_s))  # the first has something to load, and others may be at the machine
+    return float(np.median(each_s))  # the first loads modules, and the machine may be busy
 
 
 def _rounded(number: float) -> str:

@@ -30,32 +30,32 @@ GROUP = "tempering"
 """Group of a trace that keeps what the rungs of a ladder saw."""
 METHODS = ("stepping-stone", "thermodynamic")
 RHAT_LIMIT = 1.05
-"""R-hat of the log-likelihood at a rung, above which its chains disagree too much for an evidence."""
+"""With an R-hat of the log-likelihood above this, the chains of a rung disagree too much for an evidence."""
 
 
 @dataclass(frozen=True)
 class Evidence:
     """The logarithm of the evidence ∫ P(D|θ) P(θ) dθ.
 
-    The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior over the
-    bounds: evidences of different models of the same data may be compared.
+    The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior within the
+    bounds, so that evidences of different models of the same data can be compared.
 
     Attributes
     ----------
     log_evidence : float
         Natural logarithm.
     error : float
-        Its standard error, the larger of `within` and `between`. Nothing that the replicas have yet to find is in
-        it: mind the `warnings`.
+        Its standard error, the larger of `within` and `between`. It does not include modes that no replica has
+        found: see `warnings`.
     method : {"stepping-stone", "thermodynamic"}
     within : float
         Standard error from the autocorrelation along the chains, all rungs together.
     between : float
         Standard error from the chains' own estimates, NaN for a single chain.
     table : pandas.DataFrame
-        One row a rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (where the model
-        did not fail), ``rhat`` of it and ``ess`` of its mean, ``rejection`` of swaps with the next rung, and
-        ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
+        One row a rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (of draws at
+        which the model did not fail), ``rhat`` of it and ``ess`` of its mean, ``rejection`` of swaps with the
+        next rung, and ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
     """
 
     log_evidence: float
@@ -67,7 +67,7 @@ class Evidence:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why the error is not to be relied on, one sentence each: rungs at which the chains do not agree."""
+        """Why the error is not reliable, one sentence each: rungs at which the chains do not agree."""
         rhat = self.table["rhat"].to_numpy()[1:]  # the prior is drawn from independently
         if np.all(rhat < RHAT_LIMIT):
             return ()
@@ -95,7 +95,7 @@ class Evidence:
 
 
 class _Estimate(NamedTuple):
-    """An estimate from draws (chains, draws, rungs), and by how much each draw (chains, draws) moves it."""
+    """An estimate from draws (chains, draws, rungs), and the influence of each draw (chains, draws) on it."""
 
     value: float
     influence: FloatArray
@@ -158,11 +158,11 @@ def _stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     """Return ∫ m dt, m and v being mean and variance of l at t.
 
-    The rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a) instead of t, for m
-    falls towards the prior as d/(2 (t + a)) where the likelihood is Gaussian in d dimensions: then g = m (t + a)
-    is a straight line, with g' = v (t + a)² + m (t + a) because dm/dt = v. The a that fits is told by the first
-    three rungs, which are equidistant in s. Where the model fails in a share of the prior, the logarithm of the
-    other share adds to the integral, whose lower end is the mean over that.
+    The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t +
+    a) instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so
+    that g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The first three rungs
+    are equidistant in s, which determines a. If the model fails in a part of the prior, the mean at t = 0 is
+    that of the rest, and the logarithm of the share of the rest is added to the integral.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))
@@ -210,14 +210,14 @@ WHAT = (
 
 @dataclass(frozen=True)
 class FoundEvidence:
-    """A log-evidence with where it comes from.
+    """A log-evidence with its source.
 
     Attributes
     ----------
     log_evidence, error : float
-        Natural logarithm, and its standard error; NaN where it is not known.
+        Natural logarithm, and its standard error; NaN if unknown.
     basis : str
-        What it rests on.
+        Its source, in words.
     doubts : tuple of str
         Why it is not reliable, half a sentence each; empty if it is.
     """
@@ -234,7 +234,7 @@ class FoundEvidence:
 
     @property
     def is_reliable(self) -> str:
-        """Whether it is, in a word, and if not, why."""
+        """``"reliable"``, or ``"not reliable: "`` and why."""
         return f"not reliable: {'; '.join(self.doubts)}" if self.doubts else "reliable"
 
     def __str__(self) -> str:
@@ -244,7 +244,7 @@ class FoundEvidence:
 def found_evidences(
     traces: Mapping[str, xr.DataTree], verdicts: Mapping[str, Diagnosis], maxima: Maxima | None
 ) -> list[FoundEvidence]:
-    """Return the evidences that runs of parallel tempering and the masses of the maxima give.
+    """Return the evidences from runs of parallel tempering and from the masses of the maxima.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def found_evidences(
     Returns
     -------
     list of FoundEvidence
-        Empty for a pseudo-likelihood, and where there is neither a run of parallel tempering nor a maximum.
+        Empty for a pseudo-likelihood, and if there is neither a run of parallel tempering nor a maximum.
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
@@ -269,7 +269,7 @@ def found_evidences(
 
 
 def is_pseudo(trace: xr.DataTree) -> bool:
-    """Say whether a trace is of the modal residual, whose pseudo-likelihood is no density of the data."""
+    """Say whether a trace is of the modal residual, whose pseudo-likelihood is not a density of the data."""
     return has(trace, "log_likelihood", "residual")
 
 
@@ -283,7 +283,7 @@ def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvi
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
-    """Return the sum of the masses of the maxima, and what speaks against it."""
+    """Return the sum of the masses of the maxima, and why it may be unreliable."""
     matter = [m for m in maxima if m.share > NEGLIGIBLE]
     fewest = min(m.effective_draws for m in matter)
     count = "one maximum" if len(maxima) == 1 else f"{len(maxima)} maxima"
@@ -304,12 +304,12 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
 
 
 def _worth(maxima: Maxima) -> float:
-    """Return how many independent draws the sum of the masses is worth."""
+    """Return the effective sample size of the sum of the masses."""
     return 1.0 / maxima.log_evidence_error**2
 
 
 def _compared(found: list[FoundEvidence]) -> list[FoundEvidence]:
-    """Return the evidences, each with the doubt that another, reliable one casts on it."""
+    """Return the evidences, with a doubt for each that disagrees with a reliable one."""
     reliable = [one for one in found if not one.doubts]
     compared = []
     for one in found:

@@ -1,4 +1,4 @@
-"""The exact gradient of a log-probability against differences of the log-probability itself."""
+"""The exact gradient of a log-probability compared with differences of the log-probability."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _SMALL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class GradientCheck:
-    """A gradient beside central differences, in coordinates in which the parameters are of order one.
+    """A gradient compared with central differences, in coordinates of order one.
 
     Attributes
     ----------
     names : tuple of str
         Of the parameters.
     points : tuple of str
-        What the points are.
+        Of the points.
     theta : ndarray, shape (n, ndim), SI units
     exact, difference : ndarray, shape (n, ndim)
-        ∂log P/∂u with u = (θ − offset)/scale; the differences by the step that comes nearest.
+        ∂log P/∂u with u = (θ − offset)/scale; the differences with the step that agrees best.
     """
 
     names: tuple[str, ...]
@@ -67,7 +67,7 @@ class GradientCheck:
         return self.largest <= AGREE
 
     def sentence(self) -> str:
-        """Say in words how well they agree, and where they do so least."""
+        """Return in words how well they agree, and where they differ most."""
         errors = self.relative_error
         if not np.all(np.isfinite(errors)):
             i, j = np.argwhere(~np.isfinite(errors))[0]
@@ -106,12 +106,12 @@ def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     Returns
     -------
     GradientCheck
-        Of three steps the differences are those that come nearest at each point: a long one errs by the curvature,
-        a short one by rounding.
+        Three steps are tried, and the differences that agree best are taken at each point: long steps suffer from
+        truncation, short ones from rounding.
     """
     density = ScaledDensity(problem)
     theta = np.vstack([problem.start, problem.sample_prior(np.random.default_rng(seed), _RANDOM)])
-    # so far from the bounds that a step to both sides stays within them
+    # far enough from the bounds for a step to either side
     u = np.clip(density.to_scaled(theta), density.lower + max(_STEPS), density.upper - max(_STEPS))
     exact = np.asarray(density.log_prob_and_grad(u)[1])
     n, ndim = u.shape

@@ -1,8 +1,9 @@
-"""What the measured modes can tell of the parameters, before a sampler is started."""
+"""Which parameters, and combinations of them, the measured modes constrain, by the model linearised at a point."""
 
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,23 +28,33 @@ if TYPE_CHECKING:
 
 
 GROUP = "identifiability"
-"""Group of a trace that keeps it."""
+"""Group of a trace that stores it."""
 INFORMED = 1.0
-"""Singular value above which the data say more about a direction than the prior does."""
+"""Singular value above which the data constrain a direction more than the prior does."""
 _NODES = 256
 _NAMED = 0.25
+"""A component is named if it is at least this part of the largest."""
 _SENTENCES = 3
+
+
+def combination(direction: FloatArray, names: Sequence[str]) -> str:
+    """Return a direction as a sum of its larger components, the largest first: ``"0.71 E3 − 0.70 E4"``."""
+    size = np.abs(direction)
+    large = [k for k in np.argsort(-size, kind="stable") if size[k] >= _NAMED * size.max()]
+    sign = np.sign(direction[large[0]])
+    parts = (f"{'−' if sign * direction[k] < 0 else '+'} {fixed(size[k], 2)} {names[k]}" for k in large)
+    return " ".join(parts).removeprefix("+ ")
 
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Which directions of the parameter space the measurement informs, linearised at one parameter vector.
+    """Which directions of the parameter space the data constrain, linearised at one parameter vector.
 
     With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the covariance of the measurement and D the standard deviations of the
     prior within its bounds, SᵀS is the Fisher information in prior standard deviations. Its singular value
-    decomposition orders directions by what the data add: along a direction of singular value s, a posterior with
-    a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse Problems 30,
-    114015, section 2). The bounds, which cut a posterior off besides, are not in this.
+    decomposition orders directions by the information in the data: along a direction of singular value s, a
+    posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse
+    Problems 30, 114015, section 2). Truncation of the posterior by the bounds is not included.
 
     Attributes
     ----------
@@ -56,8 +67,8 @@ class Identifiability:
     prior_sd : ndarray, shape (ndim,), SI units
         Diagonal of D.
     sensitivity : ndarray, shape (n_measured, ndim)
-        S: by how many standard deviations of its measurement each frequency, or component of a shape, changes for
-        one of the prior's. Where the errors are correlated, by how many of what the modes before it leave open.
+        S: change of each frequency or shape component, in standard deviations of its measurement, for a change
+        of one prior standard deviation. If the errors are correlated, conditional on the modes before it.
     """
 
     names: tuple[str, ...]
@@ -88,7 +99,7 @@ class Identifiability:
 
     @property
     def n_informed(self) -> int:
-        """Number of directions about which the data say more than the prior."""
+        """Number of directions that the data constrain more than the prior does."""
         return int(np.sum(self.singular_values > INFORMED))
 
     @property
@@ -110,30 +121,21 @@ class Identifiability:
         return data_frame(columns, "direction", range(1, len(s) + 1))
 
     def sentences(self) -> list[str]:
-        """Say in words what the data constrain, and what is left to the prior and the bounds."""
+        """Return in words what the data constrain, and what the prior and the bounds alone determine."""
         n, k = len(self.names), self.n_informed
         said = [f"The data constrain {k} of {n} directions of the parameter space more than the prior does."]
         left = [share(1.0 / np.sqrt(1.0 + s**2)) + " of the prior standard deviation" for s in self._svd[0]]
         for direction, remains in list(zip(self.directions, left, strict=True))[k : k + _SENTENCES]:
             said.append(
-                f"The combination {self.in_words(direction)} is determined by the prior and the bounds alone: "
-                f"it keeps "
-                f"{remains}."
+                f"The combination {combination(direction, self.names)} is determined by the prior and the bounds "
+                f"alone: it keeps {remains}."
             )
         if n - k > _SENTENCES:
             said.append(f"The same holds for {n - k - _SENTENCES} more.")
         if k == n:
-            said.append(
-                f"The least constrained direction is {self.in_words(self.directions[-1])}: it keeps {left[-1]}."
-            )
+            least = combination(self.directions[-1], self.names)
+            said.append(f"The least constrained direction is {least}: it keeps {left[-1]}.")
         return said
-
-    def in_words(self, direction: FloatArray) -> str:
-        """Name a direction by its larger components: ``"0.71 E3 − 0.70 E4"``."""
-        parts = [(x, name) for x, name in zip(direction, self.names, strict=True) if abs(x) >= _NAMED]
-        parts.sort(key=lambda part: -abs(part[0]))
-        text = "".join(f" {'−' if x < 0 else '+'} {fixed(abs(x), 2)} {name}" for x, name in parts)
-        return text.removeprefix(" + ").strip()
 
     def __str__(self) -> str:
         table = self.table()
@@ -147,14 +149,14 @@ class Identifiability:
 
 
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
-    """Linearise an updating problem and say which directions of its parameter space the data constrain.
+    """Return which directions of the parameter space the data constrain, by a linearised model.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        With errors in the modes. Standard deviations that are inferred are held.
+        With errors in the modes. Inferred standard deviations of errors are held fixed.
     theta : array_like, shape (ndim,), optional
-        Where: at the start if not given. SI units, within the bounds.
+        Point of linearisation, SI units, within the bounds; the start if not given.
 
     Returns
     -------
@@ -184,9 +186,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
 def with_identifiability(
     trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None
 ) -> xr.DataTree:
-    """Return the trace with the identifiability at the start, and at the highest maximum if known, kept in it.
+    """Return the trace with the identifiability at the start and, if known, at the highest maximum stored in it.
 
-    Where the model has no derivative there is none to keep: the draws must not be lost for that.
+    A point at which the model has no derivative is left out, so that the draws are not lost.
     """
     import xarray as xr
 
@@ -218,7 +220,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return what `with_identifiability` kept, by the name of the state; empty if nothing was."""
+    """Return what `with_identifiability` stored, by the name of the state; empty if there is nothing."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()
@@ -242,7 +244,7 @@ def truncated_sd(parameter: Parameter) -> float:
 
 
 def contraction(trace: xr.DataTree) -> pd.DataFrame:
-    """Compare the draws with the prior: what the data added, as it came out.
+    """Compare the standard deviations of prior and posterior.
 
     Parameters
     ----------
@@ -254,7 +256,7 @@ def contraction(trace: xr.DataTree) -> pd.DataFrame:
     pandas.DataFrame
         One row a parameter, SI units: ``prior_sd``, ``posterior_sd`` and ``contraction``, 1 − the ratio of the
         variances (Betancourt 2018, "Towards a principled Bayesian workflow"): near 1 the data determine the
-        parameter, near 0 they say nothing about it.
+        parameter, near 0 they carry no information on it.
 
     Raises
     ------

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.identifiability import Identifiability, kept_identifiability
+from fmu.analysis.identifiability import Identifiability, combination, kept_identifiability
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
-from fmu.numbers import fixed, share
+from fmu.numbers import share
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 LINEARISED_LEFT = 0.95
-"""Part of the prior's standard deviation: a direction that keeps as much in the linearised model is uninformed."""
+"""A direction is uninformed if it keeps this part of the prior standard deviation in the linearised model."""
 _NAMED, _ALIKE = 0.25, 0.05
 
 
 class Uninformed(NamedTuple):
-    """A direction of the parameter space that the data leave to the prior.
+    """A direction of the parameter space on which the data carry no information.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Uninformed(NamedTuple):
     words : str
         ``"k"``, or the combination, the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
-        What the data tell of these parameters instead, where that has a name: ``"k/m"``.
+        The combination that the data determine instead, if it has a simple form: ``"k/m"``; else empty.
     """
 
     direction: FloatArray
@@ -46,10 +46,10 @@ class Uninformed(NamedTuple):
 
 
 def left_to_prior(found: Identifiability) -> list[Uninformed]:
-    """Return the directions along which a linearised model keeps 95 % or more of the prior's standard deviation.
+    """Return the directions along which a linearised model keeps 95 % or more of the prior standard deviation.
 
-    Parameters on which no measured mode depends come first, each by itself. What else is left is given in the
-    basis with the fewest parameters that elimination finds: of several such directions any mixture would do.
+    Parameters on which no measured mode depends come first, one direction each. The other directions are given in
+    the sparsest basis that elimination finds, since any basis of their span would do.
     """
     most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
     S, n = found.sensitivity, len(found.names)
@@ -68,7 +68,7 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
 
 
 def doubts(found: Identifiability) -> list[str]:
-    """Say what the measured modes will not tell, a sentence a direction, and what to do about it."""
+    """Return a sentence for each direction that the measured modes cannot determine, with a remedy."""
     said = []
     for one in left_to_prior(found):
         remains = 1.0 / np.sqrt(1.0 + np.sum((found.sensitivity @ one.direction) ** 2))
@@ -116,14 +116,16 @@ def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -
     large = large[size[large] >= _NAMED * size.max()]
     if len(large) == 1:
         return Uninformed(direction, (names[large[0]],), names[large[0]], "")
-    sign = np.sign(direction[large[0]])
-    parts = [f"{'-' if sign * direction[k] < 0 else '+'} {fixed(size[k], 2)} {names[k]}" for k in large]
-    words = " ".join(parts).removeprefix("+ ")
-    return Uninformed(direction, tuple(names[k] for k in sorted(large)), words, _told(relative, large, names))
+    return Uninformed(
+        direction,
+        tuple(names[k] for k in sorted(large)),
+        combination(direction, names),
+        _told(relative, large, names),
+    )
 
 
 def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
-    """Return what stays the same along a direction if it is a common factor: ``"k/m"``; empty if it is none."""
+    """Return the ratio or product that is constant along a direction: ``"k/m"``; empty if there is none."""
     change = relative[large]
     if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():
         return ""
@@ -142,11 +144,11 @@ def listed(names: Sequence[str]) -> str:
 
 
 DATA, PRIOR, COMBINED = "data", "prior", "combination"
-"""What the value of a parameter rests on: the data, the prior alone, or the data in a combination only."""
+"""What determines a parameter: the data, the prior alone, or the data in a combination only."""
 LEFT = 0.9
-"""Part of the prior's standard deviation that draws keep along a direction that the data say nothing of.
+"""A direction is uninformed if the draws keep this part of the prior standard deviation.
 
-Less than all, for their Monte-Carlo error: 3.5 % of a standard deviation at an ESS of 400.
+It is below 1 because of the Monte-Carlo error: 3.5 % of a standard deviation at an ESS of 400.
 """
 _LEAST_ALONG, _LEAST_BY_ENTROPY = 0.5, 0.7
 _NAMED, _ALONE = 0.25, 0.9
@@ -154,17 +156,17 @@ _NAMED, _ALONE = 0.25, 0.9
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the draws of a run learnt from the data, parameter by parameter and along directions.
+    """What the data determine, by the draws of a run: parameter by parameter, and along directions.
 
     Attributes
     ----------
     names : tuple of str
     remaining_sd : ndarray, shape (ndim,)
-        Standard deviation of the draws over that of the prior within the bounds, of `normal_scores`.
+        Posterior over prior standard deviation, of the `normal_scores`.
     basis : tuple of str
-        What each parameter's value rests on: ``"data"``, ``"prior"`` or ``"combination"``.
+        What determines each parameter: ``"data"``, ``"prior"`` or ``"combination"``.
     uninformed : tuple of (Uninformed, float)
-        The directions left to the prior, with the part of its standard deviation that the draws keep.
+        The uninformed directions, with the part of the prior standard deviation that the draws keep.
     """
 
     names: tuple[str, ...]
@@ -173,7 +175,7 @@ class Information:
     uninformed: tuple[tuple[Uninformed, float], ...]
 
     def warnings(self) -> list[str]:
-        """Name what the data did not update, a sentence each."""
+        """Return a sentence for each direction that the data did not update."""
         said = []
         for one, remains in self.uninformed:
             left = f"the draws keep {share(min(remains, 1.0))} of the prior standard deviation"
@@ -193,21 +195,21 @@ class Information:
 
 
 def information(trace: xr.DataTree) -> Information | None:
-    """Return what the data told, by the draws and by the linearised model that the trace keeps.
+    """Return what the data determine, by the draws and by the linearised model stored in the trace.
 
-    A direction counts as uninformed where the draws keep 90 % of the prior's standard deviation along it, by their
-    normal scores; or where the model linearised at the highest maximum leaves it to the prior (`left_to_prior`)
-    and the draws bear that out with half of the prior's standard deviation or more, as bounds and curvature
-    shorten a direction too. A wide spread over separate maxima is no lack of information: the spread must hold by
-    its entropy as well.
+    A direction is uninformed if the draws keep 90 % of the prior standard deviation along it, in normal scores;
+    or if the model linearised at the highest maximum leaves it to the prior (`left_to_prior`) and the draws keep
+    at least half of the prior standard deviation, since bounds and curvature shorten a direction too. A wide
+    spread over separate maxima is not a lack of information: the entropy of the draws must be that of a wide
+    distribution too.
 
-    A parameter rests on the prior where it is such a direction by itself; and on a combination where half of its
-    variance, and a quarter of the prior's standard deviation, come from such directions.
+    A parameter is determined by the prior if it is such a direction by itself; and in combination only if half
+    of its variance, and a quarter of the prior standard deviation, come from such directions.
 
     Returns
     -------
     Information or None
-        None where the trace has no draws from the prior, or the posterior's are of one point.
+        None if the trace has no draws from the prior, or all posterior draws are the same.
     """
     if not has(trace, "prior"):
         return None
@@ -242,9 +244,10 @@ def information(trace: xr.DataTree) -> Information | None:
 def _linearised_directions(
     trace: xr.DataTree, z: FloatArray
 ) -> tuple[list[FloatArray], dict[frozenset[str], str]]:
-    """Return what the model linearised at the highest maximum leaves to the prior, where the draws bear that out.
+    """Return the directions that the linearised model leaves to the prior and that the draws confirm.
 
-    As directions among the normal scores `z` (n, ndim), and what the data tell of the parameters in each instead.
+    As directions of the normal scores `z` (n, ndim), with what the data determine instead for the parameters of
+    each.
     """
     directions: list[FloatArray] = []
     told: dict[frozenset[str], str] = {}
@@ -257,23 +260,23 @@ def _linearised_directions(
     for one in left_to_prior(linearised):
         along = x @ one.direction
         if along.std() >= _LEAST_ALONG:
-            scores = (z - z.mean(axis=0)).T @ (along - along.mean())  # which of them move with it, and how much
+            scores = (z - z.mean(axis=0)).T @ (along - along.mean())  # how much each of them moves along it
             directions.append(scores / np.linalg.norm(scores))
             told[frozenset(one.names)] = one.told
     return directions, told
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return `Information.warnings` of a trace; empty where nothing can be said."""
+    """Return `Information.warnings` of a trace; empty if it has no draws from the prior."""
     found = information(trace)
     return [] if found is None else found.warnings()
 
 
 def normal_scores(trace: xr.DataTree) -> FloatArray:
-    """Return the draws as normal scores of their place in the prior, shape (n, ndim).
+    """Return the draws as normal scores with respect to the prior, shape (n, ndim).
 
-    Φ⁻¹(F(θ)) with the distribution function F of the draws from the prior within the bounds: standard normal and
-    independent where the data say nothing, whatever the prior's shape, skewed, truncated or heavy-tailed.
+    Φ⁻¹(F(θ)) with the distribution function F of the prior within the bounds, estimated from its draws. The scores
+    are standard normal and independent if the data carry no information, for a prior of any shape.
     """
     from scipy.special import ndtri
 

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 
 ALIKE = 0.8
-"""MAC below which two shapes are hardly of one mode."""
+"""With a MAC below this, two shapes hardly belong to the same mode."""
 RIVAL = 0.1
-"""How much more MAC the mode chosen must have than any other."""
+"""The MAC of the paired mode must exceed that of any other by this much."""
 CLOSE = 0.01
-"""Relative distance of two frequencies below which they are hard to tell apart."""
+"""Two frequencies closer than this, relatively, are hard to tell apart."""
 TAKEN_FOR_GRANTED = (
     "No shapes were measured. The measured modes are assumed to be the lowest modes that the sensors see, in "
     "this order."
@@ -44,14 +44,14 @@ class ComputedMode:
     Attributes
     ----------
     number : int or None
-        In the sorted spectrum, from 1; None where a model gives paired frequencies alone.
+        In the sorted spectrum, from 1; None if the model gives paired frequencies only.
     frequency_hz : float
     measured : int or None
-        The measured mode (from 0) that it answers to.
+        The measured mode (from 0) that it is paired with.
     seen : bool
-        Whether a sensor moves in it.
+        Whether it moves a sensor.
     moves : str
-        The directions that hold most of its kinetic energy: ``"z 98 %"``; empty where they are not known.
+        The directions with most of its kinetic energy: ``"z 98 %"``; empty if unknown.
     """
 
     number: int | None
@@ -62,7 +62,7 @@ class ComputedMode:
 
 
 def unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None) -> list[str]:
-    """Name measured shapes that no mode has, or that two have: by MAC (n_modes, n_computed) at the sensors."""
+    """Return warnings on measured shapes that match no computed mode, or two: by MAC (n_modes, n_computed)."""
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):
         row = alike[k]  # type: ignore[index]  # there is one, or there is no column
@@ -84,7 +84,7 @@ def unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None)
 def close(
     labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
-    """Name computed modes that are hardly apart: any two if pairing is by number, else those that sensors see."""
+    """Return warnings on close computed modes: any two if paired by number, else those that move a sensor."""
     doubts, told = [], set()
     for k, column in enumerate(paired):
         for other in (column - 1, column + 1):
@@ -102,7 +102,7 @@ def close(
 
 
 def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
-    """Say if the modes are paired in another order than that of the measured frequencies."""
+    """Return a warning if the paired modes are not in the order of the measured frequencies."""
     order = np.argsort(measured, kind="stable")
     numbers = [paired[k] for k in order]
     if numbers == sorted(numbers):
@@ -115,7 +115,7 @@ def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray)
 
 
 def unmeasured(found: Sequence[ComputedMode]) -> list[str]:
-    """Name the modes between the measured ones: those that move no sensor, and those that might have been seen."""
+    """Return notes on unmeasured modes between the measured ones, with or without motion of a sensor."""
     last = max(i for i, mode in enumerate(found) if mode.measured is not None)
     notes = []
     for seen, one, many in (
@@ -147,7 +147,7 @@ _BEYOND = 2
 
 @dataclass(frozen=True, eq=False)
 class InitialModes:
-    """The lowest modes of a model, and the measured ones that they answer to.
+    """The lowest modes of a model, paired with the measured ones.
 
     Attributes
     ----------
@@ -155,13 +155,13 @@ class InitialModes:
         Of the measured modes.
     measured_hz : ndarray, shape (n_modes,)
     modes : tuple of ComputedMode
-        Ascending, up to two beyond the last that is paired.
+        Ascending, up to two beyond the last paired one.
     mac : ndarray, shape (n_modes, n_computed), or None
-        Of measured with computed shapes at the sensors, where shapes were measured.
+        Of measured with computed shapes at the sensors; None if no shapes were measured.
     doubts : tuple of str
-        What makes the pairing doubtful, a sentence each.
+        Warnings on the pairing, a sentence each.
     notes : tuple of str
-        What else there is to know of it.
+        Further remarks on the pairing.
     """
 
     labels: tuple[str, ...]
@@ -177,15 +177,15 @@ class InitialModes:
         object.__setattr__(self, "_column", columns)
 
     def of(self, k: int) -> ComputedMode:
-        """Return the computed mode that answers to measured mode `k` (from 0)."""
+        """Return the computed mode paired with measured mode `k` (from 0)."""
         return self.modes[self._column[k]]
 
     def error_percent(self, k: int) -> float:
-        """Return how much higher the model's frequency of measured mode `k` is than the measured one, %."""
+        """Return the error of the computed frequency of measured mode `k`, in % of the measured one."""
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def table(self) -> pd.DataFrame:
-        """Return one row a computed mode: number, Hz, what it answers to, error in %, MAC, energy, seen or not."""
+        """Return one row a computed mode: number, Hz, its measured mode, error in %, MAC, energy, seen or not."""
         import pandas as pd
 
         rows = []
@@ -207,18 +207,18 @@ class InitialModes:
 
 
 def initial_modes(problem: UpdatingProblem, theta: ArrayLike | None = None) -> InitialModes:
-    """Solve a problem's full model and say which of its modes answer to the measured ones.
+    """Solve the full model of a problem and return which of its modes are paired with the measured ones.
 
     Parameters
     ----------
     problem : UpdatingProblem
     theta : array_like, shape (ndim,), optional
-        Where: at the start if not given.
+        Parameters; the start if not given.
 
     Returns
     -------
     InitialModes
-        Of a model that gives no more than paired frequencies, those alone.
+        The paired modes alone if the model gives no others.
     """
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     labels = tuple(map(str, problem.data.labels))
@@ -272,7 +272,7 @@ def _of_function(
     labels: tuple[str, ...],
     measured: FloatArray,
 ) -> InitialModes:
-    """Return all modes that a function gives, in its order, and those that answer to the measured ones."""
+    """Return all modes that a function gives, in its order, and which are paired with the measured ones."""
     answer = function.at(point)
     alike = None
     if problem.model.by_shape and answer.shapes is not None:
@@ -293,7 +293,7 @@ def _of_function(
 
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]]:
-    """Return the lowest modes, up to two beyond the last that is paired, and the columns of the paired ones."""
+    """Return the lowest modes, up to two beyond the last paired one, and the columns of the paired ones."""
     pairs = model.full_modes(point[None])
     wanted = list(zip(pairs.block[0].tolist(), pairs.rank[0].tolist(), strict=True))
     total = model.full.n_modes
@@ -351,9 +351,9 @@ _MANY = 3
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
-    """Return one row a computed mode, numbers rounded, dashes where nothing applies.
+    """Return a table of text, one row a computed mode, with dashes where nothing applies.
 
-    As many as three in a row and more that move no sensor are one row.
+    Three or more modes in a row that move no sensor share a row.
     """
     import pandas as pd
 

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 GROUP = "pairing"
-"""Group of a trace that keeps which computed mode answered to each measured one."""
+"""Group of a trace that stores which computed mode was paired with each measured one."""
 MOST_DRAWS = 2000
-"""Draws looked at: evenly spaced over the chains, and the most probable one."""
+"""Draws examined: evenly spaced over the chains, and the most probable one."""
 _MEANS = {
     "shape": "the log-probability jumps there if the two modes veer, but not if they cross without mixing",
     "index": "the log-probability has a kink there, and the frequency belongs to another shape",
@@ -38,20 +38,20 @@ _MEANS = {
 
 @dataclass(frozen=True, eq=False)
 class PairingChanges:
-    """How often computed modes changed places over the draws of a run.
+    """How often the pairing of modes changed over the draws of a run.
 
     Attributes
     ----------
     labels : tuple of str
         Of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
-        Share of all draws in which two measured modes come in the other order than in the model before updating.
+        Share of all draws in which two measured modes are in the reverse order, compared with before updating.
     rule : {"shape", "index", "soft"} or None
-        How modes are paired; None where the trace does not keep it, and then nothing is known of the following.
+        How modes are paired; None if the trace does not store the pairing: the following is then unknown.
     constant : bool
-        Whether the pairing cannot change: every mode is a fixed number of a block in which that was verified.
+        Whether the pairing cannot change: each measured mode is a fixed mode of a block, as was verified.
     project : int
-        How many draws `changed` and `gap` are about.
+        Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
         Share of these in which another computed mode (block, or number within it) answers to the measured one than
         at the most probable draw.
@@ -85,7 +85,7 @@ class PairingChanges:
         )
 
     def sentences(self) -> tuple[str, ...]:
-        """Say it in words, what matters most first."""
+        """Return the findings in words, the most important first."""
         said = [*self._jumped(), *self._swaps()]
         if not said:
             said.append("In all draws the measured modes are in the same order as in the model before updating.")
@@ -135,13 +135,13 @@ class PairingChanges:
 
 
 def pairing_changes(trace: xr.DataTree) -> PairingChanges:
-    """Say how often computed modes changed places over the retained draws of a run.
+    """Return how often the pairing of modes changed over the retained draws of a run.
 
-    Two different things: measured modes come in another *order* than in the model before updating, which is no
-    harm as long as each stays itself; and another *computed mode* answers to a measured one. Where modes are
-    paired by MAC one to one and veer, the log-probability jumps between the two, which samplers that follow
-    gradients do not expect; with ``pairing="soft"`` it does not (`fmu.posterior.errors.mixture`). Where they cross
-    without mixing (one symmetric, one antisymmetric) it goes on smoothly in any case.
+    Two things may change. The *order* of the measured modes may differ from that before updating, which is
+    harmless as long as each keeps its shape. Or another *computed mode* may be paired with a measured one. If
+    modes are paired one to one by MAC and veer, the log-probability then jumps, which gradient-based samplers do
+    not expect; with ``pairing="soft"`` it does not jump (`fmu.posterior.errors.mixture`). If the modes cross
+    without mixing (one symmetric, one antisymmetric), it stays smooth in any case.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     Raises
     ------
     ValueError
-        If `trace` is no trace, or keeps no frequencies, at the draws or before updating.
+        If `trace` is not a trace, or lacks the frequencies at the draws or before updating.
     """
     check_trace(trace)
     if not has(trace, "posterior_predictive") or not has(trace, MODES):
@@ -188,7 +188,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
 
 
 def jump_warnings(trace: xr.DataTree) -> list[str]:
-    """Say in how many draws the log-probability is on another side of a jump than at the most probable draw."""
+    """Return a warning if the pairing by MAC, and with it the log-probability, jumps within the posterior."""
     if not has(trace, GROUP) or trace[GROUP].attrs["rule"] != "shape":
         return []
     found = pairing_changes(trace)
@@ -203,11 +203,12 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
-    """Return the trace with the computed modes that answered kept in it, where the problem's model tells them.
+    """Return the trace with the paired computed modes stored in it, if the model of the problem is a structure.
 
-    ``block`` and ``rank`` (sample, mode), small integers, at most `MOST_DRAWS` draws, which ``chain`` and ``draw``
-    name; ``gap``, the relative distance in frequency of the nearest other computed mode. One draw alone, without a
-    gap, where the pairing is constant by construction: that costs one solve; otherwise two a draw.
+    ``block`` and ``rank`` (sample, mode), small integers, at `MOST_DRAWS` draws at most, given by ``chain`` and
+    ``draw``; ``gap``, the relative distance in frequency of the nearest other computed mode. If the pairing is
+    constant by construction, for one draw only and without the gap: this costs one solve, otherwise two for each
+    draw.
     """
     import xarray as xr
 

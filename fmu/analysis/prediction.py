@@ -39,8 +39,7 @@ class Expectation(NamedTuple):
     value : float, or ndarray of shape (k,)
         Mean of G over the retained draws, eq. (11).
     mcse : float, or ndarray of shape (k,)
-        Monte-Carlo standard error of `value`; NaN where the draws do not tell it: G is the same at every draw, or
-        there are fewer than four.
+        Monte-Carlo standard error of `value`; NaN if G is the same at every draw, or there are fewer than four.
     """
 
     value: float | FloatArray
@@ -56,13 +55,13 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
     G : callable or str
         A function of the draws, (n, ndim) in SI units and in the order of the problem's parameters, that returns
         (n,) or (n, k); or the name of a parameter, or of a variable of the posterior predictive
-        (``"model_frequency"``, ``"frequency"``, and of repeated tests ``"one_more_test"``, which has no mean
-        where a mode was measured by two tests only).
+        (``"model_frequency"``, ``"frequency"``, and for repeated tests ``"one_more_test"``, which has no mean
+        if a mode was measured by two tests only).
 
     Returns
     -------
     Expectation
-        Numbers for a G of shape (n,), arrays of shape (k,) for one of shape (n, k).
+        Floats if G returns (n,), arrays of shape (k,) if it returns (n, k).
 
     Raises
     ------
@@ -95,10 +94,10 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     pandas.DataFrame
         One row a mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
         (``eti90_lb``, ``eti90_ub``) of the model's frequency, without measurement noise; ``noisy_sd`` and the
-        interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with it; these are left out under
-        the modal residual, which has no measurement noise to predict with. Where the measured frequency is the
-        mean of repeated tests, a new measurement is the mean of as many tests again; ``test_eti90_lb`` and
-        ``test_eti90_ub`` are the ends of the interval of one more test.
+        interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with noise; these are missing for
+        the modal residual, which has no measurement noise. If the measured frequency is the mean of repeated
+        tests, a new measurement is the mean of as many tests; ``test_eti90_lb`` and ``test_eti90_ub`` are the
+        ends of the interval of one more test.
 
     Raises
     ------
@@ -131,14 +130,14 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:
-    """Return the single tests (n_tests, n_modes) in Hz, NaN where one missed a mode; None if there is none."""
+    """Return the single tests (n_tests, n_modes) in Hz, NaN where a test missed a mode; None if there are none."""
     if not has(trace, "observed_data", "tests"):
         return None
     return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())
 
 
 def measurement_in_words(tests: FloatArray | None) -> str:
-    """Say what a measured frequency is: ``"a measurement"``, ``"the mean of 5 tests"``, ``"… 4 to 5 tests"``."""
+    """Return what a measured frequency is: ``"a measurement"``, ``"the mean of 5 tests"``."""
     if tests is None:
         return "a measurement"
     counts = np.sum(~np.isnan(tests), axis=0)
@@ -147,7 +146,7 @@ def measurement_in_words(tests: FloatArray | None) -> str:
 
 
 def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
-    """Estimate how well each measured mode is predicted by the others: PSIS-LOO (Vehtari, Gelman & Gabry 2017).
+    """Estimate how well the other modes predict each measured mode: PSIS-LOO (Vehtari, Gelman & Gabry 2017).
 
     Parameters
     ----------
@@ -158,10 +157,10 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     -------
     pandas.DataFrame
         One row a mode: ``elpd``, the log-density of its measured frequency under the posterior of the other modes;
-        ``pareto_k``, the shape of the importance weights' tail; and ``reliable``, whether the weights carry the
-        estimate (k below 0.7, less for few draws). A mode that the others do not determine has few reliable
-        weights: with as many parameters as modes that is the rule, and the estimate an upper bound at best. NaN
-        and not reliable where the draws are too few, or stand still.
+        ``pareto_k``, the shape of the tail of the importance weights; and ``reliable``, whether k is low enough
+        (below 0.7, less for few draws). If the others do not determine a mode, which is usual with as many
+        parameters as modes, the estimate is not reliable, and an upper bound at best. NaN and not reliable if
+        there are too few draws, or they do not move.
 
     Raises
     ------
@@ -176,7 +175,7 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     if not has(trace, "log_likelihood"):
         raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
     kept = list(map(str, trace["log_likelihood"].data_vars))
-    # correlated errors: the terms that sum to the joint do not say what each mode is like, given the others
+    # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
     name = GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0]
     terms = array_of(trace, "log_likelihood", name)
     walkers = walkers_of(trace)
@@ -184,7 +183,7 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
     elpd = k = np.full(terms.shape[2], np.nan)
     good = np.nan
-    # ArviZ raises where so many draws are alike that the weights have no tail
+    # ArviZ raises if so many draws are equal that the weights have no tail
     with warnings.catch_warnings(), suppress(ValueError):
         warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # it is in the table
         if np.isfinite(efficiency):
@@ -219,17 +218,17 @@ def _computed(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> Floa
 
 
 NEAR_A_BOUND = 0.02
-"""Part of the distance between the bounds."""
+"""Part of the range between the bounds."""
 MORE_THAN_THE_PRIOR, LEAST_SHARE = 3.0, 0.05
 INTERVAL = 0.99
 _WITHIN = 2.0
 
 
 def bound_warnings(trace: xr.DataTree) -> list[str]:
-    """Name the parameters whose draws are piled up against a bound: the data ask for what the bounds forbid.
+    """Return a sentence for each parameter whose draws accumulate at a bound: the data ask for values beyond it.
 
-    They are where more than three times as much of the posterior as of the prior, and at least 5 %, lies within
-    2 % of the bounds' distance of one of them, and their mean within two standard deviations of it.
+    Within 2 % of the range from the bound there is at least 5 % of the posterior, and three times as much as of
+    the prior; and the posterior mean is within two standard deviations of the bound.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))
@@ -252,19 +251,17 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the share of the prior near a bound, that of a uniform one where no draws from the prior are."""
+    """Return the share of the prior near a bound; that of a uniform prior if the trace has no draws from it."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))
 
 
 def fit_warnings(trace: xr.DataTree) -> list[str]:
-    """Name the measured modes that lie outside the interval in which a new measurement is predicted, eq. (10).
+    """Return a sentence for each measured mode outside its 99 % prediction interval, eq. (10), noise included.
 
-    Where the measurement is the mean of repeated tests, that is the interval of such a mean.
-
-    Measurement noise is in it, and 99 % of the probability. Nothing can be said where there is no predictive
-    distribution of frequencies: of the modal residual, and of a plain density.
+    If the measurement is the mean of repeated tests, the interval is that of such a mean. Empty if there is no
+    predictive distribution of frequencies: for the modal residual, and for a plain density.
     """
     if not has(trace, "posterior_predictive", "frequency"):
         return []
@@ -286,9 +283,10 @@ def fit_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def shape_warnings(trace: xr.DataTree) -> list[str]:
-    """Name the modes whose shape is not the measured one after updating: by MAC at the sensors, below `ALIKE`.
+    """Return a sentence for each mode whose MAC with the measured shape is below `ALIKE` after updating.
 
-    Errors of shapes whose size is inferred grow until any shape is probable, so that no prediction tells it.
+    If the size of the shape errors is inferred, it grows until any shape is probable, and no prediction shows the
+    misfit.
     """
     alike = measured_mac(trace)
     if alike is None:
@@ -303,12 +301,12 @@ def shape_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _below(mac: float) -> str:
-    """Return a MAC that is below `ALIKE` so that this is seen."""
+    """Format a MAC below `ALIKE` with enough digits to show that it is."""
     return apart(mac, ALIKE, sd=0.1)[0]
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
-    """Return MAC (state, reference_mode, mode) with the measured shapes; None where the trace keeps none."""
+    """Return MAC (state, reference_mode, mode) with the measured shapes; None if the trace has none."""
     if not has(trace, GROUP, "mac"):
         return None
     found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
@@ -316,7 +314,7 @@ def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
-    """Say so if a draw has a higher log-probability than any maximum that was found."""
+    """Return a warning if a draw has a higher log-probability than any maximum found."""
     reached = float(array_of(trace, "sample_stats", "lp").max())
     if reached <= highest + 1e-3:
         return []

@@ -1,4 +1,4 @@
-"""What the prior predicts for the measurement, before the measurement is looked at."""
+"""Prior prediction of the measured frequencies."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 FAR = 2.0
-"""Standard deviations beyond which a measurement is far from what the prior predicts."""
+"""A measurement is far from the prior prediction beyond this many standard deviations."""
 INTERVAL = 0.9
 DRAWS = 200
 
@@ -32,9 +32,9 @@ class PriorPrediction:
     labels : tuple of str
     measured : ndarray, shape (n_modes,)
     frequencies : ndarray, shape (n, n_modes)
-        Of the model at the draws, those where it failed left out.
+        Of the model at the draws at which it did not fail.
     noise_sd : ndarray, shape (n_modes,)
-        Standard deviation of the measurement error; NaN where the error model has none.
+        Standard deviation of the measurement error; NaN if the error model has none.
     failed : int
         Draws at which the model gave no finite frequencies.
     """
@@ -47,7 +47,7 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """The frequencies; NaN where the model failed at all draws but one, and there is no deviation."""
+        """The frequencies; NaN if fewer than two are left, which have no standard deviation."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 
@@ -73,11 +73,11 @@ class PriorPrediction:
 
     @property
     def is_far(self) -> BoolArray:
-        """Which measured frequencies the prior hardly expects, shape (n_modes,)."""
+        """Which measured frequencies are far from the prior prediction, shape (n_modes,)."""
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
     def sentences(self) -> list[str]:
-        """Say in words which measured frequencies the prior does not expect."""
+        """Return in words which measured frequencies are far from the prior prediction."""
         said = []
         if self.failed:
             said.append(f"The model failed at {self.failed} of {self.failed + len(self.frequencies)} prior draws.")
@@ -114,7 +114,7 @@ class PriorPrediction:
 
 
 def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> PriorPrediction:
-    """Solve a model at draws from its prior.
+    """Predict the measured frequencies from the prior.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Whether repeated tests are independent of each other, as the uncertainty of their mean takes for granted."""
+"""Whether repeated tests are independent, as the standard error of their mean assumes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 FALSE_ALARMS = 0.005
-"""Share of problems with independent tests in which any mode is told, over all modes together."""
+"""Probability of a warning for any mode, if the tests are independent."""
 _PERMUTATIONS = 2000
 _AT_ONCE = 1_000_000
-"""Numbers in an array of random orders."""
+"""Entries of an array of random orders."""
 _MOST_CORRELATED = 0.98
 
 
@@ -34,7 +34,7 @@ class Repeatability:
     labels : tuple of str
         Of the modes.
     n : ndarray, shape (n_modes,)
-        Tests that found each mode.
+        Number of tests that found each mode.
     autocorrelation : ndarray, shape (n_modes,)
         Lag-1 autocorrelation r_1 of the frequencies that consecutive tests measured.
     trend : ndarray, shape (n_modes,)
@@ -42,9 +42,9 @@ class Repeatability:
     drift : ndarray, shape (n_modes,)
         Change from first to last test along the least-squares line, relative to the mean.
     resembles, drifts : ndarray of bool, shape (n_modes,)
-        Which autocorrelations and trends are too large for independent tests.
+        For which modes the autocorrelation or the trend is too large for independent tests.
     all_resemble : bool
-        Whether the mean of the autocorrelations over all modes is.
+        Whether the mean autocorrelation over all modes is too large.
     """
 
     labels: tuple[str, ...]
@@ -58,17 +58,17 @@ class Repeatability:
 
     @property
     def effective(self) -> FloatArray:
-        """How many independent tests determine the mean as well: n (1 − ρ)/(1 + ρ), at least 1, (n_modes,).
+        """Number of independent tests with the same standard error of the mean, at least 1, shape (n_modes,).
 
-        ρ is r_1 without its bias in short series, (r_1 + 1/n)/(1 − 3/n) to the first order in 1/n, for an
-        autoregressive series of order 1 (Marriott & Pope 1954, Biometrika 41, 390–402).
+        n (1 − ρ)/(1 + ρ) for an autoregressive series of order 1. ρ is r_1 corrected for its bias in short series,
+        (r_1 + 1/n)/(1 − 3/n) to the first order in 1/n (Marriott & Pope 1954, Biometrika 41, 390–402).
         """
         n = np.maximum(self.n, 4)
         rho = np.clip((self.autocorrelation + 1.0 / n) / (1.0 - 3.0 / n), 0.0, _MOST_CORRELATED)
         return np.asarray(np.maximum(self.n * (1.0 - rho) / (1.0 + rho), 1.0))
 
     def doubts(self) -> list[str]:
-        """Say which modes drift or come in blocks, what that means, and what to do; empty if none does."""
+        """Return a sentence for each mode with drift or correlated tests, and a remedy."""
         said = [self._of_mode(int(k)) for k in np.flatnonzero(self.resembles | self.drifts)]
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
@@ -107,15 +107,16 @@ def _worth(n: float, effective: float) -> str:
 
 
 def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
-    """Look for drift and blocks in repeated tests by a permutation test.
+    """Test repeated tests for drift and correlation, by permutation.
 
-    Were the tests independent, any order of them would be as probable. The statistics are r_1 of each mode, its
-    mean over the modes, and the size of the correlation of each mode with the order, each standardised by its mean
-    and standard deviation over random orders; the same order for all modes, which may depend on each other. Told
-    is what exceeds the largest of all statistics in all but 0.5 % of the random orders, so that independent tests
-    of any distribution are called dependent in less than 1 % of problems, over all modes together (Westfall &
-    Young 1993, *Resampling-based multiple testing*, section 2.3). Five tests and fewer can tell nothing,
-    and of an autoregressive series of 0.7 in one mode ten tests show one in seven, thirty five in six.
+    If the tests are independent, every order of them is equally probable. The statistics are r_1 of each mode,
+    its mean over the modes, and the absolute correlation of each mode with the order, each standardised by its
+    mean and standard deviation over random orders. All modes are permuted together, since they may depend on
+    each other. A statistic is significant if it exceeds the largest of all statistics in all but 0.5 % of the
+    random orders; independent tests of any distribution are then called dependent in less than 1 % of problems
+    (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). With five tests or fewer nothing
+    can be significant. An autoregression of 0.7 in one mode is detected once in seven by ten tests, and five
+    times in six by thirty.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     present = ~np.isnan(values)
     mean = np.nanmean(values, axis=0)
     z = np.where(present, values - mean, 0.0)
-    rng = np.random.default_rng(0)  # the same answer to the same tests
+    rng = np.random.default_rng(0)  # the same tests give the same result
     orders = np.array([np.arange(len(z)), *(rng.permutation(len(z)) for _ in range(_PERMUTATIONS))])
     parts = np.array_split(orders, 1 + orders.size * z.shape[1] // _AT_ONCE)
     statistics = np.concatenate([_statistics(z[part], present[part]) for part in parts])

@@ -213,7 +213,7 @@ def _with_sampler(asked: KeptProblem, problem: UpdatingProblem, running: RunDire
 
 def _echo_estimate(problem: UpdatingProblem, orders: Any, is_named: bool, workers: int) -> None:
     """Say which sampler was chosen if none was named and it is not the usual one, and what the run will cost."""
-    from fmu.analysis.estimate import estimates, in_words
+    from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts
 
     (first, *_) = orders["samplers"]
@@ -223,7 +223,7 @@ def _echo_estimate(problem: UpdatingProblem, orders: Any, is_named: bool, worker
         )
     parts = estimates(problem, orders, orders["starts"] or default_starts(problem), workers)
     if parts:
-        click.echo(in_words(parts), err=True)
+        click.echo(estimates_in_words(parts), err=True)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.estimate import Estimate, estimates, in_words
+from fmu.analysis.estimate import Estimate, estimates, estimates_in_words
 
 ORDERS = {"draws": 150, "warmup": 150, "chains": 4, "groups": None}
 
@@ -49,6 +49,6 @@ def test_a_reduced_model_is_timed_in_the_sampler():
 
 def test_in_words():
     parts = [Estimate("hmc", 36123.0, 12.3), Estimate("certificate", 64.0, 0.2), Estimate("mh", 7.0, 11_880.0)]
-    assert in_words(parts) == (
+    assert estimates_in_words(parts) == (
         "hmc: about 36 000 solves, 12 s; certificate: about 64 solves, under 1 s; mh: about 7 solves, 3.3 h"
     )

@@ -6,6 +6,7 @@ from scipy.stats import truncnorm
 
 import fmu
 from fmu.analysis.identifiability import (
+    combination,
     contraction,
     identifiability,
     kept_identifiability,
@@ -54,7 +55,7 @@ def test_more_parameters_than_modes(problem):
     )
     assert len(one.sentences()) == 3
     assert "100 % of the prior standard deviation" in one.sentences()[1]
-    assert one.in_words(one.directions[0]) == "0.80 c − 0.60 b"
+    assert combination(one.directions[0], one.names) == "0.80 c − 0.60 b"
 
 
 def test_in_words_when_all_directions_are_constrained(found):

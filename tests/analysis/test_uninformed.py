@@ -138,7 +138,7 @@ def test_parameters_that_no_mode_depends_on_come_first_and_combinations_are_few(
     S[1, 2:4] = [7.0, 3.5]
     found = Identifiability(tuple("abcde"), ("",) * 5, ("1", "2", "3"), np.ones(5), np.full(5, 0.5), S)
     left = left_to_prior(found)
-    assert [one.words for one in left] == ["e", "0.89 d - 0.45 c", "0.71 a + 0.71 b"]
+    assert [one.words for one in left] == ["e", "0.89 d − 0.45 c", "0.71 a + 0.71 b"]
     assert [one.told for one in left] == ["", "", "a/b"]
     assert doubts(found)[0].startswith("The measured modes carry no information on e: 100")
     for one in left:

@@ -45,22 +45,22 @@ GROUP = "maxima"
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What can be said of a run.
+    """The verdict on a run.
 
     Attributes
     ----------
     converged : bool
-        Whether nothing speaks against it.
+        Whether all tests passed.
     reasons : tuple of str
-        Why not, one sentence each, the gravest first; empty if it has converged.
+        Why it has not converged, one sentence each, the most serious first; empty if it has.
     warnings : tuple of str
-        What speaks against the model, converged or not: parameters at their bounds, modes that are not fitted,
-        shapes unlike the measured ones, a pairing that jumps; and what speaks of the data: parameters that they
-        did not update, repeated tests that are not independent.
+        Warnings about the model, converged or not: parameters at their bounds, modes that are not fitted, shapes
+        unlike the measured ones, a pairing that jumps; and about the data: parameters that they did not update,
+        repeated tests that are not independent.
     searched : bool
         Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
     stopped : str
-        How far a run came that was stopped before its end, in words; empty if it was not.
+        If the run was stopped early, after how many draws, in words; else empty.
     """
 
     converged: bool
@@ -76,7 +76,7 @@ class Diagnosis:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is to be said beside the verdict: the reasons, or what a good one does not cover."""
+        """The reasons; for a converged run, what its verdict does not cover."""
         said = (UNSEARCHED,) if self.converged and not self.searched else self.reasons
         return (*said, self.stopped) if self.stopped else said
 
@@ -100,19 +100,18 @@ def diagnose(
     problem: UpdatingProblem | None = None,
     others: Mapping[str, xr.DataTree] | Iterable[xr.DataTree] = (),
 ) -> Diagnosis:
-    """Say whether a run has converged, and if not, why; and what speaks against the model.
+    """Judge whether a run has converged, and if not, why; and whether the model fits the data.
 
-    A run has converged where nothing speaks against it: the rule of
-    `fmu.analysis.convergence.diagnostics.convergence_failures`, in which whatever is NaN fails; and no place that
-    holds 1 % of the probability was left out. Such places are known from `find_map` and from other runs. Chains
-    alone cannot tell: in one of several modes they agree with each other perfectly.
+    A run has converged if it passes the tests of `fmu.analysis.convergence.diagnostics.convergence_failures`,
+    which a NaN fails, and if it left out no region that holds 1 % of the probability. Such regions are known
+    from `find_map` and from other runs. Chains alone cannot show them: chains in one of several modes agree with
+    each other.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
-        What was sampled; its maxima are searched for. Those that the trace or the others keep are considered
-        anyhow.
+        The problem that was sampled; its maxima are searched for. Maxima kept in the traces are always used.
     others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional
         Other runs on the same posterior.
 
@@ -123,7 +122,7 @@ def diagnose(
     Raises
     ------
     ValueError
-        If `trace` or one of `others` is no trace, or the problem or one of `others` has other parameters.
+        If `trace` or one of `others` is not a trace, or the problem or one of `others` has other parameters.
     """
     check_trace(trace)
     if problem is not None and tuple(problem.names) != parameter_names(trace):
@@ -147,16 +146,16 @@ def judge(
     others: Mapping[str, xr.DataTree] | None = None,
     table: pd.DataFrame | None = None,
 ) -> Diagnosis:
-    """Give the verdict on a trace, with the maxima that are known.
+    """Return the verdict on a trace, given the known maxima.
 
     Parameters
     ----------
     trace : xarray.DataTree
     known : iterable of Maxima
-        Results of `find_map` on the same posterior; of several, the one of the greatest mass counts.
+        Results of `find_map` on the same posterior; the one with the largest mass is used.
     others : mapping of str to xarray.DataTree, optional
     table : pandas.DataFrame, optional
-        ``summary(trace)``, where it is at hand.
+        ``summary(trace)``, if already computed.
     """
     best = max(known, key=lambda maxima: maxima.log_evidence, default=None)
     reasons, warnings = [], []
@@ -178,15 +177,15 @@ def diagnose_all(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Diagnosis]:
-    """Diagnose several runs, each with what the others on the same posterior know.
+    """Return the verdicts on several runs, each also compared with the others on the same posterior.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
     problem : UpdatingProblem, optional
-        What was sampled, by all of them.
+        The problem that all of them sampled.
     summaries : mapping of str to pandas.DataFrame, optional
-        ``summary(trace)`` of each, where they are at hand.
+        ``summary(trace)`` of each, if already computed.
     """
     searched = []
     if problem is not None:
@@ -208,13 +207,13 @@ def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> int:
-    """Return how many steps to draw before a run is looked at again; 0 if it needs no more.
+    """Return how many steps to draw before a run is judged again; 0 if it needs no more.
 
     Parameters
     ----------
     trace : xarray.DataTree
     until_ess : float, optional
-        Bulk and tail ESS that every parameter is to have, beside a good verdict; if not given, nothing is missing.
+        Bulk and tail ESS wanted of every parameter, beside convergence. None: the run needs no more draws.
     maxima : Maxima, optional
     """
     if until_ess is None:
@@ -230,34 +229,34 @@ def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | 
 
 
 def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:
-    """Say whether two traces come from one posterior, as their configurations have it."""
+    """Say whether two traces are of the same posterior, by their configurations."""
     first, second = (json.loads(trace.attrs["configuration"])["problem"] for trace in (one, other))
     return bool(first == second)
 
 
 def maxima_of(trace: xr.DataTree) -> Maxima | None:
-    """Return the maxima that a trace keeps, None if it keeps none."""
+    """Return the maxima kept in a trace, None if there are none."""
     return Maxima.from_dataset(trace[GROUP].to_dataset()) if has(trace, GROUP) else None
 
 
 def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
-    """Return the trace with the maxima kept in it, so that every later verdict on it knows of them."""
+    """Return the trace with the maxima stored in it, for every later verdict."""
     return with_group(trace, GROUP, maxima.to_dataset())
 
 
 def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
     """Compare the traces of several samplers on one problem.
 
-    What a sampler costs is what its user waits for: ``n_solves``, ``n_gradients`` and ``wall_s`` count the warm-up
-    in, and so do ``ess_per_solve`` and ``ess_per_s``. The counts without it are attributes of each trace.
+    The costs ``n_solves``, ``n_gradients`` and ``wall_s`` include the warm-up, and so do ``ess_per_solve`` and
+    ``ess_per_s``. The attributes of each trace give the counts without it.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces under the names that the rows shall have.
+        Traces by the names of the rows.
     problem : UpdatingProblem, optional
-        What was sampled. Its maxima are searched for, and a run that left out one that matters has not converged.
-        Maxima that a trace keeps, and what the other runs on the same posterior found, count without it too.
+        The problem that was sampled. Its maxima are searched for; a run that left out one that matters has not
+        converged. Maxima kept in a trace, and what other runs on the same posterior found, are always used.
 
     Returns
     -------
@@ -275,7 +274,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     Raises
     ------
     ValueError
-        If `traces` is empty or holds something else than traces.
+        If `traces` is empty or contains something other than traces.
     """
     if not isinstance(traces, Mapping) or not traces:
         raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
@@ -288,7 +287,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 def side_by_side(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> pd.DataFrame:
-    """Return the table of `compare`, where summaries and verdicts are at hand."""
+    """Return the table of `compare` from summaries and verdicts already computed."""
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
     table = data_frame(rows, "sampler", list(traces))
     table["divergences"] = table["divergences"].astype("Int64")

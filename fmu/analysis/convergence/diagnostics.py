@@ -1,4 +1,4 @@
-"""How far a trace can be trusted: the summary table and the rule of convergence."""
+"""The summary of a trace, and the rule by which a run counts as converged."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a parameter, SI units: ``mean``, ``sd``, the ends of the interval, whose columns carry its
+        One row a parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its
         probability in per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler),
-        ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile) and ``mcse_mean``. NaN where a quantity does
-        not exist: R-hat of one chain, everything of a constant. ``attrs["units"]`` maps parameters to units.
+        ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile) and ``mcse_mean``. NaN if a quantity is
+        undefined: R-hat of one chain, everything for a constant. ``attrs["units"]`` maps parameters to units.
 
     Raises
     ------
@@ -98,11 +98,11 @@ def interval_columns(ci_prob: float) -> tuple[str, str]:
 
 
 def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
-    """Return R-hat with the walkers of an ensemble taken as chains, of the worst ensemble, shape (ndim,).
+    """Return R-hat over the walkers of an ensemble, the worst ensemble's, shape (ndim,).
 
-    Walkers are no independent chains, and on a run of few autocorrelation times this raises false alarms; but
-    walkers that stay in separate modes show here, and not in R-hat over ensembles. Ensemble by ensemble, because
-    among all the walkers of a run a single one that is trapped carries too little weight.
+    Walkers are not independent chains, and a run of few autocorrelation times gives false alarms; but walkers that
+    stay in separate modes show here, and not in R-hat over ensembles. Each ensemble is judged by itself, because a
+    single trapped walker among all walkers of a run would carry too little weight.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -110,7 +110,7 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 
 
 def autocorrelation_times_run(trace: xr.DataTree) -> FloatArray:
-    """Return how many autocorrelation times the steps make in the slowest ensemble, shape (ndim,)."""
+    """Return the length of the run in autocorrelation times of the slowest ensemble, shape (ndim,)."""
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
     steps = draws.shape[2] // walkers
@@ -118,27 +118,27 @@ def autocorrelation_times_run(trace: xr.DataTree) -> FloatArray:
 
 
 def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) -> list[str]:
-    """Say why a trace must not be called converged; an empty list means that nothing speaks against it.
+    """Return why a run has not converged; an empty list if all tests pass.
 
-    The rule: at least two chains; no chain that stands still for a fifth of its draws; R-hat of every parameter
+    The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
     below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 a chain (Vehtari et al. 2021);
-    standard errors of the means below a tenth of the posterior sd. Of Hamiltonian trajectories at most one in a
-    thousand diverges, and E-BFMI of every chain is at least 0.3. For an ensemble sampler, whose ensembles are the
-    chains: at least four ensembles; and beside R-hat over ensembles at least 50 autocorrelation times of steps,
-    and walkers that mix (R-hat over walkers below 1.05). A quantity that is NaN fails its test.
+    standard errors of the means below a tenth of the posterior sd. At most one Hamiltonian trajectory in a
+    thousand diverges, and E-BFMI of every chain is at least 0.3. For an ensemble sampler, whose ensembles are
+    the chains: at least four ensembles; a run of at least 50 autocorrelation times; and R-hat over walkers below
+    1.05. A quantity that is NaN fails its test.
 
-    What the draws do not show, a place that no chain came to, is the matter of `fmu.diagnose`.
+    Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
     Parameters
     ----------
     trace : xarray.DataTree
     table : pandas.DataFrame, optional
-        ``summary(trace)``, where it is at hand.
+        ``summary(trace)``, if already computed.
 
     Returns
     -------
     list of str
-        One sentence a failed test, the gravest first, and what to do about it
+        One sentence for each failed test, the most serious first, with a remedy
         (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
@@ -171,7 +171,7 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the chain, or walker of an ensemble, that stands still longest, if that is too long."""
+    """Return a sentence on the chain or walker that stays longest at one point, if that is too long."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -183,7 +183,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
-    """Return what speaks against Hamiltonian trajectories; an empty list for samplers without them."""
+    """Return what is wrong with the Hamiltonian trajectories; an empty list for samplers without them."""
     failures = []
     if has(trace, "sample_stats", "diverging"):
         diverging = array_of(trace, "sample_stats", "diverging")
@@ -216,5 +216,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Return a value that is seen to differ from the limit that it failed."""
+    """Return a value with enough digits to show that it differs from the limit."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

@@ -5,8 +5,8 @@ Gelman, Simpson, Carpenter & Bürkner 2021, doi:10.1214/20-BA1221). An ensemble'
 that its draws are measured by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5;
 Sokal's window).
 
-What cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN is a failure to
-everyone who asks for a verdict.
+What cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN fails every test of
+the verdict.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 TAIL = (0.05, 0.95)
-"""The quantiles whose estimates the tail ESS is about (Vehtari et al. 2021, section 4.3)."""
+"""Quantiles of the tail ESS (Vehtari et al. 2021, section 4.3)."""
 WINDOW = 5
 """Autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
 _MIN_DRAWS = 4
@@ -72,7 +72,7 @@ def ess_tail(x: FloatArray, walkers: int = 1) -> float:
 
 
 def ess_mean(x: FloatArray, walkers: int = 1) -> float:
-    """Return the effective sample size that the standard error of the mean rests on."""
+    """Return the effective sample size of the mean, from which its standard error follows."""
     from arviz_stats.base.array import array_stats
 
     if _is_degenerate(x):
@@ -102,11 +102,11 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
     The sum of the autocorrelation up to a window of five times itself, as in emcee, with two differences. The
     autocovariance is taken about the mean of the whole ensemble, not about each walker's own, and averaged over
     the walkers before it is divided by the variance: that spares short runs their downward bias (4 % instead of
-    33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), counts walkers that sit in separate
-    modes as the correlation that they are, and exists where a single walker never moves. And where the run is
-    shorter than its window, all of it is summed; emcee.autocorr.integrated_time then takes lag 0 alone, tau = 1.
+    33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), makes walkers that stay in separate
+    modes count as correlation, and is defined if a single walker never moves. And if the run is shorter than the
+    window, all lags are summed; emcee.autocorr.integrated_time then takes lag 0 alone, tau = 1.
 
-    NaN for an ensemble that stands still; at least 1/log10 of the number of draws, as in Vehtari et al. 2021.
+    NaN for an ensemble that does not move; at least 1/log10 of the number of draws, as in Vehtari et al. 2021.
     """
     times = np.full(len(x), np.nan)
     for i, correlation in enumerate(autocorrelation(x, walkers)):
@@ -121,14 +121,14 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
 def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
     """Return the autocorrelation of each chain at lags 0, 1, ..., shape (chains, steps).
 
-    About the mean of all walkers of an ensemble, and averaged over them; NaN for a chain that stands still.
+    About the mean of all walkers of an ensemble, and averaged over them; NaN for a chain that does not move.
     """
     paths = by_walker(x, walkers).astype(float)
     return np.array([_autocorrelation(p) if np.ptp(p) > 0 else np.full(p.shape[1], np.nan) for p in paths])
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the distance between draws that leaves about `most` of them and sees all walkers alike."""
+    """Return the step of a thinning that leaves about `most` draws and treats all walkers alike."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -157,7 +157,7 @@ def _is_degenerate(x: FloatArray) -> bool:
 
 
 def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
-    """Return the greatest number of draws in a row that are one and the same, shape (chains, walkers).
+    """Return the longest run of identical draws, shape (chains, walkers).
 
     Parameters
     ----------
@@ -176,9 +176,9 @@ def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
 def energy_fraction(energy: FloatArray) -> FloatArray:
     """Return the Bayesian fraction of missing information of each chain, shape (chains,).
 
-    E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695): small where the momenta drawn
-    afresh change the energy by little of what it varies, so that the chain wanders through the energies. NaN where
-    the energy never changes.
+    E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695). It is small if new momenta
+    change the energy little compared with its range, so that a chain explores the energies slowly. NaN if the
+    energy never changes.
 
     Parameters
     ----------
@@ -191,25 +191,24 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
 
 
 MOST_RANKED = 2000
-"""Draws a chain that R-hat is made of."""
+"""Draws of each chain used for the R-hat of a growing run."""
 MOST_BATCHES = 2000
-"""Batches a chain whose means the effective sample size is made of."""
+"""Batch means of each chain used for the effective sample size of a growing run."""
 MOST_STEPS = 20_000
-"""Steps a chain that go into the batches."""
+"""Steps of each chain that enter the batches."""
 
 
 def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
-    """Return the worst R-hat and the worst bulk effective sample size among the parameters, so far.
+    """Return the worst R-hat and bulk effective sample size over the parameters of a run under way.
 
-    The rules are those of `fmu.summary`: rank-normalised split R-hat, over ensembles for an ensemble sampler; bulk
-    ESS, for ensembles by the autocorrelation time of their steps. Up to 2000 draws a chain they are its numbers.
+    Both are defined as in `fmu.summary`, and are equal to it up to 2000 draws a chain.
 
     Parameters
     ----------
     draws : ndarray, shape (chains, draws, ndim) or (chains, steps, walkers, ndim)
-        In the first, the draws of an ensemble are step-major.
+        In the first form the draws of an ensemble are step-major.
     walkers : int
-        Of an ensemble, in the first.
+        Walkers of an ensemble, for the first form.
 
     Returns
     -------
@@ -219,11 +218,11 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
 
     Notes
     -----
-    Of longer runs R-hat is that of every k-th draw, 2000 a chain, which moves it by less than it is known to. The
-    ESS is that of the mean of all draws, from means of consecutive ones: batching changes no variance of the mean,
-    as thinning would. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Of more than 20 000 steps a
-    chain every k-th is taken, so that the ESS of draws that hardly depend on each other is a lower bound, of about
-    20 000 a chain.
+    For longer runs R-hat is computed from every k-th draw, 2000 a chain; this changes it by less than its own
+    error. The ESS is that of the mean of all draws, from batch means: batching, unlike thinning, does not change
+    the variance of the mean. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps
+    a chain every k-th step is taken; the ESS of nearly independent draws is then a lower bound, about 20 000 a
+    chain.
     """
     if draws.ndim == 4:
         draws, walkers = draws.reshape(len(draws), -1, draws.shape[3]), draws.shape[2]
@@ -250,11 +249,11 @@ def _live_ess(x: FloatArray, walkers: int) -> float:
         paths = _rank_normalised(paths)
     steps = paths.shape[1]
     k = -(-steps // MOST_BATCHES)
-    paths = paths[:, steps % k :]  # the first few steps, rather than the latest
+    paths = paths[:, steps % k :]  # leave out the first few steps rather than the last
     batches = paths.reshape(len(x), -1, k, walkers).mean(axis=2)
     # about the mean of each ensemble, as its autocorrelation is
     axes = (1, 2) if walkers > 1 else (0, 1, 2)
-    with np.errstate(divide="ignore", invalid="ignore"):  # of an ensemble that stands still it is NaN
+    with np.errstate(divide="ignore", invalid="ignore"):  # NaN if an ensemble does not move
         ratio = np.var(paths, axis=axes) / np.var(batches, axis=axes)
     flat = batches.reshape(len(x), -1)
     if walkers == 1:
@@ -280,7 +279,7 @@ _MOST_RANKED = 1500
 
 
 def lengths(steps: int, n: int = LENGTHS) -> IntArray:
-    """Return at most `n` growing numbers of steps, evenly apart on a logarithmic scale, the last one `steps`."""
+    """Return at most `n` numbers of steps up to `steps`, evenly spaced on a logarithmic scale."""
     return np.unique(np.geomspace(min(_FEWEST, steps), steps, n).round().astype(np.int64))
 
 
@@ -307,9 +306,9 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
 
 
 def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
-    """Return the R-hat that a run would have had if it had been shorter.
+    """Return R-hat of the first draws of a run, for increasing numbers of them.
 
-    Of long runs every k-th draw is ranked, at most 1500 a chain, which moves R-hat by less than it is known to.
+    For long runs every k-th draw is ranked, at most 1500 a chain; this changes R-hat by less than its own error.
 
     Parameters
     ----------
@@ -320,7 +319,7 @@ def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
     at : ndarray, shape (n,)
         Numbers of steps.
     rhat : ndarray, shape (n, ndim)
-        Between ensembles for an ensemble sampler; NaN of one chain.
+        Over ensembles for an ensemble sampler; NaN for one chain.
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

@@ -24,7 +24,7 @@ WALKER_RHAT_LIMIT = 1.05
 MCSE_LIMIT = 0.1
 
 RELIABLE_ESS = 50.0
-"""Below this an effective sample size is too uncertain to predict from: it errs by a third and more."""
+"""An effective sample size below this is too uncertain for a prediction: its error is a third or more."""
 _SLACK, _LEAST, _MOST_BLIND, _MOST = 1.02, 1.05, 2.0, 4.0
 _FIRST_PART = 0.8
 _MOST_FOR_RHAT = 1.15
@@ -38,7 +38,7 @@ def required_ess(chains: int) -> int:
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
     """Return the factor by which the draws must grow until effective sample sizes and standard errors suffice.
 
-    An effective sample size grows in proportion to the draws, a squared standard error falls so.
+    An effective sample size grows, and a squared standard error falls, in proportion to the number of draws.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     Returns
     -------
     float
-        At most 1 if they suffice; NaN if one of them does not exist.
+        At most 1 if they suffice; NaN if one of them is undefined.
     """
     ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
     errors = (table["mcse_mean"] / table["sd"]).to_numpy() / MCSE_LIMIT
@@ -65,13 +65,12 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 def draws_to_come(
     draws: int, table: pd.DataFrame, required: float, lengths: FloatArray | None, walker_rhat: FloatArray | None
 ) -> int:
-    """Return how many steps to draw before a run that is not good enough is looked at again.
+    """Return how many steps to draw before an insufficient run is judged again.
 
-    As many as are missing by `growth_needed`, and 2 % more. Where that more than doubles the run, four fifths of
-    the way at first, and no further than four times the run: the effective sample size is known better from there.
-    An ESS below 50 is too uncertain to predict from, and the run is doubled. Where only R-hat is too high, which
-    scatters too much for a prediction, the run grows by 5 to 15 %. Where nothing of this is the reason why the
-    verdict is not good, the run is doubled.
+    As many as `growth_needed` asks for, and 2 % more. If that more than doubles the run, first four fifths of
+    it, and at most four times the present length: the effective sample size is then better known. If the ESS is
+    below 50, too uncertain for a prediction, the run is doubled. If only R-hat is too high, which scatters too
+    much for a prediction, the run grows by 5 to 15 %. In all other cases the run is doubled.
 
     Parameters
     ----------
@@ -103,12 +102,12 @@ def draws_to_come(
 
 
 APART = 1.2
-"""With an R-hat above this the chains are in different places, and more draws may never bring them together."""
+"""With an R-hat above this the chains are in different places; more draws may never bring them together."""
 SHORTEST_WARMUP = 1000
 
 
 def for_chains_apart(trace: xr.DataTree) -> str:
-    """Return the remedy for chains that stand still, or are where next to no probability is."""
+    """Return the remedy for chains that do not move, or are in a region of negligible probability."""
     if has(trace, "observed_data") and trace.attrs["init"] != "maxima":
         return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))
@@ -116,7 +115,7 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 
 
 def for_missed_maximum(trace: xr.DataTree) -> str:
-    """Return the remedy for a maximum that no chain visited, or that chains cannot travel to and from."""
+    """Return the remedy for a maximum that no chain visited, or that chains cannot enter and leave."""
     if trace.attrs["sampler"] != "tempering" and (
         trace.attrs["init"] == "maxima" or not has(trace, "observed_data")
     ):
@@ -131,9 +130,9 @@ def for_too_few_draws(
     lengths: FloatArray | None = None,
     walker_rhat: FloatArray | None = None,
 ) -> str:
-    """Return about how many draws a run needs; of chains that are far apart, what brings them together.
+    """Return about how many draws a run needs; for chains that are far apart, how to bring them together.
 
-    Nothing where R-hat or an effective sample size does not exist.
+    Empty if R-hat or an effective sample size is undefined.
 
     Parameters
     ----------
@@ -146,7 +145,7 @@ def for_too_few_draws(
         Of ensembles, the run's length in autocorrelation times, and R-hat over walkers.
     """
     if len(trace["posterior"]["chain"]) < 2:
-        return ""  # that more chains are needed has been said
+        return ""  # another message already asks for more chains
     rhat = float(np.max(table["rhat"].to_numpy()))
     over_walkers = 1.0 if walker_rhat is None else float(np.max(walker_rhat))
     growth = growth_needed(table, required, lengths)

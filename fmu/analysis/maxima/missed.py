@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 
 from fmu.analysis.convergence.effective import by_walker, ess_mean
 from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maximum
-from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, in_words, mass_in_words
+from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, mass_in_words, theta_in_words
 from fmu.analysis.trace.reading import array_of, parameter_draws, parameter_names, parameter_units, walkers_of
 from fmu.numbers import apart, rounded, share, whole
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
-"""A draw is near a maximum within the ellipsoid that holds this much of a Gaussian."""
+"""A draw is near a maximum if it lies within the ellipsoid that holds this much of a Gaussian."""
 _ABOVE = 0.1
 
 
@@ -35,7 +35,7 @@ class Comparison(NamedTuple):
     reasons : list of str
         Why the run has not converged: maxima left out, or visited out of proportion.
     outweighed : list of str
-        Shares that importance sampling gives otherwise, but with fewer effective draws than the run has.
+        Shares on which importance sampling disagrees, but with fewer effective draws than the run has.
     """
 
     reasons: list[str]
@@ -56,9 +56,10 @@ def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
 def draws_of_maxima(theta: FloatArray, log_prob: FloatArray, maxima: Maxima) -> IntArray:
     """Return the maximum (from 0) that each draw belongs to, −1 where there is none.
 
-    Those near a maximum belong to it. A bent valley leaves the ellipsoid: a draw near none belongs to the maximum
-    whose quadratic model falls least, if its own log-probability is no lower than on the rim of that ellipsoid.
-    This tells how draws are divided, not whether a maximum was visited: a mode that was not found may be as high.
+    A draw near a maximum belongs to it. A curved ridge leaves the ellipsoid: a draw near no maximum belongs to
+    the one whose quadratic model falls least, if its log-probability is at least that on the surface of the
+    ellipsoid. This divides the draws; it does not tell whether a maximum was visited, since an unknown mode may
+    be as high.
 
     Parameters
     ----------
@@ -100,9 +101,9 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     """Compare the shares of a run's draws with the shares of the maxima.
 
-    Where they differ by more than `OUT_OF_PROPORTION` times, one of them is wrong. The one that rests on the
-    larger effective number of draws decides. Of the run it is that of being at the maximum or not: one a chain if
-    none ever changes maxima. Of importance sampling it is that of the weights.
+    If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The one with the larger
+    effective sample size decides. For the run it is that of the indicator of the maximum: one for each chain if
+    no chain ever changes maxima. For importance sampling it is that of the weights.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
             [*(_never_visited(maxima, k, reached) + remedy for k in unseen), f"the draws were elsewhere: {where}"],
             [],
         )
-    if reached >= maxima[0].log_prob + _ABOVE:  # above all that was found: the masses are not to be relied on
+    if reached >= maxima[0].log_prob + _ABOVE:  # above all maxima found, so the masses are not reliable
         return Comparison([], [])
     owner = draws_of_maxima(theta, lp.ravel(), maxima).reshape(lp.shape)
     wrong, outweighed = [], []
@@ -147,9 +148,9 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
 
 
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
-    """Return how many independent draws tell the share of a maximum, from which draws (chains, draws) are at it.
+    """Return the effective sample size of a share of the draws, given which draws are at the maximum.
 
-    At most one a chain where none ever changes maxima: then only the starts tell.
+    One for each chain if no chain changes maxima: then the starts alone determine the share.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))
@@ -158,16 +159,16 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 
 
 def _effective_weights(maxima: Maxima, k: int) -> float:
-    """Return how many independent draws tell the mass of a maximum.
+    """Return the effective sample size of the mass of a maximum.
 
-    One that has been weighed by the Laplace approximation alone is lower by e⁴⁰ at least: that it holds next to
+    A maximum with the Laplace approximation alone has less than e⁻⁴⁰ of the largest mass: that it holds almost
     nothing is known as well as the mass of the others.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
 
 def _name(maxima: Maxima, k: int) -> str:
-    return f"maximum {k + 1} at {maxima.words_of_theta(maxima[k].theta, maxima[k].sd)}"
+    return f"maximum {k + 1} at {theta_in_words(maxima.names, maxima[k].theta, maxima.units, maxima[k].sd)}"
 
 
 def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
@@ -179,14 +180,14 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Say whether a share of draws and one of mass, of which one matters, differ by more than estimates do."""
+    """Say whether a share of the draws and a share of the mass differ too much, and one of them matters."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """Say which chains (walkers) are where, from the maxima nearest to their draws (chains, steps, walkers)."""
+    """Say which chains or walkers are where, by the maximum nearest to each draw (chains, steps, walkers)."""
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
         [np.bincount(path + 1, minlength=len(maxima) + 1).argmax() - 1 for path in _each_path(nearest)]
@@ -217,24 +218,25 @@ _FAR = 3.0
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
-    """Name the places of more than negligible mass that other runs on the same posterior came to, alone.
+    """Return the regions that other runs on the same posterior visited, and this one not, if their mass matters.
 
-    A draw of another run is away where it is three times as far from every draw of this one as the draws of its
-    chains are from each other, in the metric of the covariance within its chains. What lies away is weighed by
-    E[log P] + the entropy of a Gaussian, which is the logarithm of the mass of one, against the same of this run,
-    or against the maxima that are known if that is more. What is near one of these is left to `missed_maxima`.
+    A draw of another run is far away if its distance to every draw of this run is three times the distance
+    between the chains of this run, in the metric of the covariance within its chains. The mass of the far draws
+    is estimated by E[log P] + the entropy of a Gaussian, which for a Gaussian is the logarithm of its mass. It
+    is compared with the same estimate for this run, or with the known maxima if they hold more. Regions near a
+    known maximum are left to `missed_maxima`.
 
     Parameters
     ----------
     trace : xarray.DataTree
     others : mapping of str to xarray.DataTree
     maxima : Maxima, optional
-        Those that are known.
+        The known maxima.
 
     Returns
     -------
     list of str
-        One sentence for each of the other runs that found such a place.
+        One sentence for each of the other runs that visited such a region.
 
     Raises
     ------
@@ -251,7 +253,7 @@ def missed_places(
         if place is not None and not (maxima is not None and nearest_maxima(place[0][None], maxima)[0] >= 0):
             theta, log_prob, mass = place
             there, best = apart(log_prob, float(here.log_prob.max()), sd=1.0)
-            where = in_words(names, theta, parameter_units(trace))
+            where = theta_in_words(names, theta, parameter_units(trace))
             found.append(
                 f"run {name} visited {where}, and no draw of this run is near: the log-probability there is "
                 f"{there} (best draw here: {best}), and it holds {mass_in_words(mass)} of the "
@@ -284,11 +286,11 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return the other run's best draw that is away from this one: theta, log-probability, share of the mass."""
+    """Return the best far draw of the other run: theta, log-probability, share of the mass; None if negligible."""
     W = here.metric()
     ndim = here.position.shape[2]
     own = (here.position @ W).reshape(here.chains, -1, ndim)
-    if here.chains == 1:  # its halves stand in for chains
+    if here.chains == 1:  # its halves take the place of chains
         half = own.shape[1] // 2
         own = own[0, : 2 * half].reshape(2, half, ndim)
     gaps = [cKDTree(np.delete(own, i, axis=0).reshape(-1, ndim)).query(own[i])[0] for i in range(len(own))]

@@ -50,7 +50,7 @@ class LocalQuadratic:
 
     @property
     def precision(self) -> FloatArray:
-        """H, made positive definite where nothing determines a direction of these coordinates of order one."""
+        """H, made positive definite: its eigenvalues are at least 0.01 in these coordinates of order one."""
         values, vectors = np.linalg.eigh(self.hessian)
         return (vectors * np.maximum(values, _FLATTEST)) @ vectors.T
 
@@ -66,7 +66,7 @@ class ModeWeight:
     mean, covariance : ndarray, shape (ndim,) and (ndim, ndim)
         Moments of the posterior there.
     effective : float
-        How many independent draws the estimate is worth; 0 for the Laplace approximation, without evaluations.
+        Effective sample size of the estimate; 0 for the Laplace approximation, which evaluates nothing.
     """
 
     log_mass: float
@@ -85,9 +85,9 @@ def mode_weights(
 ) -> tuple[ModeWeight, ...]:
     """Estimate the mass of every maximum.
 
-    First the Laplace approximation within the box, ∫ exp(m) du, which is the last word on maxima of less than e⁻⁴⁰
-    of the greatest mass. For the others importance sampling of P itself: `draws` from each of their Gaussians and
-    as many from another of twice its width, all weighted by the mixture of them (Owen & Zhou 2000, JASA 95,
+    First the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less than e⁻⁴⁰ of
+    the largest mass. The others are found by importance sampling of P itself: `draws` from the Gaussian of each
+    maximum and as many from one of twice its width, all weighted by their mixture (Owen & Zhou 2000, JASA 95,
     135-143), and divided among the maxima in proportion to exp(m).
 
     Parameters
@@ -130,7 +130,7 @@ def _importance(
     rng: np.random.Generator,
     draws: int,
 ) -> list[ModeWeight | None]:
-    """Return mass and moments of P around each maximum; None where no draw has a probability."""
+    """Return mass and moments of P around each maximum; None if no draw has a finite log-probability."""
     proposals = [m.proposal(lower, upper, t) for m in maxima for t in _TEMPERATURES]
     u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])
     log_q = logsumexp([proposal.log_density(u) for proposal in proposals], axis=0) - np.log(len(proposals))
@@ -158,12 +158,12 @@ _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 
 
 class SequentialNormal:
-    """A proposal for a Gaussian within a box, close to it even where the Gaussian's centre lies far outside.
+    """A proposal for a Gaussian truncated to a box, close to it even if its centre lies far outside the box.
 
     With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal of mean μ_i and variance 1,
-    cut off where u_i leaves the box given those before (Geweke, Hajivassiliou and Keane). The means μ are the
+    truncated where u_i leaves the box given those before (Geweke, Hajivassiliou and Keane). The means μ are the
     minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio of the Gaussian to q.
-    The draws' density q(u) is known whatever μ is.
+    The density q(u) of the draws is known for any μ.
 
     Parameters
     ----------
@@ -171,9 +171,9 @@ class SequentialNormal:
     precision : ndarray, shape (ndim, ndim)
         Symmetric and positive definite.
     lower, upper : ndarray, shape (ndim,)
-        The box; infinite where there is no wall.
+        The box; infinite where there is no bound.
     densest : ndarray, shape (ndim,)
-        Where in the box the Gaussian is densest: the search for μ begins there.
+        The point of the box with the highest density: the search for μ begins there.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class SequentialNormal:
     ) -> None:
         covariance = np.linalg.inv(precision)
         sd = np.sqrt(np.diag(covariance))
-        # the coordinate that the walls leave least room comes first, for then the others follow it
+        # the coordinate that the bounds restrict most comes first, so that the others are conditional on it
         self.order = np.argsort(log_mass((lower - mean) / sd, (upper - mean) / sd))
         self.L = np.linalg.cholesky(covariance[np.ix_(self.order, self.order)])
         self.mean, self.lower, self.upper = mean[self.order], lower[self.order], upper[self.order]
@@ -212,11 +212,11 @@ class SequentialNormal:
         return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
 
     def _minimax(self, start: FloatArray) -> FloatArray:
-        """Return the tilting μ: the saddle point's, or none if the search fails."""
+        """Return the tilting μ at the saddle point; zero if the search fails."""
         from scipy.optimize import root
 
         def tilted(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Return μ that makes z stationary, and the mean of each cut normal relative to its μ."""
+            """Return μ that makes z stationary, and the mean of each truncated normal relative to its μ."""
             tilt, excess = np.zeros(n), np.zeros(n)
             for i in range(n - 1, -1, -1):
                 tilt[i] = np.sum(excess[i + 1 :] * self.L[i + 1 :, i] / np.diag(self.L)[i + 1 :])
@@ -230,7 +230,7 @@ class SequentialNormal:
 
 
 def _mean_of_cut_normal(a: float, b: float) -> float:
-    """Return the mean of the standard normal cut off at a and b, (φ(a) − φ(b))/(Φ(b) − Φ(a))."""
+    """Return the mean of the standard normal truncated to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a))."""
     mass = log_mass(np.array(a), np.array(b))
     return float(np.exp(-0.5 * a**2 - _LOG_ROOT_2PI - mass) - np.exp(-0.5 * b**2 - _LOG_ROOT_2PI - mass))
 
@@ -239,12 +239,14 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return log(Φ(b) − Φ(a)) without cancellation in either tail."""
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
-    with np.errstate(divide="ignore", invalid="ignore"):  # limits so close or far out that nothing is left between
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # the limits may be so close, or so far out, that no mass is left between them
         return log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b)))
 
 
 def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
-    """Return the quantiles `p` of the standard normal cut off at a and b."""
+    """Return the quantiles `p` of the standard normal truncated to [a, b]."""
     flip = a > 0
     low, high = np.where(flip, -b, a), np.where(flip, -a, b)
     with np.errstate(divide="ignore"):

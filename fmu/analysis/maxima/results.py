@@ -21,26 +21,28 @@ if TYPE_CHECKING:
 
 
 MOST_SHOWN = 6
-"""Maxima that are shown side by side."""
+"""Maxima shown side by side."""
 NEGLIGIBLE = 0.01
-"""Share of the probability that may be left out."""
+"""Share of the probability that a run may leave out."""
 RELIABLE = 20.0
-"""Effective draws that the mass of a maximum must rest on."""
+"""Effective draws required for the mass of a maximum."""
 
 
 def share_of_mass(part: float) -> str:
-    """Return the share of a maximum: it is above 0, even where it is too small for a number."""
+    """Format the share of a maximum: never zero, even if it underflows."""
     return share(max(part, np.finfo(float).tiny))
 
 
 def mass_in_words(part: float) -> str:
-    """Say what part of the probability there is: ``"about 3 %"``, ``"less than 0.01 %"``."""
+    """Format a part of the probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
     text = share_of_mass(part)
     return text.replace("< ", "less than ").replace("> ", "more than ") if text[0] in "<>" else f"about {text}"
 
 
-def in_words(names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None) -> str:
-    """Name a parameter vector: ``"Ix1 = 3.904e-9 m⁴, Ax1 = 0.0009 m²"``, with the digits that `sd` leaves."""
+def theta_in_words(
+    names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None
+) -> str:
+    """Format a parameter vector: ``"Ix1 = 3.904e-9 m⁴, Ax1 = 0.0009 m²"``, to the digits that `sd` supports."""
     spread = np.full(len(theta), np.nan) if sd is None else sd
     parts = zip(names, theta, spread, units, strict=True)
     return ", ".join(f"{name} = {rounded(float(x), float(s))} {unit}".rstrip() for name, x, s, unit in parts)
@@ -61,22 +63,21 @@ class PosteriorMaximum:
     frequencies : ndarray, shape (n_modes,)
         Hz, paired with the measured modes.
     starts : int
-        How many starts climbed to it.
+        How many optimiser starts ended there.
     at_bound : ndarray of int, shape (ndim,)
         −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere.
     gradient : ndarray, shape (ndim,)
-        Of the log-probability: not zero where a bound is active.
+        Of the log-probability; not zero if a bound is active.
     hessian : ndarray, shape (ndim, ndim)
         −∇² log P or an approximation.
     curvature : str
-        Which of them: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
+        Source of the Hessian: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
     mean, sd : ndarray, shape (ndim,)
         Of the part of the posterior that belongs to this maximum.
     log_mass : float
         Logarithm of that part's integral ∫ P(D|θ) P(θ) dθ.
     effective_draws : float
-        How many independent draws `mean`, `sd` and `log_mass` are worth; 0 where they come from the Laplace
-        approximation alone.
+        Effective sample size of `mean`, `sd` and `log_mass`; 0 if they come from the Laplace approximation alone.
     share : float
         The mass over that of all maxima found.
     """
@@ -134,12 +135,12 @@ class Maxima:
 
     @property
     def log_evidence(self) -> float:
-        """Logarithm of the mass of all maxima together: an estimate of log P(D), as good as the maxima are all."""
+        """Logarithm of the total mass of the maxima: an estimate of log P(D), if all maxima were found."""
         return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
 
     @property
     def log_evidence_error(self) -> float:
-        """Standard error of `log_evidence` from the weights of the draws; NaN where there were none."""
+        """Standard error of `log_evidence` from the importance weights; NaN if there are none."""
         weighed = [m for m in self.maxima if m.effective_draws > 0]
         if not weighed:
             return np.nan
@@ -147,7 +148,7 @@ class Maxima:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of where the maxima are, how the posterior falls around them, and their shares."""
+        """SHA-256 of positions, gradients, Hessians and shares of the maxima."""
         what = ("theta", "log_prob", "gradient", "hessian", "share")
         return configuration_hash({name: [getattr(m, name) for m in self.maxima] for name in what})
 
@@ -156,7 +157,7 @@ class Maxima:
 
         Columns ``log_prob``, ``share``, ``starts``, ``at_bounds`` (words); each parameter; its posterior mean and
         standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.
-        A name that is taken by another column gets an underscore: a parameter ``share`` is in ``share_``.
+        A name already taken gets an underscore: a parameter called ``share`` is in column ``share_``.
         """
         best = self.maxima
         columns: list[tuple[str, list[Any]]] = [
@@ -182,24 +183,20 @@ class Maxima:
             f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
         )
 
-    def words_of_theta(self, theta: FloatArray, sd: FloatArray | None = None) -> str:
-        """Name a parameter vector, as `in_words` does."""
-        return in_words(self.names, theta, self.units, sd)
-
     def drop(self, theta: FloatArray) -> FloatArray:
         """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
         models = (LocalQuadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
         return np.stack([model.drop(theta) for model in models])
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
-        """Return a column a maximum beside the model before updating and the measurement, as words, to be read.
+        """Return a table of text: a column for each maximum, beside the model before updating and the measurement.
 
-        Digits follow from the posterior standard deviations; frequencies that differ are seen to.
+        Digits follow from the posterior standard deviations; different frequencies are shown as different.
 
         Parameters
         ----------
         most : int
-            The highest so many are shown.
+            Number of maxima shown, the highest first.
         """
         import pandas as pd
 
@@ -222,7 +219,7 @@ class Maxima:
         return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self, most: int = MOST_SHOWN) -> list[str]:
-        """Say which of the highest maxima lie at bounds, a sentence each."""
+        """Return a sentence for each of the highest maxima that lies at bounds."""
         words = [self.words_at_bounds(m) for m in self.maxima[:most]]
         return [f"Maximum {k} lies at bounds: {said}." for k, said in enumerate(words, 1) if said]
 
@@ -238,7 +235,7 @@ class Maxima:
         return str(self.side_by_side().to_html()) + said
 
     def to_dataset(self) -> xr.Dataset:
-        """Return what `from_dataset` needs, as a trace keeps it."""
+        """Return the maxima as a dataset, as stored in a trace."""
         import xarray as xr
 
         stacked = {name: np.array([getattr(m, name) for m in self.maxima]) for name in _DIMENSIONS}
@@ -256,7 +253,7 @@ class Maxima:
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
-        """Return what `to_dataset` was called on."""
+        """Return the maxima from what `to_dataset` returned."""
         columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS}
         rows = [{name: column[i] for name, column in columns.items()} for i in range(dataset.sizes["maximum"])]
         names, units, labels = (

@@ -1,4 +1,4 @@
-"""The deterministic updating that engineers already do, from many starts: every maximum, with its curvature."""
+"""Deterministic updating from many starts: every maximum of the posterior, with its curvature."""
 
 from __future__ import annotations
 
@@ -20,52 +20,52 @@ if TYPE_CHECKING:
 
 
 STARTS = 256
-"""A climb takes about a millisecond, and of a maximum that was not found nothing can warn."""
+"""A start costs about a millisecond, and nothing can warn of a maximum that was not found."""
 STARTS_WITHOUT_DERIVATIVES = 16
-"""A climb takes some hundred calls of the user's function, which may be a finite-element program."""
+"""A start costs some hundred calls of the user's function, which may be a finite-element program."""
 _WEIGHING = 1
 _KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int], Maxima]] = WeakKeyDictionary()
 
 
 def default_starts(problem: UpdatingProblem) -> int:
-    """Return from how many starts to climb: fewer where a gradient is made of differences of solves."""
+    """Return the default number of optimiser starts: fewer if gradients are finite differences."""
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
     return STARTS
 
 
 def is_searchable(problem: Any) -> bool:
-    """Say whether `find_map` takes it: an updating problem, or what looks like one."""
+    """Say whether `find_map` can search it: an updating problem, or an object with its attributes."""
     return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
 
 
 def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
-    This is the updating that ends in one parameter vector, and the check that no sampler can do by itself: whether
-    there are other places where the posterior is, and how much of it. The result is remembered with the problem:
-    a second search from as many starts with the same seed costs nothing.
+    This is updating to a single parameter vector. It is also a check that no sampler can do by itself: whether the
+    posterior has other maxima, and how much probability they hold. The result is cached with the problem: a second
+    search with the same number of starts and the same seed costs nothing.
 
     Parameters
     ----------
     problem : UpdatingProblem
     starts : int, optional
-        Climbs, see `fmu.posterior.maxima.local_maxima`. Fewer are faster and may miss a maximum. 256,
-        or 16 where the model has no derivatives of its own.
-    seed : int
-        Chooses the starts, and the draws that weigh the maxima.
+            Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer are faster but may miss a
+        maximum. 256 by default, or 16 if the model has no derivatives.
+        seed : int
+        Of the starts, and of the importance sampling.
 
     Returns
     -------
     Maxima
-        The highest first. The Hessians are differences of the exact gradient where that is smooth
-        (`fmu.analysis.maxima.search`). The masses are integrals over the box by importance sampling around each
-        maximum (`mode_weights`), so that active bounds and what a Hessian leaves out count.
+        The highest first. The Hessians are differences of the exact gradient if that is smooth (`hessian_at`).
+        The masses are integrals over the box by importance sampling around each maximum (`mode_weights`), so
+        that active bounds and non-Gaussian shapes count.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive, or `problem` is no updating problem.
+        If `starts` is not positive, or `problem` is not an updating problem.
     """
     if not is_searchable(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
@@ -122,7 +122,7 @@ def _in_si(
     mass: ModeWeight,
     frequencies: FloatArray,
 ) -> PosteriorMaximum:
-    """Return one maximum, back from scaled coordinates."""
+    """Return one maximum, converted from scaled coordinates to SI units."""
     scale = problem.scale
     at_bound = np.where(model.gradient > 0, found.theta >= problem.upper, 0) - np.where(
         model.gradient < 0, found.theta <= problem.lower, 0
@@ -151,12 +151,13 @@ _SMOOTH = 0.3
 
 
 def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray, str]:
-    """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and where it comes from.
+    """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and its source.
 
-    Differences of the exact gradient over a twentieth of the width that a first attempt finds, one-sided at the
-    bounds; the part that is not positive semidefinite is taken away. Where modes swap the gradient jumps, and
-    differences over another step differ: then JᵀJ of the residuals plus the curvature of the prior (Gauss–Newton),
-    where the errors are in the modes. With residuals of several standard deviations it may be an order too small.
+    Differences of the exact gradient, with a step of a twentieth of the width that a first attempt finds,
+    one-sided at the bounds; negative eigenvalues are set to zero. Where modes swap the gradient jumps, and
+    differences with another step disagree. For errors in the modes the Gauss–Newton matrix is then used: JᵀJ of
+    the residuals plus the curvature of the prior. It may be ten times too small if residuals are several
+    standard deviations.
 
     Parameters
     ----------
@@ -187,7 +188,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
     """Return the symmetric part of the gradient's differences over ± `step` (ndim,), in scaled coordinates."""
     h = np.diag(step * problem.scale)
-    # a bound at which the prior vanishes has no gradient: halfway there
+    # at a bound where the prior vanishes there is no gradient: go only halfway
     vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]
     vanish_below, vanish_above = np.array(vanishing).T
     lower = np.where(vanish_below, 0.5 * (problem.lower + theta), problem.lower)

@@ -1,4 +1,4 @@
-"""Where chains start that begin at the maxima of a posterior: in proportion to their shares, and overdispersed."""
+"""Starts of chains around the maxima of a posterior: in proportion to their shares, and overdispersed."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 DISPERSION = 2.0
 """Standard deviation of the starts around a maximum, over that of the posterior there.
 
-Chains that start wider than the posterior must contract to it before they agree, so that R-hat shows a chain which
-has not (Gelman & Rubin 1992, Statistical Science 7, 457-472, section 2.1). Twice the width is what one proposal of
-the importance sampling has too, and far less than the distance to another maximum. It cannot show a maximum that
-the search did not find; nor can starts from the prior, unless one of them happens to fall into its basin.
+Overdispersed chains must contract to the posterior before they agree, so that R-hat shows a chain that has not
+(Gelman & Rubin 1992, Statistical Science 7, 457-472, section 2.1). Twice the width is also used by the importance
+sampling, and is far less than the distance to another maximum. It cannot show a maximum that the search did not
+find; nor can starts from the prior, unless one of them falls into its basin.
 """
 _HALVINGS = 30
 
@@ -33,13 +33,13 @@ _HALVINGS = 30
 def starts(
     density: LogDensity, init: Any, maxima: Maxima | None, chains: int, walkers: int, seed: int
 ) -> tuple[Any, Any]:
-    """Return where chains start, as `fmu.samplers.Run` takes it, and what a configuration is to say of it.
+    """Return the starts of the chains for `fmu.samplers.Run`, and their description for the configuration.
 
     Parameters
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
-        "maxima" is the prior where no maxima are known.
+        "maxima" means the prior if no maxima are known.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -57,15 +57,16 @@ def starts(
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
     """Draw the starts of all chains around the maxima, in proportion to the maxima's shares of the probability.
 
-    Around each maximum they come from its quadratic model of the log-probability, `DISPERSION` times as wide as
-    the posterior and cut off at the bounds. The model may be wrong so far out: a start where the log-probability
-    is lower than on the model's rim, or not finite, is moved halfway towards the maximum until it no longer is.
+    Around each maximum they are drawn from its quadratic model of the log-probability, `DISPERSION` times as
+    wide as the posterior and truncated at the bounds. The model may be wrong so far out: a start with a
+    log-probability lower than on the surface of the ellipsoid, or not finite, is moved halfway towards the
+    maximum until it is high enough.
 
     Parameters
     ----------
     density : LogDensity
     maxima : Maxima
-        What `fmu.find_map` found.
+        The result of `fmu.find_map`.
     chains : int
         Chains, or ensembles.
     walkers : int
@@ -99,10 +100,10 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
 def allotted(share: FloatArray, n: int) -> IntArray:
     """Return the maximum (from 0) at which each of `n` chains starts, shape (n,), in ascending order.
 
-    The highest averages method of Webster and Sainte-Laguë, which comes as close to the shares as whole numbers
-    can; but every maximum gets one chain first, those of the greatest shares where there are too few chains. A
-    maximum takes part if its share is at least 1 % and no less than a tenth of what one chain is worth: with more
-    than that, a chain that never leaves it would be out of all proportion (`fmu.analysis.maxima.missed`).
+    By the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares; but every maximum
+    first gets one chain, the largest shares first if there are too few chains. Maxima with a share below 1 %, or
+    below a tenth of 1/n, get none: a chain that never leaves such a maximum would be out of proportion
+    (`fmu.analysis.maxima.missed`).
 
     Parameters
     ----------

@@ -53,10 +53,10 @@ def to_trace(
         The density that was sampled. An `UpdatingProblem` gives all the groups below; of a plain log-density only
         those that need no frequencies, with coordinates named ``x0``, ``x1``, ...
     start : ndarray or mapping, optional
-        Where the chains started, if a word does not say it: the positions that the user gave, or which maxima. It
-        belongs to the configuration and its hash.
+        Where the chains started, if ``result.init`` does not say it: the positions given by the user, or the
+        maxima. It is part of the configuration and its hash.
     predictions : bool
-        Whether to solve the draws again for the groups that need frequencies.
+        Whether to solve the model at the draws for the groups that need frequencies.
 
     Returns
     -------
@@ -98,8 +98,7 @@ def to_trace(
 def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """Write a trace to a netCDF file, which appears complete or not at all.
 
-    It is made in memory first: the HDF5 library cannot close a file for which the disk has no room, and says so
-    again and again.
+    It is made in memory first, because the HDF5 library cannot close a file if the disk is full.
 
     Parameters
     ----------
@@ -114,7 +113,7 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     OSError
-        If it cannot be written: the disk is full, for example. What was there before still is.
+        If it cannot be written: if the disk is full, for example. An earlier file is then left as it was.
     """
     path = Path(path)
     with shielded():
@@ -127,7 +126,7 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
 
 
 def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read a trace that `save_trace` wrote, whole, into memory.
+    """Read a trace that `save_trace` wrote into memory.
 
     Parameters
     ----------
@@ -142,7 +141,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If the file is no netCDF file, or holds no trace of this package.
+        If the file is not a netCDF file, or does not hold a trace written by fmu.
     """
     import xarray as xr
 
@@ -158,7 +157,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 
 
 def names_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the parameters' names; ``x0``, ``x1``, ... where the density has none."""
+    """Return the parameters' names; ``x0``, ``x1``, ... if the density has none."""
     return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
 
 
@@ -233,7 +232,7 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
     else:
         terms = {problem.likelihood.terms_name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
-    # a pseudo-likelihood, and shapes alone, have no measurement noise of frequencies to predict with
+    # a pseudo-likelihood, or errors of shapes alone, give no measurement noise of frequencies
     if problem.likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
         theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
@@ -253,12 +252,12 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
 
 
 BATCH = 4096
-"""Draws handed to the model at a time: bounds the memory that one batched eigenvalue call takes."""
+"""Draws passed to the model at a time, which bounds the memory of one batched solve."""
 
 
 @dataclass(frozen=True)
 class DistinctDraws:
-    """The draws of a run without the repetitions that rejections leave.
+    """The draws of a run without the repetitions from rejected proposals.
 
     Attributes
     ----------

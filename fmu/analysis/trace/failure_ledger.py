@@ -1,4 +1,4 @@
-"""The ledger of a run's failed solves, and when too many have failed to go on."""
+"""The table of failed solves of a run, and the limit at which the run stops."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ENOUGH_SOLVES = 200
-"""Before as many solves a rate of failures says little: chains may start where the model does not work."""
+"""With fewer solves a failure rate says little: chains may start where the model fails."""
 
 
 class FailedSolves(NamedTuple):
-    """What failed in one part of a run.
+    """Failed solves of one part of a run.
 
     Attributes
     ----------
@@ -28,11 +28,11 @@ class FailedSolves(NamedTuple):
     phase : str
         Of the run: "start", "warmup" or "draws".
     step : int
-        Steps of the phase done when the part was over.
+        Steps of the phase at the end of the part.
     failures : sequence of Failure
         What was recorded (`fmu.UpdatingProblem.take_failures`).
     n_failed : int
-        Evaluations that failed: more than were recorded, where some failed at the same theta or very many failed.
+        Evaluations that failed: more than were recorded if some failed at the same theta, or very many failed.
     """
 
     task: int
@@ -81,7 +81,7 @@ def failure_rate_exceeded(
     at_least: int = ENOUGH_SOLVES,
     failures: Sequence[Failure] = (),
 ) -> str | None:
-    """Say that too large a share of the solves failed; None while it is at most the limit.
+    """Return a message if too large a share of the solves failed; None if it is at most the limit.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ def failure_rate_exceeded(
     limit : float
         The largest share allowed; with 1 no run is ever stopped.
     at_least : int
-        Fewer solves than these say nothing.
+        With fewer solves the rate is not judged.
     failures : sequence of Failure
-        Where there are some, the most frequent reason is part of the message.
+        If given, the most frequent reason is part of the message.
 
     Raises
     ------

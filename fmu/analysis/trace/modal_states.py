@@ -1,4 +1,4 @@
-"""The modes of a structure before updating and after it: frequencies, shapes, and how alike the shapes are."""
+"""The modes of a structure before and after updating: frequencies, shapes and MAC."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 
 GROUP = "modes"
-"""Group of a trace that keeps them."""
+"""Group of a trace that stores them."""
 START, MEAN, MAXIMUM = "start", "posterior mean", "maximum"
 MEASURED = "measured shapes, at the sensors"
-"""What shapes are compared with, where there are measured ones."""
+"""Reference of the MAC if shapes were measured."""
 _AXES = ("x", "y", "z")
 
 
 def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> xr.DataTree:
-    """Return the trace with the structure's modes before and after updating kept in it."""
+    """Return the trace with the modes before and after updating stored in it."""
     states = states_of(trace, problem, maxima)
     with phase("modes", len(states)):
         return with_group(trace, GROUP, modal_states(problem, states))
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return the parameter vectors worth looking at, by name: start, posterior mean, highest maximum if known."""
+    """Return the parameter vectors compared, by name: start, posterior mean, highest maximum if known."""
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
         states[MAXIMUM] = maxima[0].theta
@@ -46,7 +46,7 @@ def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | Non
 
 
 def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Solve the full model at some parameter vectors.
+    """Solve the full model at given parameter vectors.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     Raises
     ------
     ValueError
-        If there is no state, or one has not ndim parameters.
+        If there is no state, or one does not have ndim parameters.
     """
     import xarray as xr
 

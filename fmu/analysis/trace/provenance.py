@@ -1,4 +1,4 @@
-"""Where a trace comes from: settings, versions and a hash of everything that determines the draws."""
+"""Provenance of a trace: settings, versions and a hash of everything that determines the draws."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")
 
 
 def canonical_json(value: Any) -> str:
-    """Return the one JSON text of `value`: sorted keys, no spaces, shortest floats that round-trip.
+    """Return `value` as canonical JSON: sorted keys, no spaces, shortest floats that round-trip.
 
-    NumPy scalars and arrays are written as the Python numbers and lists that they hold, tuples as lists.
+    NumPy scalars and arrays are written as numbers and lists, tuples as lists.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def described(
 def configuration(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
     """Return everything that determines the draws of a run.
 
-    `start` says where the chains started, where the word ``result.init`` does not.
+    `start` says where the chains started, if ``result.init`` does not.
     """
     run = {
         "draws": result.draws,
@@ -79,10 +79,10 @@ def versions() -> dict[str, str]:
 
 
 def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
-    """Return the attributes of a trace's root, all of them numbers or text, as netCDF wants them.
+    """Return the attributes of the root of a trace, all numbers or text, as netCDF requires.
 
-    ``n_solves`` and ``n_gradients`` count the retained draws; what the warm-up cost stands apart in
-    ``warmup_n_solves`` and ``warmup_n_gradients``. ``wall_s`` is the time of sampling, warm-up included.
+    ``n_solves`` and ``n_gradients`` count the retained draws, ``warmup_n_solves`` and ``warmup_n_gradients`` the
+    warm-up. ``wall_s`` is the time of sampling, warm-up included.
     """
     settings = configuration(result, density, start)
     costs = {
