@@ -1,6 +1,6 @@
-"""Numbers as people read them: their digits follow from their uncertainty, and what differs is seen to differ.
+"""Numbers for people: their digits follow from their uncertainty, and different values look different.
 
-Every number in a message, a table, a page or a label comes from here. Files for programs have all digits.
+Every number in a message, table, page or label is formatted here. Files for programs have all digits.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Any
 MISSING = "–"
 _MOST_DECIMALS, _MOST_DIGITS = 12, 15
 _SMALLEST, _LARGEST = 1e-4, 1e7
-"""Numbers are written out from the first up to the second, and with a power of ten elsewhere."""
+"""Numbers in this range are written out, others with a power of ten."""
 _AS_WRITTEN = 10
-"""A measured value of more digits than that was computed, not written down."""
+"""A value with more digits than this was computed, not measured."""
 _FREQUENCY_DIGITS = 6
 _FEW = 1e-4
 
@@ -27,7 +27,7 @@ def decimals(spread: float) -> int:
 
 
 def fixed(value: float | None, places: int) -> str:
-    """Format with a number of decimals; a dash where there is no number."""
+    """Format with a number of decimals; a dash for None, NaN and infinity."""
     return MISSING if value is None or not math.isfinite(value) else _signed(f"{value:.{places}f}")
 
 
@@ -44,13 +44,13 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def rounded(value: float, sd: float, digits: int = 4) -> str:
-    """Format with as many digits as show two significant ones of the standard deviation.
+    """Format to two significant digits of the standard deviation.
 
     Parameters
     ----------
     value, sd : float
     digits : int
-        Significant ones, where the standard deviation is not known.
+        Significant digits if the standard deviation is unknown.
     """
     is_known = math.isfinite(sd) and sd > 0
     return apart(value, sd=sd)[0] if is_known else significant(value, digits)
@@ -70,17 +70,17 @@ def with_sd(value: float, sd: float) -> str:
 
 
 def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MOST_DIGITS) -> tuple[str, ...]:
-    """Format values that are compared, to the same decimal place: those that differ are seen to.
+    """Format values for comparison: to the same decimal place, so that different values look different.
 
     Parameters
     ----------
     *values : float
     sd : float
-        Uncertainty of each: two significant digits of it are shown.
+        Uncertainty of each value, which is shown to two significant digits.
     digits : int
-        Significant ones of the largest value, where `sd` is not known.
+        Significant digits of the largest value if `sd` is unknown.
     most : int
-        Digits of the largest value beyond which values may look the same.
+        Most digits of the largest value: values that differ beyond it may look the same.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
 
 
 def hertz(*values: float, digits: int = 4) -> tuple[str, ...]:
-    """Format frequencies of a model, Hz: to a tenth at least, and up to six digits where that tells them apart."""
+    """Format computed frequencies, Hz: at least to 0.1 Hz, and to six digits if they differ only there."""
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     return apart(
         *values, digits=min(max(digits, _exponent(largest) + 2), _FREQUENCY_DIGITS), most=_FREQUENCY_DIGITS
@@ -145,14 +145,14 @@ def written_digits(value: float) -> int:
 
 
 def _digits(value: float) -> int:
-    """Return with how many significant digits a number is told from every other."""
+    """Return the significant digits that distinguish a number from all others."""
     return max(len(repr(float(value)).partition("e")[0].strip("-").replace(".", "").strip("0")), 1)
 
 
 def share(part: float, digits: int = 2) -> str:
     """Format a share of a whole in per cent: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    So many significant digits of the share, or one less of what is missing to the whole; never a power of ten.
+    To `digits` significant digits of the share, or one less of its complement; never with a power of ten.
     """
     if not math.isfinite(part):
         return MISSING

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
-
-import textwrap
-from collections.abc import Collection, Iterable, Iterator, Sequence
 
 WIDTH = 100
 _GAP = "  "

@@ -14,7 +14,7 @@ import click
 
 from fmu.numbers import fixed
 from fmu.progress.words import as_json, duration, number
-from fmu.text_table import text_table, wrapped
+from fmu.tables import text_table, wrapped
 
 if TYPE_CHECKING:
     from fmu.runs.reading import Progress

@@ -1,4 +1,4 @@
-"""The page of a problem that was looked at before a sampler is started."""
+"""The page of `fmu check`: a problem before sampling."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from markupsafe import Markup
 
 from fmu.analysis.check import Check
+from fmu.analysis.identifiability import Identifiability
 from fmu.analysis.information import doubts as doubts_of_information
 from fmu.fem.frame.drawing import UNCHANGED
-from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
+from fmu.numbers import MISSING, change, given, hertz, listed, significant, with_sd
 from fmu.report.document import (
     Details,
     Items,
@@ -31,6 +32,7 @@ from fmu.report.pages import INDEX, render
 from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
 from fmu.report.plots.modes import plot_mode
 from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
+from fmu.report.sections.structure import directions
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,23 +42,23 @@ _MOST_SHAPES = 12
 
 
 def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
-    """Write what was found about a problem as a page.
+    """Write the findings on a problem as a page.
 
     Parameters
     ----------
     found : Check
     directory : path-like
-        Made if it does not exist.
+        Created if it does not exist.
 
     Returns
     -------
     Path
-        ``index.html`` in that directory; it holds all that it shows.
+        ``index.html`` in that directory, a self-contained file.
 
     Raises
     ------
     ValueError
-        If a file of other origin stands in its place.
+        If a file that fmu did not write is in the way.
     """
     output = OutputDirectory(directory)
     name = f"{INDEX}.html"
@@ -67,10 +69,10 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 
 def check_page(found: Check) -> Page:
-    """Return the page: verdicts, the structure, its modes, what data and prior say, the gradient."""
+    """Return the page: verdicts, structure, modes, prior prediction, identifiability and gradient."""
     sections = [_model(found), _modes(found), _prior(found)]
     if found.identifiability is not None:
-        sections.append(_informed(found))
+        sections.append(_informed(found.identifiability))
     sections.append(_gradient(found))
     lead = f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes; before sampling."
     footer = "Written by fmu check for the model at the start values, before updating."
@@ -129,7 +131,7 @@ def _model(found: Check) -> PageSection:
 
 
 def _legend(found: Check) -> Markup:
-    """Return which colour belongs to which parameters."""
+    """Return the legend of the colours of the parameters."""
     names: dict[str, list[str]] = {}
     for name, colour in zip(found.parameters.index, found.colours, strict=True):
         if colour is not None:
@@ -158,7 +160,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return the structure deformed in each measured mode, as many as can be looked at."""
+    """Return drawings of the structure deformed in each measured mode, at most twelve."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):
@@ -203,35 +205,15 @@ def _prior(found: Check) -> PageSection:
         parts.append(Pictures((picture(axes, "prior", alt, caption),)))
         table = found.prior_table()
         rows = tuple((label, *row) for label, row in zip(labels, table.to_numpy(), strict=True))
-        noise = (
-            (f"The sd is that of {found.measurement}, with its error.")
-            if np.isfinite(prior.noise_sd).all()
-            else ""
-        )
+        is_noisy = np.isfinite(prior.noise_sd).all()
+        noise = f"The sd is that of {found.measurement}, with its error." if is_noisy else ""
         header = ("mode", "measured, Hz", "prior prediction, Hz", "distance, sd")
         parts.append(PageTable(f"{len(prior.frequencies)} draws from the prior. {noise}".strip(), header, rows))
     return PageSection("prior", "Prior prediction", tuple(parts))
 
 
-def _informed(found: Check) -> PageSection:
-    informed = found.identifiability
-    if informed is None:
-        raise ValueError("found: must have an identifiability (got none)")
-    rows = tuple(
-        (
-            str(k),
-            significant(s),
-            significant(1.0 / (1.0 + s * s) ** 0.5),
-            *(fixed(float(x), 2) for x in direction),
-        )
-        for k, (s, direction) in enumerate(zip(informed.singular_values, informed.directions, strict=True), 1)
-    )
-    caption = (
-        "Linearised at the start. Orthonormal directions in units of the prior standard deviations. Sd left: "
-        "part of the prior standard deviation that remains along each direction."
-    )
-    header = ("direction", "singular value", "sd left", *informed.names)
-    table = Details("Directions and singular values", (PageTable(caption, header, rows),))
+def _informed(informed: Identifiability) -> PageSection:
+    table = Details("Directions and singular values", (directions(informed, "Linearised at the start"),))
     return PageSection("informed", "Identifiability", (Items(tuple(informed.sentences())), table))
 
 

@@ -33,7 +33,7 @@ class Items:
 
 @dataclass(frozen=True)
 class Link:
-    """A name that leads to another page of the report."""
+    """A link to another page of the report."""
 
     words: str
     target: str
@@ -48,7 +48,7 @@ class PageTable:
     caption : str
     header : tuple of str
     rows : tuple of tuple of (str or Link)
-        As long as the header each; the first cell names the row.
+        Each as long as the header; the first cell names the row.
     words : tuple of int
         Columns that hold words, aligned to the left, beside the first.
     """
@@ -72,7 +72,7 @@ class Picture:
     Attributes
     ----------
     svg : Markup
-        With its description for those who do not see it.
+        With a description for those who cannot see it.
     caption : str
     width : int
         Its natural width in CSS pixels.
@@ -86,7 +86,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Pictures:
-    """Drawings side by side where the page is wide enough."""
+    """Drawings side by side if the page is wide enough."""
 
     kind: ClassVar[str] = "pictures"
     pictures: tuple[Picture, ...]
@@ -94,7 +94,7 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Code:
-    """Text that is shown as it stands."""
+    """Preformatted text."""
 
     kind: ClassVar[str] = "code"
     words: str
@@ -102,7 +102,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Details:
-    """What opens on request."""
+    """Parts that are hidden until they are opened."""
 
     kind: ClassVar[str] = "details"
     summary: str
@@ -114,7 +114,7 @@ Part = Text | Items | PageTable | Picture | Pictures | Code | Details
 
 @dataclass(frozen=True)
 class PageSection:
-    """A heading and what is below it."""
+    """A heading and the parts below it."""
 
     id: str
     title: str
@@ -123,13 +123,13 @@ class PageSection:
 
 @dataclass(frozen=True)
 class Omitted:
-    """A section that a run has nothing for.
+    """A section for which a run has no content.
 
     Attributes
     ----------
     title : str
     reason : str
-        Why not: half a sentence, without its full stop.
+        Why it is omitted: half a sentence, without a full stop.
     """
 
     title: str
@@ -144,11 +144,11 @@ class Verdict:
     ----------
     question, answer : str
     is_good : bool or None
-        None where the question does not apply.
+        None if the question does not apply.
     because : str
         Heading of the reasons.
     reasons : tuple of str
-        What the answer rests on.
+        Reasons for the answer.
     """
 
     question: str
@@ -185,7 +185,7 @@ class Page:
 
 
 RASTER_DPI = 110
-"""Resolution of the parts that are drawn as pixels: paths and clouds of many points."""
+"""Resolution of the parts drawn as pixels: paths and clouds of many points."""
 _COLOURS = 32
 _CSS_PER_INCH = 96
 _TAG = re.compile(r"<[^>]*>")
@@ -201,11 +201,11 @@ def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
     axes : Axes or ndarray of Axes
         Of one figure.
     key : str
-        Letters that no other picture on the page has: its ids begin with them.
+        A prefix of its ids, unique on the page.
     alt : str
-        What there is to see, in words and numbers.
+        What the figure shows, in words and numbers.
     caption : str
-        What stands below it.
+        The text below it.
     """
     first = axes if hasattr(axes, "figure") else axes.ravel()[0]
     figure = first.figure
@@ -213,12 +213,12 @@ def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
 
 
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
-    """Return a figure as an SVG element: text stays text, ids are its own, styles reach nothing else.
+    """Return a figure as an SVG element with selectable text, unique ids and no style sheet.
 
     Raises
     ------
     ValueError
-        If `alt` is empty: whoever does not see the figure would learn nothing of it.
+        If `alt` is empty: readers who cannot see the figure would learn nothing.
     """
     import matplotlib as mpl
 
@@ -226,22 +226,22 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
         raise ValueError("alt: must describe the figure (got nothing)")
     file = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}), warnings.catch_warnings():
-        # text stays text: a letter that Matplotlib's font has not, the reader's has
+        # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
     text = file.getvalue()
     body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
-    # A style inside an SVG would be that of the whole page.
+    # A style inside an SVG would apply to the whole page.
     body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r"\s*\n\s*", " ", body)
     used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
-    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # text stays as it is
+    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change tags only, not text
     width, height = (72.0 * size for size in figure.get_size_inches())
     return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
 
 
 def _clean(tag: str, key: str, used: set[str]) -> str:
-    """Return a tag without the font's name, short, and with ids of its own: those that are referred to."""
+    """Return a tag without font names, with short numbers, and with the prefix before ids that are referenced."""
     tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
     tag = re.sub(r' (?:d|x|y|transform|points)="[^"]*"', _rounded, tag)
     tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
@@ -255,7 +255,7 @@ def _rounded(attribute: re.Match[str]) -> str:
 
 
 def _fewer_colours(data: re.Match[str]) -> str:
-    """Write the pixels of a few lines or areas with a palette, which takes a quarter of the room."""
+    """Store the pixels with a palette, which takes a quarter of the space."""
     from PIL import Image
 
     file = io.BytesIO()

@@ -43,7 +43,7 @@ _TAIL = 0.01
 
 @dataclass(frozen=True)
 class Exported:
-    """What `export` wrote.
+    """The result of `export`.
 
     Attributes
     ----------
@@ -51,9 +51,9 @@ class Exported:
     files : tuple of str
         In the directory.
     sampler : str
-        Whose draws they rest on.
+        The sampler whose draws were used.
     remarks : tuple of str
-        What speaks against the values, a sentence each.
+        Warnings about the values, a sentence each.
     """
 
     directory: Path
@@ -74,29 +74,29 @@ def export(
     Parameters
     ----------
     run_directory : path-like
-        What `fmu run` wrote.
+        A directory that `fmu run` wrote.
     sampler : str, optional
-        Whose draws: the first that converged if not given, else the first.
+        The sampler whose draws are used; by default the first that converged, else the first.
     at : {"mean", "map"}
         The posterior mean, or the highest maximum of the posterior that the run found.
     out : path-like, optional
-        Directory to write: ``export`` in that of the run if not given.
+        Output directory; by default ``export`` in the directory of the run.
     model : path-like, optional
-        The problem's file, where the run keeps none or the files that it names have moved.
+        The problem file, needed if the run has no copy of it or the files that it names have moved.
 
     Returns
     -------
     Exported
         ``theta.csv``: each parameter's unit, start, mean, standard deviation and the value chosen, SI units.
-        ``updated.toml``: the problem file with these values as its start, its comments kept; files that it names
-        are beside it. Of a structure given by its matrices also ``K.mtx`` and ``M.mtx`` there, Matrix Market, and
-        ``dofs.csv``, what their rows are.
+        ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
+        that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
+        ``dofs.csv``, the degrees of freedom of their rows.
 
     Raises
     ------
     ValueError
-        If the directory contains no traces, none of the sampler or no maxima, `at` is none of the two, the problem
-        is another one than was sampled, or files of other origin stand where these shall be.
+        If the directory contains no traces, none of the sampler or no maxima, `at` is unknown, the problem is
+        not the one that was sampled, or files that fmu did not write are in the way.
     """
     directory = Path(run_directory)
     if at not in AT:
@@ -156,8 +156,8 @@ def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[Any, 
 def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
     """Raise ValueError unless the problem is the one that was sampled.
 
-    The model is it also where its matrices differ by rounding, as on another machine: then the frequencies of some
-    draws must agree with those that the trace keeps.
+    The matrices may differ by rounding, as on another machine: then the frequencies at some draws must agree with
+    those in the trace.
     """
     sampled = json.loads(str(trace.attrs["configuration"]))["problem"]
     now = json.loads(canonical_json(problem.configuration()))
@@ -195,7 +195,7 @@ def _values(trace: xr.DataTree, theta: FloatArray) -> pd.DataFrame:
 def _remarks(
     problem: UpdatingProblem, trace: xr.DataTree, theta: FloatArray, at: str, diagnosis: Diagnosis
 ) -> list[str]:
-    """Say what speaks against the values: chains that have not converged, a mean where the posterior is not."""
+    """Return warnings about the values: chains that have not converged, a mean outside the posterior."""
     remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
     if at == "mean":
         lp = array_of(trace, "sample_stats", "lp")
@@ -208,7 +208,7 @@ def _remarks(
 
 
 def _incomplete(file: Path) -> list[str]:
-    """Say if the updated file needs more beside it than was copied, such as what a user's module imports."""
+    """Return a warning if the updated file needs files that were not copied, such as imported modules."""
     from fmu.config import ConfigurationError
 
     try:
@@ -227,7 +227,7 @@ _EDITOR = "#:schema"
 def write_matrices(
     model: SeparableModel, places: Mapping[str, Any], theta: FloatArray, about: str, folder: Path
 ) -> None:
-    """Write K and M at theta in Matrix Market format, their lower triangles alone, and what their rows are."""
+    """Write the lower triangles of K and M at theta in Matrix Market format, and the table of their rows."""
     from scipy.io import mmwrite
 
     for name, matrix, words in (
@@ -236,15 +236,15 @@ def write_matrices(
     ):
         symmetric = 0.5 * (matrix + matrix.T)
         comment = f" {words} {about} {DOFS} names the rows; entries above the diagonal are omitted."
-        with (folder / name).open("wb") as file:  # a name would be taken for ASCII
+        with (folder / name).open("wb") as file:  # given a name, mmwrite would write ASCII
             mmwrite(file, symmetric.tocoo(), comment=_ascii(comment), precision=17, symmetry="symmetric")
     dof_table(model, places).to_csv(folder / DOFS, index=False)
 
 
 def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
-    """Return what each row of the matrices is: ``row`` from 1, ``node``, ``place`` if named, ``direction``.
+    """Return the degree of freedom of each row: ``row`` from 1, ``node``, ``place`` if named, ``direction``.
 
-    Where the geometry is known also ``x``, ``y``, ``z`` of the node, m.
+    If the geometry is known also ``x``, ``y``, ``z`` of the node, m.
     """
     import pandas as pd
 
@@ -265,7 +265,7 @@ def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, about: str) -> tuple[str, list[str]]:
-    """Return a problem file with new start values, all else as it is, and the files beside it that it may name.
+    """Return a problem file with new start values, otherwise unchanged, and the strings in it that may name files.
 
     Parameters
     ----------
@@ -273,9 +273,9 @@ def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, ab
     starts : mapping of str to float
         By the name of the parameter, SI units.
     pairing : str or None
-        To be said in the file, if it says another or none.
+        Written to the file, if the file has another or none.
     about : str
-        Where the values come from: a comment at the top.
+        Source of the values: a comment at the top.
     """
     import tomlkit
 
@@ -291,12 +291,12 @@ def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, ab
 
 
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
-    """Copy the files beside a problem file that it names, so that the updated one stands by itself.
+    """Copy the files that a problem file names, so that the updated one is complete.
 
     Returns
     -------
     dict of str to str
-        The new names of files that could not keep theirs, because an exported one has it.
+        New names of files whose name is also that of an exported file.
     """
     renamed = {}
     for word in dict.fromkeys(words):
@@ -313,7 +313,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
 
 
 def rename(text: str, names: Mapping[str, str]) -> str:
-    """Return a problem file in which files have other names."""
+    """Return a problem file with renamed files."""
     import tomlkit
 
     if not names:
@@ -347,7 +347,7 @@ def _replace(part: Any, names: Mapping[str, str]) -> None:
 
 
 def _toml_number(value: float) -> str:
-    """Write a float that comes back as it was: ``"1.905e+11"``, ``"0.86"``, ``"1.0"``."""
+    """Format a float so that reading it gives the same value: ``"1.905e+11"``, ``"0.86"``, ``"1.0"``."""
     if value != 0.0 and not 1e-4 <= abs(value) < 1e7:
         return np.format_float_scientific(value, trim="0")
     return repr(float(value)) if math.isfinite(value) else str(value)

@@ -1,7 +1,7 @@
-"""Results in a directory that may hold other people's files: written as a whole, and nothing else touched.
+"""An output directory that may also contain other files: results are published together, other files left alone.
 
-Files are made in a hidden directory beside their destination and moved into place when all of them are there. A
-manifest in the directory lists what was written; only what it lists is ever replaced or taken away.
+Files are made in a hidden directory and moved into place when all of them are complete. A manifest in the
+directory lists what was written; only files in it are ever replaced or removed.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class OutputDirectory:
     Parameters
     ----------
     root : path-like
-        Made when something is published, unless it exists.
+        Created when something is published, unless it exists.
 
     Raises
     ------
     ValueError
-        If `root` is no directory, or its manifest is not one.
+        If `root` is not a directory, or its manifest is invalid.
     """
 
     def __init__(self, root: str | os.PathLike[str]) -> None:
@@ -42,7 +42,7 @@ class OutputDirectory:
         self.written = self._read()
 
     def check(self, names: Iterable[str]) -> None:
-        """Raise ValueError if files of other origin stand where `names` (relative) shall be written."""
+        """Raise ValueError if files that fmu did not write are in the way of `names` (relative)."""
         foreign = [name for name in _relative(names) if name not in self.written and self._stands(name)]
         if foreign:
             listed = ", ".join(foreign[:3]) + (", …" if len(foreign) > 3 else "")
@@ -53,7 +53,7 @@ class OutputDirectory:
 
     @contextmanager
     def staged(self) -> Iterator[Path]:
-        """Give an empty directory to write into, and publish what is in it; an error publishes nothing."""
+        """Yield an empty directory to write into, and publish its files at the end, unless there was an error."""
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))
@@ -67,10 +67,10 @@ class OutputDirectory:
                     path.rmdir()
 
     def _publish(self, stage: Path) -> None:
-        """Move every file of `stage` into place and take away our files of an earlier run that it lacks.
+        """Move every file of `stage` into place and remove the files of an earlier run that it lacks.
 
-        The manifest names a file before the file is there: whenever this is interrupted, what was written is
-        known to be ours.
+        The manifest lists a file before the file is written, so that after an interruption all written files are
+        known as fmu's.
         """
         names = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
         self.check(names)
@@ -85,7 +85,7 @@ class OutputDirectory:
         self._write(set(names))
 
     def _stands(self, name: str) -> bool:
-        """Say whether something is in the way: a file of that name, or one where a directory shall be."""
+        """Say whether something is in the way: a file of that name, or a file in place of a directory."""
         path = self.root / name
         above = [parent for parent in path.parents if self.root in parent.parents]
         return os.path.lexists(path) or any(os.path.lexists(p) and not p.is_dir() for p in above)

@@ -14,8 +14,7 @@ from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
-from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
-from fmu.report.sections import updating as evidence
+from fmu.report.sections import comparison, of_a_sampler, updating
 from fmu.report.sections.prediction import verdicts
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ INDEX = "index"
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the file of each run's page: its name, of letters that any file system and address takes."""
+    """Return the file name of each run's page, in characters that every file system and URL accepts."""
     taken, files = {INDEX}, {}
     for name in names:
         stem = plain = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-") or "run"
@@ -41,36 +40,16 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
 
 def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, ReportedRun]) -> Page:
     """Return the page of one run."""
-    found: list[PageSection | Omitted] = [
-        updating.parameters(run),
-        updating.frequencies(run),
-        updating.maxima(run),
-        evidence.evidences({run.name: run}),
-        structure.identifiability(run),
-        structure.mac(run),
-        structure.pairing(run),
-        structure.shapes(run),
-        prediction.predictive(run),
-        prediction.left_out(run),
-        chains.reliability(run),
-        chains.paths(run),
-        chains.settling(run),
-        chains.pairs(run),
-        chains.energies(run),
-        origin.cost(run),
-        origin.certificate(run),
-        origin.settings(run),
-    ]
     others = [Link("All samplers", f"{INDEX}.html")]
     others += [Link(other.title, files[name]) for name, other in runs.items() if name != run.name]
     lead = f"{run.trace.attrs['problem']}: {run.chains_in_words}."
     if run.title != run.sampler:
         lead = f"{run.sampler}, {lead}"
-    return Page(run.title, lead, verdicts(run), _without_omissions(found), tuple(others), _footer(run))
+    return Page(run.title, lead, verdicts(run), _without_omissions(of_a_sampler(run)), tuple(others), _footer(run))
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
-    """Return the sections, and at the end one that says which are missing, and why."""
+    """Return the sections, and a last one that lists the missing ones with their reasons."""
     found = tuple(found)
     sections = [part for part in found if isinstance(part, PageSection)]
     omitted = [part for part in found if isinstance(part, Omitted)]
@@ -87,7 +66,7 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
         comparison.efficiency(runs),
         comparison.agreement(runs),
         updating.maxima(_told(runs)),
-        evidence.evidences(runs),
+        updating.evidences(runs),
     )
     first = next(iter(runs.values()))
     links = tuple(Link(run.title, files[name]) for name, run in runs.items())
@@ -103,12 +82,12 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
 
 
 def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run whose draws speak for the model: a converged one, if there is any."""
+    """Return the run by whose draws the model is judged: a converged one, if there is any."""
     return next((run for run in runs.values() if run.diagnosis.converged), next(iter(runs.values())))
 
 
 def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:
-    """Return the verdicts on all runs together: how many converged, and what one that did says of the model."""
+    """Return the verdicts on all runs: how many converged, and what one of them says of the model."""
     failed = [run for run in runs.values() if not run.diagnosis.converged]
     good = len(runs) - len(failed)
     answer = "All converged" if not failed else f"{good} of {len(runs)} converged" if good else "None converged"
@@ -130,24 +109,24 @@ FOLDER = "report"
 
 
 def write_report(run_directory: str | os.PathLike[str]) -> Path:
-    """Write the report of a run from the traces in its directory, and nothing else.
+    """Write the report of a run from the traces in its directory.
 
     Parameters
     ----------
     run_directory : path-like
-        What `fmu run` wrote: a trace a sampler, ``SAMPLER.nc``.
+        A directory that `fmu run` wrote, with a trace for each sampler, ``SAMPLER.nc``.
 
     Returns
     -------
     Path
-        ``report/index.html`` in that directory. It appears with all its pages or not at all, and replaces nothing
-        but an earlier report.
+        ``report/index.html`` in that directory. It appears with all its pages or not at all, and replaces only an
+        earlier report.
 
     Raises
     ------
     ValueError
-        If it is no directory, contains no traces, or traces of different problems; or if files of other origin
-        stand where the report shall be.
+        If it is not a directory, contains no traces, or traces of different problems; or if files that fmu did not
+        write are in the way.
     """
     directory = Path(run_directory)
     if not directory.is_dir():
@@ -173,7 +152,7 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Of several samplers on one problem, by the name of their page.
+        Of several samplers on one problem, by the names of their pages.
     directory : path-like
         Made if it does not exist. Files of the same name are replaced.
 

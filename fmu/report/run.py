@@ -1,4 +1,4 @@
-"""A run with what its pages say of it, computed once."""
+"""A run with its summary, verdict and costs, computed once for all its pages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ReportedRun:
-    """A trace and what was made of it.
+    """A trace with its summary, verdict and costs.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class ReportedRun:
     costs : pandas.Series
         Its row of ``fmu.compare``.
     maxima : Maxima or None
-        Those that the trace keeps.
+        The maxima stored in the trace.
     prediction : pandas.DataFrame or None
-        ``predict_frequencies(trace)``, where there are frequencies.
+        ``predict_frequencies(trace)``; None if the trace has no frequencies.
     """
 
     name: str
@@ -49,7 +49,7 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """What the run is called: the sampler's full name, unless it has a name of its own."""
+        """The full name of the sampler, or the name of the run if that is not the name of a sampler."""
         return TITLES.get(self.name, self.name)
 
     @property
@@ -72,7 +72,7 @@ class ReportedRun:
 
     @property
     def chains_in_words(self) -> str:
-        """How many chains of how many draws."""
+        """Number and length of the chains, in words."""
         posterior, walkers = self.trace["posterior"], walkers_of(self.trace)
         chains, steps = posterior.sizes["chain"], posterior.sizes["draw"] // walkers
         many = "" if chains == 1 else "s"
@@ -81,12 +81,12 @@ class ReportedRun:
 
 
 def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
-    """Diagnose the traces of several samplers on one problem, each with what the others know.
+    """Judge the traces of several samplers on one problem, each compared with the others.
 
     Raises
     ------
     ValueError
-        If `traces` is empty, holds something else than traces, or traces of different problems.
+        If `traces` is empty, or contains something other than traces, or traces of different problems.
     """
     if not traces:
         raise ValueError("traces: at least one is needed (got none)")

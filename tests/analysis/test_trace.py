@@ -68,14 +68,14 @@ def test_frequencies_and_likelihood_are_those_of_the_draws(trace, problem, posit
 
 def test_repeated_draws_are_not_solved_again(make_result, problem, position):
     to_trace(make_result(position), problem)
-    assert len(problem.model.asked) == position.shape[0] * position.shape[1] // 2
+    assert len(problem.model.given.asked) == position.shape[0] * position.shape[1] // 2
 
 
 def test_repeated_draws_of_walkers_are_not_solved_again(make_result, problem):
     ensemble = np.random.default_rng(3).uniform(-1, 1, (2, 10, 4, 2))
     ensemble[:, 1::2] = ensemble[:, ::2]
     to_trace(make_result(ensemble.reshape(2, 40, 2), walkers=4), problem)
-    assert len(problem.model.asked) == 2 * 5 * 4
+    assert len(problem.model.given.asked) == 2 * 5 * 4
 
 
 def test_predictive_noise_has_the_sd_of_the_error_model(make_result, problem):

@@ -1,1 +1,42 @@
-"""The sections of a report, an idea a file. Each function takes a run and returns a section."""
+"""The sections of a report. A section is a function that takes a run and returns a `PageSection` or `Omitted`.
+
+To add one, write it in a module of this folder and name it in `OF_A_SAMPLER`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from fmu.report.document import Omitted, PageSection
+from fmu.report.run import ReportedRun
+
+OF_A_SAMPLER = (
+    "updating.parameters",
+    "updating.frequencies",
+    "updating.maxima",
+    "updating.evidence",
+    "structure.identifiability",
+    "structure.mac",
+    "structure.pairing",
+    "structure.shapes",
+    "prediction.predictive",
+    "prediction.left_out",
+    "chains.reliability",
+    "chains.paths",
+    "chains.settling",
+    "chains.pairs",
+    "chains.energies",
+    "origin.cost",
+    "origin.certificate",
+    "origin.settings",
+)
+"""The sections on the page of a sampler in their order, as ``MODULE.FUNCTION``."""
+
+
+def of_a_sampler(run: ReportedRun) -> list[PageSection | Omitted]:
+    """Return the sections of the page of one run."""
+    found = []
+    for name in OF_A_SAMPLER:
+        module, _, function = name.partition(".")
+        found.append(getattr(import_module(f"{__name__}.{module}"), function)(run))
+    return found

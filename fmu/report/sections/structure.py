@@ -27,7 +27,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
         first, *others = found.sentences()
         parts += [Text(f"{_WHERE.get(state, state)}: {first[0].lower()}{first[1:]}"), Items(tuple(others))]
     if kept:
-        tables = tuple(_directions(state, found) for state, found in kept.items())
+        tables = tuple(directions(found, _WHERE.get(state, state)) for state, found in kept.items())
         parts.append(Details("Directions and singular values", tables))
     if has(run.trace, "prior"):
         parts.append(_contraction(run))
@@ -36,7 +36,8 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("identifiability", title, tuple(parts))
 
 
-def _directions(state: str, found: Identifiability) -> PageTable:
+def directions(found: Identifiability, lead: str) -> PageTable:
+    """Return the directions of the parameter space and their singular values; the caption begins with `lead`."""
     rows = tuple(
         (
             str(k),
@@ -47,8 +48,8 @@ def _directions(state: str, found: Identifiability) -> PageTable:
         for k, (s, direction) in enumerate(zip(found.singular_values, found.directions, strict=True), 1)
     )
     caption = (
-        f"{_WHERE.get(state, state)}. Orthonormal directions in units of the prior standard deviations. Sd "
-        f"left: part of the prior standard deviation that remains along each direction."
+        f"{lead}. Orthonormal directions in units of the prior standard deviations. Sd left: part of the prior "
+        f"standard deviation that remains along each direction."
     )
     return PageTable(caption, ("direction", "singular value", "sd left", *found.names), rows)
 
@@ -71,7 +72,7 @@ def _contraction(run: ReportedRun) -> PageTable:
 
 
 def mac(run: ReportedRun) -> PageSection | Omitted:
-    """Return how alike the shapes are to those of the reference."""
+    """Return the MAC of the mode shapes with the reference."""
     title = "Modal assurance criterion"
     if not has(run.trace, GROUP, "mac"):
         return Omitted(title, NO_SHAPES)
@@ -87,7 +88,7 @@ def mac(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
-    """Return the MAC of each mode with the shape that was measured of it, if shapes were measured."""
+    """Return the MAC of each mode with its measured shape, if shapes were measured."""
     alike = measured_mac(run.trace)
     if alike is None:
         return ()
@@ -105,7 +106,7 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
 
 
 def pairing(run: ReportedRun) -> PageSection | Omitted:
-    """Return how often computed modes changed places over the draws."""
+    """Return how often the pairing of modes changed over the draws."""
     title = "Pairing over the draws"
     if not has(run.trace, GROUP) or not has(run.trace, "posterior_predictive"):
         return Omitted(title, "the trace has no frequencies at the draws and before updating")

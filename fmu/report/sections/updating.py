@@ -23,7 +23,7 @@ NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
 def parameters(run: ReportedRun) -> PageSection:
-    """Return the updated parameters beside start and bounds, and apart from them those that were not updated."""
+    """Return the updated parameters beside start and bounds, and a second table of those that were not updated."""
     found = information(run.trace)
     basis = dict(zip(found.names, found.basis, strict=True)) if found else {}
     rows: dict[bool, list[tuple[str, ...]]] = {True: [], False: []}
@@ -64,7 +64,7 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def frequencies(run: ReportedRun) -> PageSection | Omitted:
-    """Return the frequencies measured, before updating and after it."""
+    """Return the frequencies: measured, before updating and after it."""
     title, table = "Frequencies", run.prediction
     if table is None:
         return Omitted(title, NO_FREQUENCIES)
@@ -149,8 +149,13 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     )
 
 
+def evidence(run: ReportedRun) -> PageSection | Omitted:
+    """Return the evidences of one run."""
+    return evidences({run.name: run})
+
+
 def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
-    """Return every log-evidence that there is, with its error, what it rests on and whether it is reliable."""
+    """Return every log-evidence with its error, its source and whether it is reliable."""
     title = "Evidence"
     first = next(iter(runs.values()))
     known = [run.maxima for run in runs.values() if run.maxima is not None]
