@@ -21,8 +21,11 @@ $(READY): pyproject.toml constraints.txt
 paper: $(READY)  ## Run both experiments of the paper with every sampler, into results/
 	.venv/bin/fmu paper --out results
 
+# Byte code is kept: processes that tests start would compile the package again and again.
+test: export OPENBLAS_NUM_THREADS = 1
+test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY)  ## Run the whole test suite, a worker a core
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --dist=loadscope
+	.venv/bin/python -m pytest --numprocesses=auto --no-loadscope-reorder
 
 # What rounding decides: eigenvalues, null spaces, reduced models and what is compared with them.
 NUMERICAL := tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_structure.py tests/fem/test_frame.py \

@@ -1,9 +1,27 @@
-"""What every test runs under: one BLAS thread, and a cache of reduced bases that ends with the session."""
+"""What every test runs under: one BLAS thread, a cache of reduced bases that ends with the session, its worker."""
 
 import os
 
 import pytest
 from threadpoolctl import threadpool_limits
+
+import fmu
+
+
+ROOMS = ("tests/engines/", "tests/report/")
+"""Folders whose session fixtures are dear: a cluster, rendered pages."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give the tests of a file to one worker, and those of a room too, so that its fixtures are made once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByRoom(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            return next((room for room in ROOMS if nodeid.startswith(room)), nodeid.partition("::")[0])
+
+    return ByRoom(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -28,3 +46,15 @@ def _fresh_basis_cache(shared_folder):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FMU_CACHE_DIR", os.fspath(shared_folder / "bases"))
         yield
+
+
+@pytest.fixture(scope="session")
+def section():
+    """The problem whose posterior has separate modes, nearly all its probability in one that is hard to find."""
+    return fmu.cases.load("cantilever-section", "index")
+
+
+@pytest.fixture(scope="session")
+def section_maxima(section):
+    """Return the maxima that a search from the usual starts finds, the most probable first."""
+    return fmu.find_map(section)

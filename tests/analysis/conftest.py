@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fmu import cases
-from fmu.analysis.maxima.search import find_map
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
@@ -25,17 +23,6 @@ def problem():
     ]
     data = ModalData([101.0, 99.5, 102.0], labels=("W1", "W2", "T1"))
     return UpdatingProblem(LinearModel(), data, parameters, beta=[0.5, 1.0, 2.0], name="linear")
-
-
-@pytest.fixture(scope="session")
-def section():
-    """The problem whose posterior has separate modes, nearly all its probability in one that is hard to find."""
-    return cases.load("cantilever-section", "index")
-
-
-@pytest.fixture(scope="session")
-def section_maxima(section):
-    return find_map(section)
 
 
 @pytest.fixture(scope="session")

@@ -72,6 +72,7 @@ def test_chains_in_the_mode_that_holds_the_probability_may_converge(section, aro
     assert not any("maximum" in reason for reason in found.reasons)
 
 
+@pytest.mark.validate
 def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, section_maxima, around):
     """R-hat below 1.01 in C, 75 below A; and what the walk alone would have been told."""
     walk = RandomWalk(2.38**2 / section.ndim * covariance_around(section_maxima[2], section))
@@ -89,8 +90,8 @@ def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, sectio
     ("sampler", "warmup", "draws"),
     [
         ("mh", 100, 200),
-        ("slice", 100, 100),
-        (fmu.HamiltonianMonteCarlo(0.003, 10), 60, 30),
+        pytest.param("slice", 100, 100, marks=pytest.mark.validate),
+        pytest.param(fmu.HamiltonianMonteCarlo(0.003, 10), 60, 30, marks=pytest.mark.validate),
         (fmu.Ensemble(walkers=16), 150, 50),
     ],
     ids=["mh", "slice", "hmc", "emcee"],
@@ -105,8 +106,7 @@ def test_dispersed_starts_do_not_converge(section, section_maxima, sampler, warm
     assert any(re.search(r"(chain is|chains are|walkers are) (around|near)", r) for r in found.reasons[:3])
 
 
-@pytest.mark.parametrize("maximum", [1, 2], ids=["B", "C"])
-@pytest.mark.parametrize("sampler", ["slice", "emcee"])
+@pytest.mark.parametrize(("sampler", "maximum"), [("slice", 1), ("emcee", 2)], ids=["slice in B", "emcee in C"])
 def test_whoever_stays_in_a_local_mode_is_told_where(section, section_maxima, around, sampler, maximum):
     settings, shape = (fmu.Slice(width=0.05), (4,)) if sampler == "slice" else (fmu.Ensemble(walkers=16), (4, 16))
     trace = fmu.sample(section, settings, draws=40, warmup=0, init=around(maximum, *shape), seed=1)

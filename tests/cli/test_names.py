@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
@@ -15,72 +16,85 @@ name = {title}
 pairing = "index"
 [model]
 type = "matrices"
-dofs = [["floor 1", "x"], ["floor 2", "x"]]
-[[model.stiffness]]
-matrix = [[29.7e6, 0.0], [0.0, 0.0]]
-powers = {{ {one} = 1 }}
-[[model.stiffness]]
-matrix = [[29.7e6, -29.7e6], [-29.7e6, 29.7e6]]
-powers = {{ {two} = 1 }}
-[[model.mass]]
-matrix = [[16.5e3, 0.0], [0.0, 16.1e3]]
+dofs = [{dofs}]
+{terms}
 [measurement]
-frequencies = [4.4, 10.7]
-labels = [{label}, "2"]
+frequencies = {frequencies}
+labels = {labels}
 sd = 0.1
-[[parameters]]
-name = {one}
-unit = {unit}
-start = 1.3
-lower = 0.1
-upper = 3.0
-[[parameters]]
-name = {two}
-start = 0.8
-lower = 0.1
-upper = 3.0
+{parameters}"""
+TERM = """
+[[model.{kind}]]
+matrix = {matrix}
+powers = {{ {name} = 1 }}
 """
+PARAMETER = """
+[[parameters]]
+name = {name}
+unit = {unit}
+start = 1.1
+lower = 0.5
+upper = 2.0
+"""
+NAMES = ("$$", r"$\undefined$", "share", '<b>"it\'s, θ₁ a|b" 50%_')
+UNITS = ('href="data:image/png;base64,A"', "data:image/png;base64,AAAA", r"$\undefined$ </text>", "|")
+LABELS = ("$ $ |", "parameter")
+TITLE = '$x$ <!-- " <title>'
 
 
-def write(folder, one="a", two="b", label="1", unit="", title="t"):
-    names = {"one": one, "two": two, "label": label, "unit": unit, "title": title}
+def write(folder, names=("a", "b", "c", "d"), units=("",) * 4, labels=("1", "2"), title="t"):
+    """Storeys above each other, as many as measured modes, of which each stiffness and mass is a parameter."""
+    n, terms = len(labels), ""
+    for k, name in enumerate(names):
+        kind, value, of = ("stiffness", 3e7, k) if k < n else ("mass", 16e3, k - n)
+        ends = np.eye(n)[of]
+        if kind == "stiffness" and of:
+            ends[of - 1] = -1.0
+        matrix = (value * np.outer(ends, ends)).tolist()
+        terms += TERM.format(kind=kind, matrix=matrix, name=json.dumps(name))
+    text = FILE.format(
+        title=json.dumps(title),
+        dofs=", ".join(f'["floor {k + 1}", "x"]' for k in range(n)),
+        terms=terms,
+        frequencies=[4.4, 10.7],
+        labels=json.dumps(labels),
+        parameters="".join(
+            PARAMETER.format(name=json.dumps(name), unit=json.dumps(unit))
+            for name, unit in zip(names, units, strict=False)
+        ),
+    )
     path = folder / "problem.toml"
-    path.write_text(FILE.format(**{key: json.dumps(name) for key, name in names.items()}), encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     return path
 
 
-@pytest.mark.parametrize(
-    ("one", "two", "label", "unit", "title"),
-    [
-        ("$$", r"$\undefined$", "$ $", 'href="data:image/png;base64,A"', "$x$ <!--"),
-        ("E wing, θ₁ 50%_", "a|b", "|", "data:image/png;base64,AAAA", '"'),
-        ("share", '<b>"it\'s"', "parameter", r"$\undefined$ </text>", "<title>"),
-    ],
-)  # fmt: skip
-def test_names_that_mean_something_elsewhere(one, two, label, unit, title, tmp_path):
-    path, out = write(tmp_path, one, two, label, unit, title), tmp_path / "run"
+def test_names_that_mean_something_elsewhere(tmp_path):
+    """In HTML, in the mathematics of Matplotlib, in Markdown, and in the tables that fmu writes."""
+    path, out = write(tmp_path, NAMES, UNITS, LABELS, TITLE), tmp_path / "run"
     length = ["--draws", "30", "--warmup", "20", "--chains", "2", "--starts", "4"]
     done = CliRunner().invoke(main, ["run", str(path), *length, "--out", str(out)])
     assert done.exit_code == 0, done.output
     trace = fmu.load_trace(out / "hmc.nc")
-    assert list(fmu.summary(trace).index) == [one, two]
-    assert pd.read_csv(out / "summary-hmc.csv", index_col=0, na_filter=False).index.tolist() == [one, two]
+    assert tuple(fmu.summary(trace).index) == NAMES
+    assert tuple(pd.read_csv(out / "summary-hmc.csv", index_col=0, na_filter=False).index) == NAMES
     found = pd.read_csv(out / "map.csv", index_col=0)
     assert found.columns.is_unique
-    assert found[f"{one}_" if one == "share" else one][1] == fmu.find_map(fmu.load(path), starts=4)[0].theta[0]
+    best = fmu.find_map(fmu.load(path), starts=4)[0].theta
+    for name, value in zip(NAMES, best, strict=True):
+        assert found[f"{name}_" if name == "share" else name][1] == value
     page = Parsed((out / "report" / "hmc.html").read_text(encoding="utf-8"))
     assert not page.all("script")
-    for name in (one, two, label, unit, title):
+    for name in (*NAMES, *UNITS, *LABELS, TITLE):
         assert name in page.text
     done = CliRunner().invoke(main, ["export", str(out)])
     assert done.exit_code == 0, done.output
-    assert fmu.load(out / "export" / "updated.toml").names == (one, two)
+    assert fmu.load(out / "export" / "updated.toml").names == NAMES
 
 
 @pytest.mark.parametrize("name", ["chain", "draw", ".", "..", " a", "a ", "a\u202eb", "a\u00a0b", "a\x7fb"])
 def test_names_that_no_trace_can_keep(name, tmp_path):
     with pytest.raises(ValueError, match=r"parameters\.0\.name: must ") as refused:
-        fmu.load(write(tmp_path, name))
+        fmu.load(write(tmp_path, (name, *"bcd")))
     assert f"(got {name!r})" in str(refused.value)
     with pytest.raises(ValueError, match=r"^name: must "):
         fmu.Parameter(name, start=1.0, lower=0.0, upper=2.0)
@@ -88,7 +102,7 @@ def test_names_that_no_trace_can_keep(name, tmp_path):
 
 def test_all_of_them_are_told_at_once(tmp_path):
     with pytest.raises(ValueError, match="2 errors") as refused:
-        fmu.load(write(tmp_path, "chain", "draw"))
+        fmu.load(write(tmp_path, ("chain", "draw", "c", "d")))
     assert "parameters.0.name: must not be 'chain', 'draw'" in str(refused.value)
     assert "parameters.1.name: must not be 'chain', 'draw'" in str(refused.value)
 

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 import fmu
 from fmu import cli
 
-SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh", "--no-report")
+SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh", "--starts", 1, "--no-report")
 
 
 @pytest.fixture

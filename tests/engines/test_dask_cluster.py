@@ -26,6 +26,13 @@ def cluster(dask_processes):
         yield cluster
 
 
+@pytest.fixture(scope="module")
+def mortal_processes(local_cluster):
+    """Two processes for the tests that kill one: each waits first for what the one before it killed."""
+    with local_cluster(2) as processes:
+        yield processes
+
+
 @pytest.fixture
 def own_processes(local_cluster):
     """Two processes for one test that kills them: Dask may lose a process for good that dies as it starts."""
@@ -73,14 +80,17 @@ def test_large_tasks_are_sent_without_a_warning(cluster):
     assert cluster.run_tasks(engine_tasks.length, None, [b"x" * 11_000_000]) == [11_000_000]
 
 
-def test_a_task_whose_worker_was_killed_is_done_again(own_cluster, tmp_path):
+def test_a_task_whose_worker_was_killed_is_done_again(mortal_processes, tmp_path):
+    running(mortal_processes)
     given = ["a", "mortal", "b", "c", "d"]
-    assert own_cluster.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
+    with engine(cluster=mortal_processes.scheduler_address) as cluster:
+        assert cluster.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
 
 
-def test_a_run_whose_worker_was_killed_draws_the_same(own_processes, tmp_path):
+def test_a_run_whose_worker_was_killed_draws_the_same(mortal_processes, tmp_path):
+    running(mortal_processes)
     alone = fmu.sample(LinearProblem(), "hmc", **SETTINGS)
-    address = own_processes.scheduler_address
+    address = mortal_processes.scheduler_address
     trace = fmu.sample(LinearProblem(tmp_path / "died"), "hmc", workers=address, **SETTINGS)
     assert (tmp_path / "died").exists()
     assert_same(trace, alone)

@@ -88,14 +88,13 @@ def test_posterior_of_a_kept_result_covers_the_truth(frame, result):
     assert np.all(draws.std(axis=0) < 0.02)
 
 
-def test_from_a_record_to_the_posterior(frame, result):
+def test_from_a_record_to_what_was_kept(frame, result):
     pytest.importorskip("pyoma2")
     identified = frame.identified(seed=1)
     # rounding differs between kinds of CPU, and what is identified is a small part of a large matrix
     assert_allclose(identified.Fn, result.Fn, rtol=1e-6)
     assert_allclose(identified.Fn_std, result.Fn_std, rtol=1e-3)
-    draws = posterior(frame, ModalData.from_pyoma(identified, SENSORS))
-    assert np.all(np.abs(draws.mean(axis=0) - 1.0) < 4.0 * draws.std(axis=0))
+    assert ModalData.from_pyoma(identified, SENSORS).n_modes == 3
 
 
 def test_result_in_a_file(tmp_path, result):

@@ -1,7 +1,6 @@
 """An updated model is the one that was sampled, at its posterior, and comes back as a problem of its own."""
 
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,21 +10,9 @@ from scipy.io import mmread
 
 import fmu
 from fmu.analysis.convergence.diagnosis import maxima_of
-from fmu.analysis.trace.conversion import save_trace
-from fmu.config.kept import KeptProblem
 from fmu.config.template import write_template
 from fmu.report.export import export
-
-
-def run(path, directory, pairing="shape", **length):
-    """What `fmu run` leaves: a trace, the problem and where it was."""
-    problem = fmu.load(path, pairing)
-    directory.mkdir(parents=True)
-    KeptProblem(path, path.parent, pairing).save(directory)
-    settings = {"draws": 150, "warmup": 150, "chains": 2} | length
-    trace = fmu.sample(problem, "hmc", maxima=fmu.find_map(problem, starts=8), **settings)
-    save_trace(trace, directory / "hmc.nc")
-    return problem, trace
+from tests.report.exported import run
 
 
 @pytest.fixture(scope="module", params=["frame", "matrices"])
@@ -107,16 +94,11 @@ def test_the_highest_maximum(done, tmp_path):
     assert "highest maximum of the posterior" in (written.directory / "updated.toml").read_text(encoding="utf-8")
 
 
-def test_a_run_that_has_not_converged_is_exported_with_a_warning(tmp_path):
-    folder = Path(tmp_path)
-    run(write_template("matrices", folder), folder / "out", draws=4, warmup=5)
-    remarks = export(folder / "out").remarks
-    assert any(remark.startswith("The run is not converged: ") for remark in remarks)
-
-
-def test_pairing_that_the_run_was_given_is_in_the_updated_file(tmp_path):
+def test_a_short_run_by_number(tmp_path):
+    """It is exported with a warning, and the pairing that the run was given is in the updated file."""
     run(write_template("matrices", tmp_path), tmp_path / "out", pairing="index", draws=4, warmup=5)
     written = export(tmp_path / "out")
+    assert any(remark.startswith("The run is not converged: ") for remark in written.remarks)
     updated = tomllib.loads((written.directory / "updated.toml").read_text(encoding="utf-8"))
     assert updated["pairing"] == "index"
 

@@ -6,8 +6,8 @@ import pytest
 
 import fmu
 from fmu.analysis.trace.conversion import save_trace
-from fmu.config.kept import KeptProblem
 from fmu.report.export import export
+from tests.report.exported import run
 
 MODULE = """
 import numpy as np
@@ -43,24 +43,20 @@ upper = 2.0
 """
 
 
-def run(path, directory, pairing="shape", **length):
-    """What `fmu run` leaves: a trace, the problem and where it was."""
-    problem = fmu.load(path, pairing)
-    directory.mkdir(parents=True)
-    KeptProblem(path, path.parent, pairing).save(directory)
-    settings = {"draws": 150, "warmup": 150, "chains": 2} | length
-    trace = fmu.sample(problem, "hmc", maxima=fmu.find_map(problem, starts=8), **settings)
-    save_trace(trace, directory / "hmc.nc")
-    return problem, trace
+@pytest.fixture(scope="module")
+def sampled(tmp_path_factory):
+    """A short run on a function of the user's own."""
+    folder = tmp_path_factory.mktemp("function")
+    (folder / "mine.py").write_text(MODULE)
+    (folder / "a.toml").write_text(PYTHON)
+    run(folder / "a.toml", folder / "out")
+    return folder
 
 
 @pytest.fixture
-def function(tmp_path):
-    """A short run on a function of the user's own."""
-    (tmp_path / "mine.py").write_text(MODULE)
-    (tmp_path / "a.toml").write_text(PYTHON)
-    run(tmp_path / "a.toml", tmp_path / "out")
-    return tmp_path
+def function(sampled, tmp_path):
+    """A copy of that run, to be changed; it finds its problem file by a relative path."""
+    return shutil.copytree(sampled, tmp_path / "copy")
 
 
 def test_a_function_has_values_and_a_file(function):

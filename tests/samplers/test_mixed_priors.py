@@ -86,7 +86,14 @@ SAMPLERS = {
 }
 
 
-@pytest.mark.parametrize("name", SAMPLERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "slice",
+        "hmc",
+        *(pytest.param(name, marks=pytest.mark.validate) for name in SAMPLERS if name not in ("slice", "hmc")),
+    ],
+)
 def test_a_posterior_of_mixed_priors(problem, target, name):
     sampler, chains, draws = SAMPLERS[name]
     trace = fmu.sample(problem, sampler, draws=draws, warmup=300, chains=chains, seed=20261121)

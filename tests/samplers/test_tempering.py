@@ -1,5 +1,7 @@
 """Parallel tempering: right posteriors and evidences, modes far apart, honest accounts."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -37,7 +39,9 @@ def assert_evidence(target, result, below=0.1):
         assert abs(found.log_evidence - target.log_evidence) < 4 * found.error
 
 
-@pytest.mark.parametrize("kernel", ["slice", "mh", "hmc"])
+@pytest.mark.parametrize(
+    "kernel", ["mh", *(pytest.param(kernel, marks=pytest.mark.validate) for kernel in ("slice", "hmc"))]
+)
 def test_a_linear_gaussian_problem(kernel):
     target = LinearGaussian()
     settings = Tempering(kernel, rungs=10)
@@ -127,22 +131,24 @@ def test_the_rungs_sample_the_tempered_densities(kernel):
             assert stats.kstest(z[:, i], "norm").pvalue > 1e-4
 
 
+@cache
+def counted(name):
+    """A short run, its target, and how many solves and gradients that was asked for."""
+    target = InBox(TruncatedGaussian())
+    result = run(target, Tempering(KERNELS[name]), draws=12, warmup=70, chains=3, seed=5, init="prior")
+    return target, result, (target.n_solves, target.n_gradients)
+
+
 @pytest.mark.parametrize("name", KERNELS)
 class TestAccounts:
-    @pytest.fixture
-    def counted(self, name):
-        target = InBox(TruncatedGaussian())
-        result = run(target, Tempering(KERNELS[name]), draws=12, warmup=70, chains=3, seed=5, init="prior")
-        return target, result
-
-    def test_solves_of_all_rungs_are_counted(self, counted):
-        target, result = counted
+    def test_solves_of_all_rungs_are_counted(self, name):
+        _, result, spent = counted(name)
         parts = (result.warmup, result.posterior)
-        assert sum(int(part.stats["n_solves"].sum()) for part in parts) == target.n_solves
-        assert sum(int(part.stats["n_gradients"].sum()) for part in parts) == target.n_gradients
+        told = tuple(sum(int(part.stats[key].sum()) for part in parts) for key in ("n_solves", "n_gradients"))
+        assert told == spent
 
-    def test_log_prob_belongs_to_the_position(self, counted):
-        target, result = counted
+    def test_log_prob_belongs_to_the_position(self, name):
+        target, result, _ = counted(name)
         for part in (result.warmup, result.posterior):
             theta = part.position.reshape(-1, 2)
             np.testing.assert_allclose(part.stats["lp"].ravel(), target.log_prob(theta), rtol=1e-12)
@@ -167,16 +173,18 @@ class TestAccounts:
             np.testing.assert_allclose(replicas.prior_gradient.reshape(-1, 3), prior_slope, rtol=1e-12)
             np.testing.assert_allclose(replicas.likelihood_gradient.reshape(-1, 3), slope, rtol=1e-9, atol=1e-9)
 
-    def test_the_seed_alone_decides(self, name):
-        target = InBox(TruncatedGaussian())
-        settings = {"draws": 6, "warmup": 41, "chains": 2, "init": "prior"}
-        first, again = (run(target, Tempering(KERNELS[name]), seed=3, **settings) for _ in range(2))
-        other = run(target, Tempering(KERNELS[name]), seed=4, **settings)
-        assert first.learnt == again.learnt
-        for key, value in first.posterior.stats.items():
-            np.testing.assert_array_equal(value, again.posterior.stats[key])
-        np.testing.assert_array_equal(first.posterior.position, again.posterior.position)
-        assert not np.array_equal(first.posterior.position, other.posterior.position)
+
+@pytest.mark.parametrize("kernel", ["slice", "mh", "hmc"])
+def test_the_seed_alone_decides(kernel):
+    target = InBox(TruncatedGaussian())
+    settings = {"draws": 6, "warmup": 41, "chains": 2, "init": "prior"}
+    first, again = (run(target, Tempering(kernel), seed=3, **settings) for _ in range(2))
+    other = run(target, Tempering(kernel), seed=4, **settings)
+    assert first.learnt == again.learnt
+    for key, value in first.posterior.stats.items():
+        np.testing.assert_array_equal(value, again.posterior.stats[key])
+    np.testing.assert_array_equal(first.posterior.position, again.posterior.position)
+    assert not np.array_equal(first.posterior.position, other.posterior.position)
 
 
 def test_one_evaluation_a_replica_and_step():
@@ -268,17 +276,15 @@ def test_the_start_must_be_where_the_density_is_finite():
             run(Failing(), Tempering(kernel), draws=1, warmup=0, chains=1, seed=1, init=[[5.0, 0.0, 0.0]])
 
 
-def test_the_mode_that_no_other_sampler_reaches_from_the_papers_start():
+def test_the_mode_that_no_other_sampler_reaches_from_the_papers_start(section, section_maxima):
     """Slice sampling alone stays 60 below the maximum that holds the probability."""
-    section = fmu.cases.load("cantilever-section", pairing="index")
-    maxima = fmu.find_map(section)
     settings = {"chains": 4, "seed": 1, "init": "start"}
     alone = to_trace(run(section, fmu.Slice(), draws=60, warmup=320, **settings), section, predictions=False)
-    assert "was never visited" in missed_maxima(alone, maxima)[0]
+    assert "was never visited" in missed_maxima(alone, section_maxima)[0]
     trace = to_trace(run(section, Tempering(), draws=60, warmup=320, **settings), section, predictions=False)
-    assert not any("never visited" in reason for reason in missed_maxima(trace, maxima))
+    assert not any("never visited" in reason for reason in missed_maxima(trace, section_maxima))
     best = trace["sample_stats"]["lp"].max("draw").to_numpy()
-    assert np.any(best > maxima[0].log_prob - 10)  # a chain that has been at the top
+    assert np.any(best > section_maxima[0].log_prob - 10)  # a chain that has been at the top
 
 
 def test_where_a_replica_was_not_evaluated_last_it_is_evaluated_again():

@@ -15,9 +15,8 @@ def test_importance_sampling_of_two_modes():
     assert found.agrees(Estimate(quadrature().log_evidence, 0.0))
 
 
-def test_regions_are_told_apart_by_the_modes_that_answer():
-    problem = fmu.cases.load("cantilever-section", "index")
-    maxima = fmu.find_map(problem)
+def test_regions_are_told_apart_by_the_modes_that_answer(section, section_maxima):
+    problem, maxima = section, section_maxima
     regions = [Region(problem, maximum.theta) for maximum in maxima[:3]]
     theta = problem.sample_prior(np.random.default_rng(1), 400)
     held = np.array([region.holds(theta) for region in regions])
@@ -38,8 +37,7 @@ def test_what_agrees():
     assert one.agrees(Estimate(-10.5, 0.2))
 
 
-def test_a_region_needs_no_gradient():
-    problem = fmu.cases.load("cantilever-section", "index")
-    region = Region(problem, problem.start)
+def test_a_region_needs_no_gradient(section):
+    region = Region(section, section.start)
     with pytest.raises(AttributeError):
-        region.log_prob_and_grad(problem.start)
+        region.log_prob_and_grad(section.start)

@@ -1,0 +1,16 @@
+"""A run on disk to be exported, as `fmu run` leaves it."""
+
+import fmu
+from fmu.analysis.trace.conversion import save_trace
+from fmu.config.kept import KeptProblem
+
+
+def run(path, directory, pairing="shape", **length):
+    """Sample a problem file and leave the trace, the file and where it was; return problem and trace."""
+    problem = fmu.load(path, pairing)
+    directory.mkdir(parents=True)
+    KeptProblem(path, path.parent, pairing).save(directory)
+    settings = {"draws": 150, "warmup": 150, "chains": 2} | length
+    trace = fmu.sample(problem, "hmc", maxima=fmu.find_map(problem, starts=8), **settings)
+    save_trace(trace, directory / "hmc.nc")
+    return problem, trace
