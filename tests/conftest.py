@@ -7,7 +7,6 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 
-
 ROOMS = ("tests/engines/", "tests/report/")
 """Folders whose session fixtures are dear: a cluster, rendered pages."""
 
