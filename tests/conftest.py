@@ -1,11 +1,18 @@
 """What every test runs under: one BLAS thread, a cache of reduced bases that ends with the session, its worker."""
 
+import gc
 import os
 
 import pytest
 from threadpoolctl import threadpool_limits
 
 import fmu
+
+
+def pytest_collection_finish():
+    """Keep what the collection made out of the garbage collector, which would walk through it again and again."""
+    gc.freeze()
+
 
 ROOMS = ("tests/engines/", "tests/report/")
 """Folders whose session fixtures are dear: a cluster, rendered pages."""
@@ -57,3 +64,13 @@ def section():
 def section_maxima(section):
     """Return the maxima that a search from the usual starts finds, the most probable first."""
     return fmu.find_map(section)
+
+
+@pytest.fixture(scope="module")
+def quick_figures():
+    """Leave out the layout of figures, half of the time that they take: other tests are of how they look."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: {})
+        yield

@@ -34,8 +34,10 @@ def exact_posterior():
 @pytest.mark.parametrize(
     ("name", "settings", "draws"),
     [
-        ("mh", samplers.MetropolisHastings(samplers.RandomWalk(0.15)), 3000),
-        ("slice", samplers.Slice(), 2000),
+        pytest.param(
+            "mh", samplers.MetropolisHastings(samplers.RandomWalk(0.15)), 3000, marks=pytest.mark.validate
+        ),
+        pytest.param("slice", samplers.Slice(), 2000, marks=pytest.mark.validate),
         ("hmc", samplers.HamiltonianMonteCarlo(step_size=0.1, n_steps=6), 1000),
         ("emcee", samplers.Ensemble(walkers=12), 500),
     ],

@@ -35,6 +35,7 @@ def z_scores(draws, walkers, other, other_walkers):
     return (draws.mean(axis=(0, 1)) - other.mean(axis=(0, 1))) / np.hypot(*errors)
 
 
+@pytest.mark.validate
 def test_plain_emcee_agrees_with_ours(problem, plain_draws):
     trace = fmu.sample(problem, "emcee", draws=500, warmup=300, chains=2, seed=3)
     assert np.all(np.abs(z_scores(plain_draws, WALKERS, parameter_draws(trace), WALKERS)) < 5)

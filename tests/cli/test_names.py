@@ -68,6 +68,7 @@ def write(folder, names=("a", "b", "c", "d"), units=("",) * 4, labels=("1", "2")
     return path
 
 
+@pytest.mark.usefixtures("quick_figures")
 def test_names_that_mean_something_elsewhere(tmp_path):
     """In HTML, in the mathematics of Matplotlib, in Markdown, and in the tables that fmu writes."""
     path, out = write(tmp_path, NAMES, UNITS, LABELS, TITLE), tmp_path / "run"

@@ -13,7 +13,7 @@ from tests.validation.hostile_files import problem_file
 from tests.validation.hostile_functions import FUNCTIONS
 from tests.validation.hostile_run import checked, unclear, wrong
 
-EVERY = 89
+EVERY = 181
 ANY_MEMORY = float("inf")
 MATRICES = (
     "absurd size.mtx", "size of 5000 digits.mtx", "long banner.mtx", "many comments.mtx", "cut short.mtx.gz",

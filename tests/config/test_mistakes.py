@@ -223,17 +223,17 @@ def test_too_many_parameters(frame_text, tmp_path):
     assert "parameters: must have at most 200 items (got " in complaint(tmp_path, frame_text + many)
 
 
-def test_a_hundred_thousand_mistakes_are_few_lines(frame_text, tmp_path):
+def test_twenty_thousand_mistakes_are_few_lines(frame_text, tmp_path):
     """All of them are kept, and the first ones are told."""
-    many = "".join(f"unknown{i} = {i}\n" for i in range(100_000))
+    many = "".join(f"unknown{i} = {i}\n" for i in range(20_000))
     (tmp_path / "portal.toml").write_text(many + frame_text)
     with pytest.raises(ConfigurationError) as caught:
         load(tmp_path / "portal.toml")
-    assert len(caught.value.mistakes) == 100_000
+    assert len(caught.value.mistakes) == 20_000
     lines = str(caught.value).splitlines()
     assert len(lines) == 22
-    assert lines[0] == "portal.toml: 100000 errors:"
-    assert lines[-1] == "  … and 99 980 more"
+    assert lines[0] == "portal.toml: 20000 errors:"
+    assert lines[-1] == "  … and 19 980 more"
     result = CliRunner().invoke(cli.main, ["check", str(tmp_path / "portal.toml")], prog_name="fmu")
     assert result.exit_code == 2
     assert result.output.splitlines()[1:] == lines[1:]

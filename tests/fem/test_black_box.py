@@ -328,7 +328,9 @@ SAMPLERS = {
 }
 
 
-@pytest.mark.parametrize("name", SAMPLERS)
+@pytest.mark.parametrize(
+    "name", ["mh", "hmc", *(pytest.param(name, marks=pytest.mark.validate) for name in ("slice", "emcee"))]
+)
 def test_every_sampler_runs_on_it_as_on_matrices(matrices, name):
     """The same chain, step by step: the samplers see a log-density alone."""
     sampler, warmup = SAMPLERS[name]

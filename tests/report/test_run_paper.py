@@ -7,7 +7,6 @@ import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.trace.conversion import load_trace
@@ -17,13 +16,11 @@ from fmu.report.files import MANIFEST
 
 
 @pytest.fixture(scope="module")
-def out(plan, tmp_path_factory):
+def out(plan, quick_figures, tmp_path_factory):
     directory = tmp_path_factory.mktemp("paper") / "results"
     directory.mkdir()
     (directory / "notes.md").write_text("mine")
-    with pytest.MonkeyPatch.context() as patch:  # half of the time; how figures look is tested elsewhere
-        patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: {})
-        run_paper(directory, plan=plan, workers=1)
+    run_paper(directory, plan=plan, workers=1)
     return directory
 
 
