@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Reference:
-    """The best estimate of the posterior at hand.
+    """The best available estimate of the posterior.
 
     Attributes
     ----------
     mean, sd, mcse : ndarray, shape (ndim,)
         SI units; `mcse` is the standard error of `mean`.
     origin : str
-        In words, where it comes from.
+        Its source, in words.
     """
 
     mean: FloatArray
@@ -37,7 +37,7 @@ class Reference:
 
     @property
     def resolution(self) -> float:
-        """Root mean square over the parameters of mcse/sd: smaller errors cannot be told from none."""
+        """Root mean square over the parameters of mcse/sd: smaller errors cannot be resolved."""
         return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
 
 
@@ -55,9 +55,9 @@ def pooled(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
 
 
 def around_the_maxima(maxima: Maxima) -> Reference:
-    """Return what importance sampling around the maxima found says, each maximum weighted by its mass.
+    """Return the estimate of importance sampling around the maxima found, each weighted by its mass.
 
-    No chain is in it, so that it holds where chains stay in the mode that they fell into.
+    It uses no chains, so that it also holds if chains stay in separate modes.
     """
     share = np.array([m.share for m in maxima])[:, np.newaxis]
     mean, sd = (np.array([getattr(m, name) for m in maxima]) for name in ("mean", "sd"))
@@ -82,7 +82,7 @@ class Curve:
     Attributes
     ----------
     solves : ndarray, shape (points,)
-        Model solves of one chain (one ensemble), those of its warm-up counted, averaged over the chains.
+        Model solves of one chain (one ensemble), warm-up included, averaged over the chains.
     error : ndarray, shape (chains, points)
         Root mean square over the parameters of (running mean − reference mean)/reference sd.
     """
@@ -93,14 +93,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Needed:
-    """When a run began to pass for converged, and from then on did at every length looked at.
+    """The length from which on a run passed for converged, at every longer length examined too.
 
     Attributes
     ----------
     draws : int or None
-        Steps kept; None if that did not happen within the run.
+        Retained steps; None if the run never passed.
     solves : int or None
-        Model solves of all chains up to there, warm-up counted.
+        Model solves of all chains up to there, warm-up included.
     """
 
     draws: int | None
@@ -108,7 +108,7 @@ class Needed:
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
-    """Follow the mean of each chain as its draws come in, at lengths that grow geometrically."""
+    """Return the error of the running mean of each chain, at geometrically growing lengths."""
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     chains, total, ndim = draws.shape
@@ -122,19 +122,19 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Find the shortest run that would have passed for converged, and every longer one looked at too.
+    """Return the shortest length from which on the run passes for converged.
 
     Parameters
     ----------
     trace : xarray.DataTree
     failures : callable
-        Says why a trace must not be called converged: `fmu.analysis.convergence.diagnostics.convergence_failures`,
-        or more.
+        Returns why a trace has not converged: `fmu.analysis.convergence.diagnostics.convergence_failures`, for
+        example.
 
     Notes
     -----
-    The warm-up is what it was; the draws are cut off at lengths that grow by `GROWTH`. Looking from the whole run
-    backwards and stopping at the first failure guards against lengths that pass by luck.
+    The warm-up is unchanged; the draws are truncated at lengths that grow by `GROWTH`. Going backwards from the
+    whole run, and stopping at the first failure, guards against lengths that pass by chance.
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -148,9 +148,9 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 
 
 def solves_at_this_pace(trace: xr.DataTree) -> int | None:
-    """Return how many model solves a run would take for the effective sample size that the verdict asks for.
+    """Return how many model solves a run would take to the effective sample size required by the verdict.
 
-    In proportion to the smallest bulk or tail ESS of the draws at hand, warm-up left out; None where that is NaN.
+    Extrapolated from the smallest bulk or tail ESS of the draws, without warm-up; None if that is NaN.
     """
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())
@@ -158,7 +158,7 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
 
 
 def solves_by_step(trace: xr.DataTree) -> IntArray:
-    """Return each chain's model solves up to every step kept, warm-up counted, shape (chains, steps)."""
+    """Return each chain's model solves up to every step kept, warm-up included, shape (chains, steps)."""
     kept = array_of(trace, "sample_stats", "n_solves")
     kept = kept.reshape(len(kept), -1, walkers_of(trace)).sum(axis=2)
     before = trace["warmup_sample_stats"]["n_solves"].sum("draw").to_numpy()
@@ -166,7 +166,7 @@ def solves_by_step(trace: xr.DataTree) -> IntArray:
 
 
 def shortened(trace: xr.DataTree, draws: int) -> xr.DataTree:
-    """Return the first `draws` draws of a trace, as far as a verdict needs them."""
+    """Return the first `draws` draws of a trace, with the groups that a verdict needs."""
     import xarray as xr
 
     groups = {name: trace[name].to_dataset().isel(draw=slice(0, draws)) for name in ("posterior", "sample_stats")}

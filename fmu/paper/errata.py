@@ -34,9 +34,9 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row a frequency: ``table``, ``column``, ``mode``; ``printed_hz``, and ``meant_hz`` where another cell
-        shows that a misprint stands there; ``model_hz``; ``difference_hz`` and ``tolerance_hz``, of the model from
-        what was meant; ``within``; ``remark``.
+        One row a frequency: ``table``, ``column``, ``mode``; ``printed_hz``, and ``meant_hz``, different if
+        another cell exposes a misprint; ``model_hz``; ``difference_hz`` of the model from what was meant, and
+        its ``tolerance_hz``; ``within``; ``remark``.
     """
     import pandas as pd
 
@@ -110,7 +110,7 @@ RARE = 5e-4
 
 
 class Erratum(NamedTuple):
-    """Where it stands, what is printed, what the model or the table itself gives, and how one knows."""
+    """An erratum: its place, what is printed, what the model or the table itself gives, and the evidence."""
 
     place: str
     printed: str
@@ -128,7 +128,7 @@ def computed_errata(
     by_number, by_shape : mapping of str to UpdatingProblem
         The experiments' problems under both pairings, by case.
     box_points : int
-        Points of the parameter box at which the spectrum is looked at; a power of two.
+        Points of the parameter box at which the spectrum is examined; a power of two.
     """
     return [
         *_mode_pairing(by_number[YOUNG], by_shape[YOUNG]),
@@ -140,7 +140,7 @@ def computed_errata(
 
 
 def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
-    """Which modes the paper's numbers are at the start of section 5.1."""
+    """Yield the modes of section 5.1 whose number in the spectrum at the start is that of another mode."""
     experiment = EXPERIMENTS[YOUNG]
     start = experiment.columns["initial"]
     numbers = by_number.data.numbers
@@ -164,7 +164,7 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
 
 
 def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[Erratum]:
-    """Where the number of a mode does not say which mode it is."""
+    """Yield the mode numbers that belong to different physical modes within the parameter box."""
     experiment = EXPERIMENTS[case]
     everywhere = spectrum.shares_over_the_box(problem, points)
     for i, (number, parts) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):
@@ -185,7 +185,7 @@ def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[
 
 
 def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Parameters that do not belong to the frequencies beside them, or lie outside the paper's own bounds."""
+    """Yield parameters that do not reproduce their frequencies, or lie outside the paper's own bounds."""
     experiment = EXPERIMENTS[case]
     names = experiment.parameter_names
     for column in experiment.columns.values():
@@ -214,7 +214,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Frequencies that their own error column contradicts."""
+    """Yield frequencies that contradict their own error column."""
     experiment = EXPERIMENTS[case]
     for column in experiment.columns.values():
         for i, meant in column.corrected_frequencies.items():
@@ -231,7 +231,7 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _errors(case: str) -> Iterator[Erratum]:
-    """Errors that do not follow from the frequency beside them, even if that was rounded."""
+    """Yield errors that do not follow from their frequency, rounding considered."""
     experiment = EXPERIMENTS[case]
     for name, column in experiment.columns.items():
         for i in experiment.inconsistent_errors(name):

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 PAIRED_BY = {"index": "by number", "shape": "by shape"}
 TRUSTED = ("hmc", "emcee")
-"""Samplers whose converged long runs make the reference."""
+"""Samplers whose converged long runs form the reference."""
 _LOOKED_AT = 2000
 
 
@@ -72,16 +72,16 @@ class Result:
     paper, long : mapping of str to DataTree
         Traces under the paper's protocol and of the long runs, by sampler.
     pace : mapping of str to DataTree
-        Traces with the paper's settings from draws of the posterior; none where no trusted long run converged.
+        Traces with the paper's settings from draws of the posterior; none if no trusted long run converged.
     reference : Reference
     diagnoses : mapping of str to Diagnosis
-        The verdicts on the long runs, which know the maxima and each other.
+        The verdicts on the long runs, compared with the maxima and each other.
     comparison : DataFrame
         `fmu.compare` of the long runs, with those verdicts.
     needed : mapping of str to Needed
         Of the long runs.
     curves : mapping of str to tuple of Curve
-        Running errors by sampler: of the long run, and of the paper's protocol where there is one.
+        Running errors by sampler: of the long run and, if there is one, of the paper's protocol.
     places : mapping of str to mapping of str to float
         For each long run, the share of its draws at which each combination of physical modes is paired.
     """
@@ -163,7 +163,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
 
 
 def _needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
-    """Return when a run began to pass for converged; one that never did needs no search."""
+    """Return the length from which on a run passed for converged."""
     if not diagnosis.converged:
         return Needed(None, None)
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
@@ -182,7 +182,7 @@ def starts_in_the_posterior(
 
 
 def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
-    """Pool the converged runs of the trusted samplers; without one, ask the maxima."""
+    """Pool the converged runs of the trusted samplers; without one, take the maxima."""
     good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
     if not good:
         return around_the_maxima(maxima)
@@ -190,7 +190,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return which physical modes are paired at some thousands of draws spread over a trace."""
+    """Return which physical modes are paired at about 2000 draws spread over a trace."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))

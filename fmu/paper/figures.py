@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ENOUGH = 0.05
-"""1/√400: the error of as many independent draws as the verdict asks for."""
+"""1/√400: the error of as many independent draws as the verdict requires."""
 
 
 def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) -> None:
-    """Draw and write all figures of an experiment."""
+    """Write all figures of an experiment."""
     heading = f"Section {result.published.section}, paired {PAIRED_BY[result.pairing]}"
     for name, trace in result.long.items():
         columns, published = {"long run": trace}, None
@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return what a sampler's frequency figure compares: before, published, ours."""
+    """Return the frequencies compared in the figure of a sampler: before, published, ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:
@@ -108,7 +108,7 @@ def _band(axes: Axes, curve: Curve, colour: str, label: str) -> None:
 
 
 def _legend(figure: Figure, result: Result) -> None:
-    """Explain colours and line styles above the axes."""
+    """Add a legend of colours and line styles below the axes."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 _CERTIFICATE = "certificate_"
 DEEP = 1e3
-"""A maximum further below the highest than this, in log-probability, may trap a chain but deceives nobody."""
+"""A maximum further below the highest than this, in log-probability, may trap a chain but misleads nobody."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What the runs of one experiment gave.
+    """The results of one experiment as tables, small enough to pass between processes.
 
     Attributes
     ----------
@@ -56,14 +56,13 @@ class Findings:
     settings : mapping of str to str
         Of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
     learnt : mapping of str to str
-        What each warm-up put in place of settings that were not given, as JSON, by the same keys.
+        What each warm-up tuned of the settings that were not given, as JSON, by the same keys.
     lengths : mapping of str to tuple of int
         Chains, warm-up and draws of every run, by the same keys.
     certificates : mapping of str to mapping of str to float
-        How far the reduced model was from the full one at some draws of every run (`fmu.analysis.certificate`),
-        by the same keys.
+        Errors of the reduced model at some draws of every run (`fmu.analysis.certificate`), by the same keys.
     weighted : VectorBeta, optional
-        What a β for every mode gave, where that was tried.
+        Results with a β for every mode, if that was run.
     """
 
     case: str
@@ -161,7 +160,7 @@ class Findings:
 
     @property
     def separate_maxima(self) -> pd.DataFrame:
-        """The maxima that a run might take for the whole posterior: those not far below the highest."""
+        """The maxima that a run might mistake for the whole posterior: those not far below the highest."""
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
 
     def unit_of_paper(self, parameter: str) -> tuple[float, str]:
@@ -188,7 +187,7 @@ CLAIMS = {
 
 
 CLOSE = 1.25
-"""Efficiencies whose ratio is smaller are not told apart: an estimated ESS scatters by a tenth or so."""
+"""Efficiencies with a smaller ratio are not distinguished: an estimated ESS scatters by about a tenth."""
 SEPARATED = (
     "The posterior has separated modes and each run reports the ones it fell into: results that differ between "
     "samplers here say nothing about the samplers. "
@@ -197,7 +196,7 @@ SEPARATED = (
 
 @dataclass(frozen=True)
 class Judgement:
-    """A statement of the paper and what became of it.
+    """A statement of the paper and the judgement on it.
 
     `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
     """
@@ -208,10 +207,10 @@ class Judgement:
 
 
 def judge(findings: Findings) -> list[Judgement]:
-    """DirectoryLock the paper's statements on one experiment against its long runs.
+    """Judge the paper's statements on one experiment by its long runs.
 
-    A sampler whose long run did not converge has no efficiency to speak of; where the other one of the pair did
-    converge, that decides.
+    If the long run of only one of two samplers converged, that one is the better; efficiencies are compared if
+    both converged.
     """
     return [Judgement(statement, *_decide(findings, a, b)) for statement, a, b in CLAIMS[findings.case]]
 
@@ -263,7 +262,7 @@ def statement(findings: Findings) -> str:
 
 
 def _at_the_papers_price(findings: Findings, rivals: list[str]) -> str:
-    """Say what HMC would be worth if every gradient cost what a central difference does."""
+    """Return the efficiency of HMC in words, if every gradient cost as much as a central difference."""
     rate = findings.central_difference_rate
     words = (
         f"With the paper's central differences, {2 * findings.ndim} solves a gradient, HMC would have "

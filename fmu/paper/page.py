@@ -147,7 +147,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return what the long runs reached, what they cost, and what the paper's protocol cost and gave."""
+    """Return convergence and cost of the long runs, beside cost and error of the paper's protocol."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (
@@ -191,13 +191,13 @@ def _efficiency(findings: Findings, sampler: str) -> list[str]:
 
 
 def claims(findings: Findings) -> str:
-    """Return the paper's statements on its samplers and what became of them."""
+    """Return the paper's statements on its samplers and the judgements on them."""
     rows = [(j.statement, j.outcome, j.evidence) for j in judge(findings)]
     return markdown_table(("the paper", "this run", "why"), rows, words=range(3))
 
 
 def maxima(findings: Findings) -> str:
-    """Return where the posterior has its maxima, and what they weigh."""
+    """Return the maxima of the posterior and their masses."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
     header = ["", *(f"{name}, {unit}" for name, (_, unit) in zip(names, units, strict=True))]
@@ -225,7 +225,7 @@ def maxima(findings: Findings) -> str:
 
 
 def fit(findings: Findings) -> str:
-    """Say what speaks against the model, by the first of the converged runs."""
+    """Return the warnings about the model from the first converged run."""
     for name in ("hmc", "emcee", "mh", "slice"):
         if findings.is_converged(name):
             listed = "".join(f"- {warning}.\n" for warning in findings.warnings[name])
@@ -234,7 +234,7 @@ def fit(findings: Findings) -> str:
 
 
 def places(findings: Findings) -> str:
-    """Say which physical modes were paired along each long run, where that changes."""
+    """Return which physical modes were paired in each long run, if they changed."""
     if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [
@@ -249,7 +249,7 @@ def places(findings: Findings) -> str:
 
 
 def settings(findings: Findings) -> str:
-    """Return how long every run was, with what settings, and how good its reduced model."""
+    """Return length, settings and certificate of every run."""
     rows = []
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]
@@ -278,7 +278,7 @@ def settings(findings: Findings) -> str:
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return settings as words: numbers as they are, of arrays the shape."""
+    """Return settings in words: numbers, and the shapes of arrays."""
     if isinstance(value, dict):
         return [words for key, item in value.items() for words in _brief(key, item)]
     if isinstance(value, list):

@@ -42,7 +42,7 @@ class Length:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is run, and for how long.
+    """The runs and their lengths.
 
     Attributes
     ----------
@@ -51,15 +51,15 @@ class Plan:
     paper : Length
         The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
     pace : mapping of str to Length
-        The paper's settings once more, from draws of the posterior: what an effective draw costs with them.
+        Runs with the paper's settings from draws of the posterior: for the cost of an effective draw.
     long : mapping of str to Length
         The long runs, one a sampler, from draws of the prior.
     weighted : tuple of (case, pairing)
         Of the experiments, those repeated by HMC with a β for every mode.
     starts : int
-        From how many points maxima are searched.
+        Optimiser starts of the search for maxima.
     box_points : int
-        Points of the parameter box at which the spectrum is looked at.
+        Points of the parameter box at which the spectrum is examined.
     seed : int
     """
 
@@ -99,10 +99,10 @@ class Plan:
 
 
 def paper_settings(name: str) -> Sampler:
-    """Return a sampler of the paper with settings fixed by hand, in the units of the scaled view.
+    """Return a sampler of the paper with manually chosen settings, in scaled coordinates.
 
-    The paper prints no step size and no width; these let its samplers move. HMC has the numerical gradient of
-    eq. (15), and trajectories of one length.
+    The paper gives no step size and no width; with these its samplers move. HMC uses the numerical gradient of
+    eq. (15) and trajectories of fixed length.
     """
     settings: dict[str, Sampler] = {
         "mh": MetropolisHastings(RandomWalk(0.01)),
@@ -121,18 +121,18 @@ def long_settings(name: str) -> Sampler:
 
 
 class Runs:
-    """Makes runs on one problem.
+    """Runs on one problem, one after the other, which share a line of progress.
 
     Parameters
     ----------
     problem : UpdatingProblem
     maxima : Maxima
-        Of the problem; every trace keeps them.
+        Of the problem; stored in every trace.
     seed : int
         The same for every run.
     phase : str
     total : int
-        Name of the line of progress, and the steps of all runs.
+        Name of the line of progress, and number of steps of all runs.
     progress : callable, optional
         Called after every step as ``progress(phase, done, total, info)``.
     """
@@ -151,11 +151,11 @@ class Runs:
         self.done = 0
 
     def run(self, words: str, settings: Sampler, length: Length, init: Any = "prior") -> xr.DataTree:
-        """Make a run, called `words` in the line of progress, and return its trace."""
+        """Make a run, named `words` in the line of progress, and return its trace."""
         from fmu.sampling import sample
 
         with warnings.catch_warnings():
-            # every run's certificate stands on the page; on the way from a far start its warning means nothing
+            # the page shows every certificate; on the way from a distant start its warning means nothing
             warnings.simplefilter("ignore", CertificateWarning)
             trace = sample(
                 self.problem,
@@ -172,7 +172,7 @@ class Runs:
         return trace
 
     def finish(self) -> None:
-        """Report the end, whether or not every planned run was made."""
+        """Report the end, even if not every planned run was made."""
         if self.progress is not None:
             self.progress(self.phase, self.total, self.total, {"run": "all"})
 

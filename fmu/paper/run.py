@@ -47,30 +47,30 @@ def run_paper(
     plan: Plan | None = None,
     workers: int | None = None,
 ) -> None:
-    """Repeat both experiments of the paper with both pairings and write what came of it.
+    """Repeat both experiments of the paper with both pairings and write the results.
 
     Parameters
     ----------
     out : path-like
-        Directory of the results. Only files that an earlier run wrote there are replaced or taken away.
+        Directory of the results. Only files that an earlier run wrote there are replaced or removed.
     progress : callable, optional
         Called as ``progress(phase, done, total, info)``, one phase an experiment, and one a run with a vector β.
     plan : Plan, optional
         Lengths of the runs.
     workers : int, optional
-        Processes that experiments are divided among, by default as many as there are CPUs; with 1, none but this
-        one. The numbers do not depend on it.
+        Number of processes for the experiments, by default the number of CPUs; 1 is this process alone. The
+        results do not depend on it.
 
     Raises
     ------
     ValueError
-        If `out` holds files of other origin where results belong, before anything is computed.
+        If files that fmu did not write are in the way; this is checked before anything is computed.
     """
     plan = plan or Plan()
     directory = OutputDirectory(out)
     directory.check(file_names(plan))
     with directory.staged() as stage:
-        # The experiments by number take longest: they go first, whatever the order on the pages.
+        # the experiments by number take longest, so they start first
         tasks = sorted(plan.experiments, key=_by_shape)
         with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:
             found = {f.name: f for f in pool.run_tasks(_one_of, (plan, stage), tasks, report=progress)}
@@ -162,7 +162,7 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
 
 
 def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
-    """Write page, table and figure of the study with a β for every mode, if there was one."""
+    """Write page, table and figure of the study with a β for every mode, if it was run."""
     if not studies:
         return
     import pandas as pd
@@ -174,7 +174,7 @@ def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
 
 
 def separated_modes(findings: Findings) -> Iterator[Erratum]:
-    """Say that samplers cannot be compared on a posterior whose modes they do not all find."""
+    """Yield an erratum if the posterior has separated modes, on which samplers cannot be compared."""
     maxima = findings.separate_maxima
     if findings.pairing != "index" or len(maxima) < 2:
         return

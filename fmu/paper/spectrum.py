@@ -1,4 +1,4 @@
-"""Which physical mode a computed one is: its plane of motion, and its number there."""
+"""Names of computed modes: the plane of motion, and the number in that plane."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BATCH = 4096
 
 
 def structure_of(problem: UpdatingProblem) -> PairedStructure:
-    """Return the structure behind a problem; ValueError if it has none."""
+    """Return the structure of a problem; ValueError if it has none."""
     structure = problem.model.as_structure()
     if structure is None:
         raise ValueError(f"problem: must have a structure of beam elements (got {problem.model.name})")
@@ -52,15 +52,15 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
 
 
 def shares(names: StrArray) -> dict[str, float]:
-    """Return the share of rows that each combination of names has, the commonest first."""
+    """Return the share of rows with each combination of names, the most common first."""
     counts = Counter(" ".join(row) for row in names.tolist())
     return {combination: count / len(names) for combination, count in counts.most_common()}
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) -> list[dict[str, float]]:
-    """Return, for each measured mode, in what share of the parameter box each physical mode is paired with it.
+    """Return for each measured mode the share of the parameter box in which each physical mode is paired with it.
 
-    From a scrambled Sobol sequence over the bounds.
+    By a scrambled Sobol sequence over the bounds.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) ->
 
 
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
-    """Return plane and number in it; the blocks of a straight beam are its four planes of motion."""
+    """Return plane and number of modes; the blocks of a straight beam are its four planes of motion."""
     planes = []
     for block in structure.full.blocks:
         letters = {_PLANE_OF[structure.structure.dofs[dof][1]] for dof in block.dofs}

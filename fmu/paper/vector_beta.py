@@ -1,4 +1,4 @@
-"""The paper's remark on its first mode put to the test: β as a vector, a weight for every mode."""
+"""A test of the paper's remark on its first mode: β as a vector, with a weight for every mode."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def relative_weights(frequencies_hz: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class VectorBeta:
-    """What a vector β gave beside the scalar one, as tables.
+    """Results with a vector β and with the scalar one, as tables.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) 
 
 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
-    """Return the tables of the long HMC run with the scalar β and of `sample_weighted`."""
+    """Return tables of the long HMC run with the scalar β beside those of `sample_weighted`."""
     import pandas as pd
 
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}
@@ -141,7 +141,7 @@ REMARK = (
     "all of the natural frequencies. Choosing β as a vector, to weight the natural frequencies, would improve the "
     "first natural frequency results."
 )
-"""Section 5.1, the paragraphs behind Table 2."""
+"""Section 5.1, the paragraphs after Table 2."""
 NAMES = {SCALAR: "scalar β = 1", VECTOR: f"vector β, σ = {share(RELATIVE)}"}
 
 
@@ -168,7 +168,7 @@ def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
 
 
 def outcome(study: VectorBeta) -> str:
-    """Say in a line what became of mode 1, and at what price."""
+    """Return in a line how the error of mode 1 changed, and the errors of the other modes."""
     first, others = study.modes.iloc[0], study.modes.iloc[1:].max()
     return (
         f"{study.title}: {study.outcome}. Mode 1 is off by {fixed(first['initial_error'], 2)} % before "

@@ -1,7 +1,7 @@
-"""Figures. One colour a sampler everywhere, units on every axis.
+"""Figures: one colour for each sampler, and units on every axis.
 
-Functions take traces and draw on a matplotlib Figure of their own or one that is handed in; they return its Axes
-and touch no global state of matplotlib.
+A plot is a function that takes traces, draws on a new or a given matplotlib Figure and returns its Axes, without
+global state of matplotlib. To add one, write it in a module of this folder and import it below.
 """
 
 from fmu.report.plots.chains import plot_autocorrelation as plot_autocorrelation

@@ -50,13 +50,13 @@ def plot_traces(
 ) -> NDArray[Any]:
     """Draw the paths of the chains, one row a parameter and one column a trace, warm-up shaded.
 
-    Of an ensemble one walker is shown. The frames fit the draws kept: what precedes them may leave the frame.
-    Dashed lines are bounds.
+    For an ensemble, one walker is shown. The axes fit the retained draws; the warm-up may leave them. Dashed lines
+    are bounds.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        By the title of the column.
+        By the titles of the columns.
     published : array_like, shape (parameters,), optional
         Values to compare the first trace with, SI units.
     figure : Figure, optional
@@ -85,13 +85,13 @@ def plot_traces(
 
 
 def _say_above(axes: Axes, x: float, words: str, side: Literal["center", "right"] = "center") -> None:
-    """Write small words on top of the frame."""
+    """Write a small label above the axes."""
     axes.text(x, 1.0, words, transform=axes.get_xaxis_transform(), ha=side, va="bottom", fontsize=FONT - 2,
               color=GREY)  # fmt: skip
 
 
 def _compare(axes: Axes, value: float) -> None:
-    """Draw a value to compare with, making room for it."""
+    """Draw a reference value and extend the axes to include it."""
     low, high = axes.get_ylim()
     axes.axhline(value, color=BLACK, linestyle=":", linewidth=1.3)
     axes.set_ylim(min(low, value - 0.05 * (high - low)), max(high, value + 0.05 * (high - low)))
@@ -130,9 +130,10 @@ _LAGS = 100
 def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
     """Draw ArviZ's rank plots, one row a parameter: chains of one distribution stay near zero.
 
-    The difference between the distribution of a chain's ranks among all draws, and the uniform one. The p-value is
-    that of a multi-chain test of uniformity; where it is below 1 % the ranks at fault are marked. The test takes
-    draws for independent: every k-th is ranked, so many as are effective, at least 20 and at most 500 a chain.
+    Drawn is the difference between the distribution of a chain's ranks among all draws and the uniform one. The
+    p-value is that of a multi-chain test of uniformity; if it is below 1 %, the deviating ranks are marked. The
+    test assumes independent draws: the chains are thinned to their effective sample size, 20 to 500 draws a
+    chain.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     Raises
     ------
     ValueError
-        If there is one chain only: it has nothing to be ranked among.
+        If there is only one chain.
     """
     import xarray as xr
     from arviz_plots import plot_rank
@@ -184,15 +185,14 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
 
 
 def _independent(trace: xr.DataTree) -> float:
-    """Return the smallest effective sample size of a parameter, NaN where one has none."""
+    """Return the smallest effective sample size of a parameter, NaN if one is undefined."""
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
 def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
     """Draw the autocorrelation of each chain, one row a parameter, out to a hundred steps.
 
-    Of an ensemble the average over its walkers, about their common mean, from which its effective sample size is
-    estimated.
+    For an ensemble, the average over its walkers about their common mean, as in its effective sample size.
 
     Parameters
     ----------
@@ -220,8 +220,8 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
 def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     """Draw the energies of Hamiltonian trajectories and their changes from one to the next, both about zero.
 
-    Where the changes are much narrower than the energies themselves, new momenta cannot carry the chain through
-    the posterior (Betancourt 2016, arXiv:1604.00695, section 2).
+    If the changes are much narrower than the energies, new momenta explore the posterior poorly (Betancourt 2016,
+    arXiv:1604.00695, section 2).
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 
 _DASHES = ("-", "--", "-.", ":")
 _FLOOR = 1e-3
-"""What is nearer to 1 than this, or below, tells nothing apart."""
+"""Least value of R-hat − 1 that is drawn."""
 
 
 def plot_running_means(
@@ -274,7 +274,7 @@ def plot_running_means(
     ----------
     trace : xarray.DataTree
     table : pandas.DataFrame, optional
-        ``fmu.summary(trace)``, where it is at hand.
+        ``fmu.summary(trace)``, if already computed.
     figure : Figure, optional
 
     Returns
@@ -304,7 +304,7 @@ def plot_running_means(
 
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw R-hat of each parameter while the run grows, with the limit that the verdict uses.
+    """Draw R-hat of each parameter while the run grows, with the limit of the verdict.
 
     Parameters
     ----------

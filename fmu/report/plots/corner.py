@@ -1,4 +1,4 @@
-"""The posterior in pairs of parameters, by the corner library."""
+"""Marginals and pairs of a posterior, drawn with corner."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def plot_corner(
         Where the log-probability is highest, SI units.
     figure : Figure, optional
     names : sequence of str, optional
-        The parameters shown, n of them: all if not given.
+        The n parameters shown; all if not given.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def plot_corner(
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
     base = colour(str(trace.attrs["sampler"]))
     size = 2.0 * len(names) + 0.6
-    figure = figure or new_figure(size, size, layout=None)  # corner arranges its panels itself
+    figure = figure or new_figure(size, size, layout=None)  # corner arranges the panels
     corner.corner(
         draws,
         fig=figure,
@@ -94,9 +94,9 @@ def plot_corner(
 def _frames(
     draws: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
 ) -> list[tuple[float, float]]:
-    """Return what each parameter's frame spans: the draws and some room, but nothing beyond a bound.
+    """Return the range of each axis: the draws with a margin, but nothing beyond a bound.
 
-    Smoothing the histograms would spread draws that press against a bound over a frame that went on behind it.
+    Otherwise the smoothing of the histograms would spread draws at a bound beyond it.
     """
     low, high = np.quantile(draws, (0.0005, 0.9995), axis=0)
     room = np.where(high > low, _ROOM * (high - low), np.fmax(1e-3 * np.abs(high), np.finfo(float).tiny))
@@ -109,7 +109,7 @@ def _point(trace: xr.DataTree, names: Sequence[str], which: str) -> NDArray[np.f
 
 
 def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
-    """Draw points and bounds where they fall within the frames, and say in the legend which do not."""
+    """Draw points and bounds inside the axes; the legend names points outside."""
     from matplotlib.lines import Line2D
 
     styles: dict[str, dict[str, Any]] = {
@@ -148,7 +148,7 @@ def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
 
 
 def _arrange_ticks(panel: Any) -> None:
-    """Keep ticks away from the corners, where the labels of two panels would meet."""
+    """Keep ticks away from the corners, where labels of two panels would overlap."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
 
     for axis in (panel.xaxis, panel.yaxis):
@@ -161,6 +161,6 @@ def _arrange_ticks(panel: Any) -> None:
 
 
 def _line_within(draw: Any, value: float, limits: tuple[float, float]) -> None:
-    """Draw a bound, on the frame too."""
+    """Draw a bound if it lies within the limits, ends included."""
     if limits[0] <= value <= limits[1]:
         draw(value, color=BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 _LETTER = 0.1
-"""Width in inches of a letter of a label, with its share of the gaps between labels."""
+"""Width in inches of a letter of a tick label, including its share of the gaps."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Frequencies:
 def plot_frequency_errors(
     measured_hz: ArrayLike, series: Sequence[Frequencies], labels: Sequence[str], figure: Figure | None = None
 ) -> Axes:
-    """Draw how far sets of frequencies lie from the measured ones, in % and with their sign.
+    """Draw the errors of sets of frequencies with respect to the measured ones, in %.
 
     Parameters
     ----------
@@ -108,11 +108,11 @@ def plot_frequency_errors(
 
 
 def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw how far the model's frequencies lie from the measured ones before updating and after it.
+    """Draw the errors of the model's frequencies before updating and after it.
 
-    Before updating where the trace knows it. After it: the posterior mean of the model's frequencies, with the
-    90 % interval of a new measurement, noise included, where there is one. Of repeated tests a new measurement is
-    the mean of as many, and the 90 % interval of one more test is drawn beside it.
+    Before updating: if stored in the trace. After it: the posterior mean, with the 90 % interval of a new
+    measurement, noise included, if there is one. For repeated tests a new measurement is the mean of as many
+    tests, and the 90 % interval of one more test is drawn beside it.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
-    """Return the model's frequencies before updating in Hz, None where the trace does not keep them."""
+    """Return the model's frequencies before updating in Hz, None if the trace does not store them."""
     if has(trace, GROUP):
         return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
     if has(trace, "maxima"):
@@ -155,10 +155,10 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 
 
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw each measured frequency in the distribution that the posterior predicts for it, eq. (10).
+    """Draw each measured frequency within its posterior predictive distribution, eq. (10).
 
-    Of repeated tests that is the distribution of their mean. The single tests are drawn beside the interval that
-    is predicted for one more of them.
+    For repeated tests this is the distribution of their mean. The single tests are drawn beside the predictive
+    interval of one more test.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
 
 
 def _turned(labels: Sequence[str], width: float) -> dict[str, Any]:
-    """Return how labels are set that do not fit beside one another below axes of a width in inches."""
+    """Return the rotation of tick labels that do not fit side by side below axes of a given width in inches."""
     if max(map(len, labels)) * _LETTER <= width / len(labels):
         return {}
     return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

@@ -1,4 +1,4 @@
-"""Mode shapes before updating and after it, and how alike they are."""
+"""Mode shapes before and after updating, and their MAC."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 
 _FLAT = 1e-6
 _SWING = 0.12
-"""Largest displacement drawn, as a part of a frame's extent."""
+"""Largest displacement drawn, relative to the size of the structure."""
 _READABLE = 12
-"""The most modes whose MAC is written into its cell."""
+"""With at most so many modes, the MAC is written into each cell."""
 _CELL = 0.42
 """The least width of a cell, inches."""
 _SHORT = 3
-"""The longest label that has room below a cell."""
+"""Letters of the longest label that fits below a cell."""
 _ONE_COLUMN = 6
-"""The most modes of a structure in space that are drawn below one another."""
+"""At most so many modes of a structure in space are drawn in one column."""
 
 
 def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None = None) -> Axes:
@@ -52,7 +52,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     trace : xarray.DataTree
         With ``mac`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
     state : str, optional
-        Where: the posterior mean if not given.
+        The state drawn; the posterior mean if not given.
     figure : Figure, optional
 
     Returns
@@ -62,7 +62,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     Raises
     ------
     ValueError
-        If the trace keeps no MAC, or none of that state.
+        If the trace has no MAC, or none of that state.
     """
     state = MEAN if state is None else state
     modes = _modes(trace, "mac")
@@ -75,10 +75,10 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     side = max(0.75 * NARROW, _CELL * m)
     figure = figure or new_figure(side + (2.4 if is_long else 0.25 * NARROW), 0.6 + side * n / m + 0.8 * is_long)
     axes = figure.subplots()
-    # Drawn cell by cell, so that an SVG stays sharp.
+    # drawn cell by cell, to stay sharp in an SVG
     mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0)
     if max(n, m) <= _READABLE:
-        # zeros say nothing, and of many modes they are most
+        # of many modes most are zeros, which are left out
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > _ONE_COLUMN else 0.0)).tolist():
             axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
                       color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
@@ -97,8 +97,8 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
     """Draw the structure deformed in each mode, before updating (dashed) and at the posterior mean.
 
-    A structure along a line is drawn with its largest displacement upwards; any other one in isometric projection,
-    its displacements scaled, and where there are many modes in two columns.
+    A straight structure is drawn with its largest displacement upwards; any other one in isometric projection with
+    scaled displacements, many modes in two columns.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     Raises
     ------
     ValueError
-        If the trace keeps no shapes.
+        If the trace has no shapes.
     """
     modes = _modes(trace, "displacement")
     coordinates, ends = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
@@ -147,7 +147,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
 
 
 def _in_pairs(n: int, figure: Figure | None) -> NDArray[Any]:
-    """Return `n` axes, two in a row, with common ordinate and abscissa, shape (n,)."""
+    """Return `n` axes in two columns with common ordinate and abscissa, shape (n,)."""
     rows = (n + 1) // 2
     figure = figure or new_figure(2 * NARROW, 2.8 * rows + 0.5)
     axes = figure.subplots(rows, 2, sharex=True, sharey=True).ravel()
@@ -165,7 +165,7 @@ def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
 def _draw_along(
     axis: Axes, coordinates: FloatArray, ends: Any, shapes: list[FloatArray], styles: list[tuple[str, str]]
 ) -> None:
-    """Draw a structure that lies along a line: position to the right, the largest displacement upwards."""
+    """Draw a straight structure: position to the right, the largest displacement upwards."""
     centred = coordinates - coordinates[0]
     along = centred[np.argmax(np.linalg.norm(centred, axis=1))]
     x = centred @ (along / np.linalg.norm(along))
@@ -193,13 +193,13 @@ def _draw_isometric(
 
 
 def _lines(axis: Axes, nodes: FloatArray, ends: Any, shade: str, dashes: str, width: float = 1.8) -> None:
-    """Draw all elements as one line, lifted wherever an element does not begin where the last one ended."""
+    """Draw all elements as one line, with gaps between elements that are not connected in sequence."""
     x, y = _strokes(nodes, ends).T
     axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width)
 
 
 def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:
-    """Return the points of a line through all elements, NaN where it is lifted, shape (points, 2)."""
+    """Return the points of a line through all elements, NaN at its gaps, shape (points, 2)."""
     points: list[FloatArray] = []
     last = None
     for first, second in ends:
@@ -216,17 +216,17 @@ _ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0
 def plot_mode(
     coordinates: FloatArray, ends: NDArray[np.int64], displacement: FloatArray, figure: Figure | None = None
 ) -> Axes:
-    """Draw a structure and its deformed shape.
+    """Draw a structure and its deformed shape in one mode.
 
-    Along a line: the largest displacement over the position. In a plane that the mode stays in: face on. Else in
-    isometric projection.
+    A straight structure: the largest displacement over the position. A plane structure with motion in its plane:
+    in that plane. Any other: in isometric projection.
 
     Parameters
     ----------
     coordinates : ndarray, shape (n_nodes, 3), m
     ends : ndarray of int, shape (n_elements, 2)
     displacement : ndarray, shape (n_nodes, 3)
-        The largest being 1.
+        Scaled to a largest one of 1.
     figure : Figure, optional
 
     Returns

@@ -58,13 +58,13 @@ def plot_parameter_updates(
     maximum : array_like, shape (ndim,), optional
         Of the posterior, SI units.
     summaries : mapping of str to pandas.DataFrame, optional
-        ``fmu.summary(trace)`` of each, where they are at hand.
+        ``fmu.summary(trace)`` of each, if already computed.
     figure : Figure, optional
 
     Returns
     -------
     ndarray of Axes, shape (units,)
-        One for the parameters of each unit, inferred standard deviations of errors apart.
+        One for the parameters of each unit; inferred standard deviations of errors are separate.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
@@ -107,7 +107,7 @@ def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
-    """Draw the parameters' axis, the range between the bounds where there are any, and the start."""
+    """Draw the axis of the parameters, the range between finite bounds, and the start."""
     x = np.arange(len(members))
     lower, upper, start = (
         np.array([constant(trace, which, name) / unit_of(trace, name).factor for name in members])
@@ -138,21 +138,21 @@ def _intervals(
 
 
 _ROOM = 1.25
-"""Width of the frame over that of the longest bar, which leaves room for the number behind it."""
+"""Width of the axes over that of the longest bar, with room for the number after it."""
 
 
 def plot_efficiency(
     traces: Mapping[str, xr.DataTree], table: pd.DataFrame | None = None, figure: Figure | None = None
 ) -> Axes:
-    """Draw a bar a sampler: effective draws of its worst parameter per 1000 model solves, warm-up counted.
+    """Draw a bar for each sampler: effective draws of the worst parameter per 1000 solves, warm-up included.
 
-    A bar that is only outlined belongs to a run that has not converged: its ESS is not to be relied on.
+    An outlined bar belongs to a run that has not converged: its ESS is not reliable.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
     table : pandas.DataFrame, optional
-        ``fmu.compare(traces)``, where it is at hand.
+        ``fmu.compare(traces)``, if already computed.
     figure : Figure, optional
 
     Returns

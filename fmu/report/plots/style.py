@@ -1,4 +1,4 @@
-"""What all figures share: one colour a sampler (Okabe & Ito's colour-blind safe palette), sizes, units."""
+"""What all figures share: a colour for each sampler (Okabe & Ito's colour-blind safe palette), sizes, units."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _SHOWN = {
 
 
 class Unit(NamedTuple):
-    """A unit to show numbers in: a number in SI units divided by `factor` is in `name`."""
+    """A unit for display: a number in SI units, divided by `factor`, is in the unit `name`."""
 
     factor: float
     name: str
 
     def label(self, quantity: str) -> str:
-        """Return an axis label, ``"E1 / GPa"``; the bare quantity where it has no unit."""
+        """Return an axis label, ``"E1 / GPa"``; the quantity alone if it has no unit."""
         return f"{quantity} / {self.name}" if self.name else quantity
 
 
 def shown(unit: str) -> Unit:
-    """Return the unit in which numbers given in `unit` are shown: itself, where no other is customary."""
+    """Return the customary unit for numbers in `unit`: the unit itself if there is no other."""
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
@@ -47,20 +47,20 @@ VERMILLION = "#D55E00"
 FONT = 10
 DPI = 130
 NARROW = 4.6
-"""Width in inches of a figure whose labels are still readable on a phone."""
+"""Width in inches of a figure whose labels are readable on a phone."""
 _LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
-"""Width in inches of what a label stands beside, and of a letter of it."""
+"""Width in inches of a legend handle, and of a letter of its label."""
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """Make an empty figure that is unknown to pyplot.
+    """Return an empty figure that is not registered with pyplot.
 
     Parameters
     ----------
     width, height : float
         In inches.
     layout : {"constrained"}, optional
-        None where something else arranges the axes.
+        None if the axes are arranged otherwise.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def tint(base: str, share: float) -> tuple[float, float, float]:
 
 
 def chain_colours(trace: xr.DataTree) -> list[tuple[float, float, float]]:
-    """Return a tint of the sampler's colour for each chain, the first the strongest."""
+    """Return a tint of the sampler's colour for each chain, from dark to light."""
     base = colour(str(trace.attrs["sampler"]))
     return [tint(base, 0.18 * min(chain, 4)) for chain in range(trace["posterior"].sizes["chain"])]
 
@@ -96,7 +96,7 @@ def unit_of(trace: xr.DataTree, name: str) -> Unit:
 
 
 def finish(axes: Axes) -> None:
-    """Set what all axes have in common.
+    """Set the tick size of axes and remove their upper and right spines.
 
     Parameters
     ----------
@@ -108,13 +108,13 @@ def finish(axes: Axes) -> None:
 
 
 def stacked(n: int, figure: Figure | None, height: float = 1.35, sharey: bool = False) -> NDArray[Any]:
-    """Return `n` axes below one another with a common abscissa, on a narrow figure if none is given."""
+    """Return `n` axes in a column with a common abscissa, on a narrow figure if none is given."""
     figure = figure or new_figure(NARROW, height * n + 0.5)
     return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
 
 
 def legend_below(axes: Axes) -> None:
-    """Explain what is drawn on some axes below the figure, in as many columns as there is room for."""
+    """Add a legend of the axes below the figure, in as many columns as fit."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")
@@ -126,5 +126,5 @@ def legend_below(axes: Axes) -> None:
 
 
 def literal(text: str) -> str:
-    """Return a name as matplotlib shall show it: a pair of dollar signs would be mathematics."""
+    """Escape dollar signs, which matplotlib would take for mathematics."""
     return text.replace("$", r"\$")
