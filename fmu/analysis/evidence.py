@@ -143,20 +143,21 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
 
 
 def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)]."""
+    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)], of the product of all Z_{k+1}/Z_k (Xie et al. 2011)."""
     log_weight, log_ratio = _stones(draws, t)
+    # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
     return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
 
 
 def _stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (t_{k+1} − t_k) l and the logarithm of the mean of its exponential, (..., rungs − 1) each."""
     log_weight = np.diff(t) * draws[..., :-1]
-    highest = log_weight.max(axis=(0, 1))
+    highest = log_weight.max(axis=(0, 1))  # taken out of the exponential, which would overflow or vanish
     return log_weight, highest + np.log(np.mean(np.exp(log_weight - highest), axis=(0, 1)))
 
 
 def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return ∫ m dt, m and v being mean and variance of l at t.
+    """Return log Z = ∫₀¹ m(t) dt, where m and v are mean and variance of the log-likelihood l at t.
 
     The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t +
     a) instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so
@@ -166,17 +167,21 @@ def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))
+    # the right a makes the first three rungs equidistant in s: (t_1 + a)² = a (t_2 + a), a = t_1²/(t_2 − 2 t_1)
     curved = len(t) > 2 and t[2] > 2.0 * t[1]
     w = t + (min(1.0, t[1] ** 2 / (t[2] - 2.0 * t[1])) if curved else 1.0)
     h = np.diff(np.log(w))
+    # the rule collected by rungs: each gets half of both neighbouring intervals, and h²/12 with opposite signs
     of_g = 0.5 * (np.append(h, 0.0) + np.append(0.0, h))
     of_slope = (np.append(h**2, 0.0) - np.append(0.0, h**2)) / 12.0
+    # with g = w m and g' = w² v + w m it is a weighted sum of the means and variances
     of_mean, of_variance = w * (of_g + of_slope), w**2 * of_slope
     finite = np.where(known, draws, 0.0)
     mean = finite.mean(axis=(0, 1)) / share
     away = np.where(known, finite - mean, 0.0)
     variance = np.mean(away**2, axis=(0, 1)) / share
     value = mean @ of_mean + variance @ of_variance + np.sum(np.log(share))
+    # the influence of each draw: (l − m)/share on m, ((l − m)² − v)/share on v, (1 − share)/share on log share
     moved = away * of_mean + np.where(known, away**2 - variance, 0.0) * of_variance + known - share
     return _Estimate(float(value), moved @ (1.0 / share))
 

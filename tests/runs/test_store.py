@@ -354,6 +354,14 @@ class TestIdentity:
         with pytest.raises(ValueError, match=rf"checkpoint.{next(iter(numbers))}: must .*\(got"):
             Checkpoint(tmp_path, **numbers)
 
+    def test_states_of_an_earlier_version_are_refused(self, half):
+        newest = files(half, "state")[-1]
+        newest.write_bytes(newest.read_bytes().replace(b"fmu state 3", b"fmu state 2", 1))
+        with pytest.raises(
+            ValueError, match=r"checkpoint: .*state-000007 was written by an earlier version of fmu"
+        ):
+            ran(half)
+
 
 class TestDirectory:
     def test_below_a_file(self, tmp_path):

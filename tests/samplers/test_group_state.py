@@ -28,6 +28,32 @@ class Jumps:
         return np.zeros(len(position))
 
 
+class Shortening:
+    """A tuner that is not of the package: it shortens a step as long as the warm-up lasts."""
+
+    def __init__(self, density):
+        self.density = density
+        self.restore({"width": np.array(0.3)})
+
+    def update(self, state, info):
+        self.restore({"width": 0.99 * self.width})
+
+    def finished(self):
+        return MetropolisHastings(Jumps(float(self.width)))
+
+    def state(self):
+        return {"width": self.width}
+
+    def restore(self, state):
+        self.width = state["width"]
+        self.kernel = self.finished().bind(self.density)
+
+
+class OwnSampler(MetropolisHastings):
+    def tuner(self, density, chains, steps):
+        return Shortening(density)
+
+
 SAMPLERS = {
     "mh": MetropolisHastings(),
     "independence": MetropolisHastings(Independence(np.zeros(5), np.eye(5))),
@@ -42,6 +68,7 @@ SAMPLERS = {
     "tempering, mh": Tempering("mh"),
     "tempering, hmc": Tempering("hmc"),
     "mh, own proposal": MetropolisHastings(Jumps()),
+    "mh, own tuner": OwnSampler(),
     "tempering, own proposal": Tempering(MetropolisHastings(Jumps())),
     "tempering, given ladder": Tempering("mh", temperatures=[0.0, 0.1, 1.0]),
 }
@@ -196,9 +223,3 @@ def test_what_is_not_plain_is_not_written(thing):
         ValueError, match="sampler: its state must be arrays, numbers and texts to be kept on disk"
     ):
         through_a_file(with_tuner({"deep": {"thing": thing}}))
-
-
-def test_a_sampler_of_ones_own_is_kept_too():
-    """Its proposal is settings, and its tuner tells what it knows."""
-    name = "mh, own proposal"
-    assert through_a_file(advanced(setting_of(name), begun(setting_of(name)), "warmup", 5).group).tuner is None

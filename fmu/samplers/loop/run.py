@@ -1,4 +1,4 @@
-"""The only loop: groups of chains, seeds, progress and what is kept."""
+"""The run: groups of chains with their seeds, warm-up and draws, progress, and checkpoints."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from fmu.samplers.settings import describe, whole_number
 from fmu.types import FloatArray, LogDensity
 
 MOST_STEPS = 1000
-"""Steps of a part of the work at most: they come as a copy into the record of the run."""
-_ENOUGH = 20  # steps, before which their diagnostics mean nothing
+"""Most steps of a part of the work, which are copied into the record of the run."""
 LIVE_S = 1.0
-"""Seconds in which every group has its turn where somebody looks on, or may want to stop the run."""
+"""Seconds in which every group has its turn if there is progress to show, a checkpoint, or a `stop`."""
+_ENOUGH = 20  # steps below which diagnostics mean nothing
 
 
 class Interrupted(KeyboardInterrupt):
@@ -42,7 +42,7 @@ class Interrupted(KeyboardInterrupt):
     Attributes
     ----------
     result : RunResult or None
-        What had been drawn by then; None if that is nothing but warm-up.
+        The draws so far; None if the run was stopped in warm-up.
     """
 
     def __init__(self, result: RunResult | None) -> None:
@@ -56,7 +56,7 @@ class TooManyFailuresError(RunFailedError):
     Attributes
     ----------
     result : RunResult or None
-        What had been drawn by then; None if that is nothing but warm-up.
+        The draws so far; None if there was only warm-up.
     """
 
     def __init__(self, message: str, result: RunResult | None) -> None:
@@ -65,15 +65,15 @@ class TooManyFailuresError(RunFailedError):
 
 
 class SavedGroup(NamedTuple):
-    """A group of chains as it was kept last.
+    """A group of chains as it was last saved.
 
     Attributes
     ----------
     group_state : GroupState
     elapsed_s : mapping of str to float
-        What the phases of the run had taken by then.
+        Time that the phases of the run had taken by then.
     steps : iterable of (str, int, Steps)
-        All steps that the group has taken: their phase, the number of the first, and the steps.
+        All steps that the group has taken: their phase, the number of the first one, and the steps.
     """
 
     group_state: GroupState
@@ -82,7 +82,7 @@ class SavedGroup(NamedTuple):
 
 
 class PendingGroup(NamedTuple):
-    """What is to be kept of a group of chains.
+    """What is to be saved of a group of chains.
 
     Attributes
     ----------
@@ -90,12 +90,12 @@ class PendingGroup(NamedTuple):
     elapsed_s : mapping of str to float
     phase : str
     first : int
-        Number of the first of the steps in its phase.
+        Number of the first of the steps in their phase.
     steps : Steps
     failures : list
-        Points without a finite log-density since the group was kept last.
+        Points without a finite log-density since the group was last saved.
     total : int
-        Steps of the phase, as far as it is known.
+        Planned steps of the phase.
     """
 
     group_state: GroupState
@@ -108,34 +108,34 @@ class PendingGroup(NamedTuple):
 
 
 class Checkpointer(Protocol):
-    """Where draws and the state of the chains are kept, so that nothing is lost when a run dies.
+    """Saves draws and the states of the groups, so that a run that dies can be resumed.
 
     Attributes
     ----------
     most_steps : int
-        How many steps of a group may be lost.
+        Most steps of a group that may be lost.
     most_seconds : float
-        How much of its time.
+        Most of its time that may be lost.
     """
 
     most_steps: int
     most_seconds: float
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return a group as it was kept last, None if it has not been."""
+        """Return a group as it was last saved, None if it was never saved."""
         ...
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Say whether a group that has since taken so many steps is to be kept again."""
+        """Return whether a group is to be saved that has taken so many steps since it was last saved."""
         ...
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Keep what has happened to a group since it was kept last."""
+        """Save what has happened to a group since it was last saved."""
         ...
 
 
 class _RunningGroup:
-    """A group of chains as the run follows it: its state, and from which step of each phase it is not kept."""
+    """A group of chains as the run follows it: its state, and the first step of each phase not yet saved."""
 
     def __init__(self, index: int, chains: int, state: GroupState) -> None:
         self.index, self.state = index, state
@@ -145,53 +145,55 @@ class _RunningGroup:
 
 
 class Run:
-    """A run that can be carried on: warmed up once, extended as often as wanted.
+    """A run that can be continued: it is warmed up once, and extended as often as wanted.
 
-    The same density, settings and seed give the same draws, bit for bit, in however many parts they are drawn, by
-    however many workers, and however often the run was broken off. There is one generator a group of chains, from
+    The same density, settings and seed give the same draws, bit for bit, for any number of parts and workers and
+    however often the run was interrupted. Each group of chains has its own generator, from
     ``SeedSequence(seed).spawn(groups)``.
 
     Parameters
     ----------
     density : LogDensity
-        With attributes `offset` and `scale`, (ndim,), for the scaled view if it has them (see ScaledDensity).
+        Its attributes `offset` and `scale`, (ndim,), give the scaled view if it has them, see `ScaledDensity`.
     sampler : Sampler
         Settings, in the units of the scaled view.
     warmup : int
-        Steps before the draws. What is learnt in them is frozen.
+        Steps before the draws. The settings learnt in them are then frozen.
     chains : int
         Chains, or ensembles.
     seed : int
     init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
-        See starting_points.
+        See `starting_points`.
     groups : int, optional
-        The chains of a group advance in lockstep and learn together; groups can be advanced by different workers.
-        They are part of what determines the draws. If not given, all chains are one group, but every ensemble is
-        its own.
+        Number of groups. The chains of a group advance in lockstep and learn together; groups can be advanced by
+        different workers. The draws depend on this number. If it is not given, all chains are one group, but each
+        ensemble is one of its own.
     progress : callable, optional
-        Called as ``progress(phase, done, total, info)``: phase "warmup" or "draws", steps done of the phase's
-        total as far as it is known, and numbers by name; ``info["group"]`` tells which group it is where there
-        are several. In this process after every step, from other workers some times a second.
+        Called as ``progress(phase, done, total, info)`` with the phase ("warmup" or "draws"), the steps done, the
+        planned steps, and numbers by name; with several groups ``info["group"]`` says which one it is. It is
+        called after every step of this process, and several times a second for other workers.
     engine : Engine, optional
-        Who does the work: this process, if not given.
+        Where the work is done; in this process if not given.
     checkpointer : Checkpointer, optional
-        Where draws and states are kept. What it holds already is not drawn again.
+        Where draws and states are saved. Steps that it contains are not drawn again.
     stop : callable, optional
-        Asked between two parts of the work, at least once a second where a step is not longer: True to stop.
+        Called between two parts of the work, at least once a second unless a step takes longer; True stops the
+        run.
     too_many_failed : callable, optional
-        ``too_many_failed(n_failed, n_solves, failures)`` says that too large a share of solves failed, or None.
+        ``too_many_failed(n_failed, n_solves, failures)`` returns a message if too large a share of the solves
+        failed, else None.
     live : callable, optional
-        Maps draws (chains, steps, walkers, ndim) to numbers by name for the progress.
+        Maps draws (chains, steps, walkers, ndim) to numbers by name for progress reports.
 
     Raises
     ------
     ValueError
         If a number is out of range, a setting does not fit the density, a start is outside the bounds or has a
-        log-density that is not finite, or the checkpointer holds a run on another density.
+        log-density that is not finite, or the checkpointer contains a run on another density.
     Interrupted
-        If `stop` said so.
+        If `stop` returned True.
     TooManyFailuresError
-        If `too_many_failed` said so.
+        If `too_many_failed` returned a message.
     """
 
     def __init__(
@@ -259,7 +261,7 @@ class Run:
         return groups
 
     def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
-        """Put a group where it stood when it was kept."""
+        """Continue a group from where it was last saved, if it was."""
         kept = checkpointer.kept(group.index)
         if kept is None:
             return
@@ -326,13 +328,13 @@ class Run:
         return Chunk(group.state, phase, steps, seconds, target, label)
 
     def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
-        """Take over steps of a group, and what they cost."""
+        """Record steps of a group, and count what they cost."""
         self._records[phase].write(first, group.chains.start, steps)
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
     def _keep(self, group: _RunningGroup, phase: str, target: int, *, at_once: bool) -> None:
-        """Have a group kept if it is time to."""
+        """Save a group if it is due."""
         first, stop = group.pending[phase], group.state.done[phase]
         if self._keeper is None or stop == first:
             return
@@ -394,7 +396,7 @@ def run(
 
 
 def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
-    """Return how many groups the chains are divided into.
+    """Return the number of groups that the chains are divided into.
 
     Raises
     ------
@@ -414,7 +416,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
 
 
 def _check_same(context: RunContext, group: GroupState) -> None:
-    """Raise ValueError unless the density is the one that the chains were on."""
+    """Raise ValueError unless the density has the values that were saved with the chains."""
     then, now = evaluated_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
@@ -426,14 +428,14 @@ def _check_same(context: RunContext, group: GroupState) -> None:
 
 
 def _merged(learnt: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the settings learnt: of several groups a list for each of them."""
+    """Return the settings learnt; of several groups, each setting as a list over the groups."""
     if len(learnt) == 1:
         return learnt[0]
     return {name: [settings[name] for settings in learnt] for name in learnt[0]}
 
 
 class _Watch:
-    """Passes progress on, together with how the draws of all groups do."""
+    """Passes progress reports on, together with live diagnostics of the draws of all groups."""
 
     def __init__(self, progress: Report, live: Callable[[FloatArray], Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live
@@ -444,7 +446,7 @@ class _Watch:
         self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
 
     def look(self, draws: FloatArray) -> None:
-        """Look at the draws so far, if that has not been done just now: it may take a fiftieth of the time."""
+        """Diagnose the draws so far, unless that was done just now: it may take a fiftieth of the time."""
         began = time.monotonic()
         if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
             return

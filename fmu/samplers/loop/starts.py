@@ -1,4 +1,4 @@
-"""Where chains begin."""
+"""Where chains start."""
 
 from __future__ import annotations
 
@@ -17,50 +17,50 @@ BALL = 0.02
 def starting_points(
     scaled: ScaledDensity, init: Any, generators: list[np.random.Generator], chains: int, walkers: int
 ) -> list[FloatArray]:
-    """Return the scaled starting positions of every task.
+    """Return the scaled starting positions of every group.
 
     Parameters
     ----------
     scaled : ScaledDensity
     init : "prior", "start" or array_like
         "prior": draws from ``density.sample_prior``. "start": ``density.start`` for every chain; the walkers of an
-        ensemble are spread around it by `BALL`, for they must span the space. An array holds theta itself, shape
-        (chains, ndim), or (chains, walkers, ndim) for ensembles.
+        ensemble are spread around it with standard deviation `BALL`, as they must span the space. An array
+        contains theta itself, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
     generators : list of Generator
-        One a task; chains are divided among the tasks in equal parts.
+        One per group; the chains are divided equally among the groups.
     chains, walkers : int
         `walkers` is 1 for samplers whose chain is a single point.
 
     Returns
     -------
-    list of ndarray, shape (chains of the task, ndim) or (chains of the task, walkers, ndim)
+    list of ndarray, shape (chains of the group, ndim) or (chains of the group, walkers, ndim)
 
     Raises
     ------
     ValueError
         If `init` is none of these, the density lacks what it asks for, or a start is outside the bounds.
     """
-    each = chains // len(generators)
     shape = (chains, scaled.ndim) if walkers == 1 else (chains, walkers, scaled.ndim)
-    if isinstance(init, str):
-        if init not in ("prior", "start"):
-            raise ValueError(f"init: must be 'prior', 'start' or an array of shape {shape} (got {init!r})")
-        source = {"prior": "sample_prior", "start": "start"}[init]
-        if not hasattr(scaled.density, source):
-            raise ValueError(f"init: {init!r} needs a density with {source!r} (got one without)")
-    if isinstance(init, str) and init == "prior":
-        parts = [_prior(scaled, rng, each, walkers) for rng in generators]
-        theta = np.concatenate(parts).reshape(shape)
+    word = init if isinstance(init, str) else None
+    density: Any = scaled.density
+    needed = {"prior": "sample_prior", "start": "start", None: "ndim"}.get(word)
+    if needed is None:
+        raise ValueError(f"init: must be 'prior', 'start' or an array of shape {shape} (got {init!r})")
+    if not hasattr(density, needed):
+        raise ValueError(f"init: {init!r} needs a density with {needed!r} (got one without)")
+    if word == "prior":
+        each = chains // len(generators) * walkers
+        theta = np.concatenate([np.asarray(density.sample_prior(rng, each), dtype=float) for rng in generators])
+        theta = theta.reshape(shape)
+    elif word == "start":
+        theta = np.broadcast_to(np.asarray(density.start, dtype=float), shape)
     else:
-        theta = scaled.density.start if isinstance(init, str) else init  # type: ignore[attr-defined]
-        theta = np.asarray(theta, dtype=float)
-        if isinstance(init, str):
-            theta = np.broadcast_to(theta, shape)
+        theta = np.asarray(init, dtype=float)
     if theta.shape != shape:
         raise ValueError(f"init: must have shape {shape} (got {theta.shape})")
     check_inside(scaled, theta)
     start = np.split(scaled.to_scaled(theta), len(generators))
-    if isinstance(init, str) and init == "start" and walkers > 1:
+    if word == "start" and walkers > 1:
         start = [_ball(scaled, rng, u) for rng, u in zip(generators, start, strict=True)]
     return [np.clip(u, scaled.lower, scaled.upper) for u in start]
 
@@ -90,11 +90,6 @@ def check_finite(scaled: ScaledDensity, position: FloatArray, log_prob: FloatArr
 
 def _label(where: list[int]) -> str:
     return " ".join(f"{kind} {k}" for kind, k in zip(("chain", "walker"), where, strict=False))
-
-
-def _prior(scaled: ScaledDensity, rng: np.random.Generator, chains: int, walkers: int) -> FloatArray:
-    sample_prior = scaled.density.sample_prior  # type: ignore[attr-defined]
-    return np.asarray(sample_prior(rng, chains * walkers), dtype=float).reshape(chains, -1)
 
 
 def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
