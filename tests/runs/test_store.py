@@ -357,9 +357,7 @@ class TestIdentity:
     def test_states_of_an_earlier_version_are_refused(self, half):
         newest = files(half, "state")[-1]
         newest.write_bytes(newest.read_bytes().replace(b"fmu state 3", b"fmu state 2", 1))
-        with pytest.raises(
-            ValueError, match=r"checkpoint: .*state-000007 was written by an earlier version of fmu"
-        ):
+        with pytest.raises(ValueError, match="state-000007 was written by an earlier version"):
             ran(half)
 
 
