@@ -143,7 +143,7 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
 
 
 def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)], of the product of all Z_{k+1}/Z_k (Xie et al. 2011)."""
+    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)], that is Σ_k log(Z_{k+1}/Z_k) (Xie et al. 2011)."""
     log_weight, log_ratio = _stones(draws, t)
     # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
     return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
