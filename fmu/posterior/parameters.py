@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -9,7 +10,6 @@ import numpy as np
 
 from fmu.numbers import typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
-from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 from fmu.types import FloatArray
 
 DIMENSIONS = ("chain", "draw")
@@ -64,7 +64,7 @@ class Parameter:
         if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
             bounds = f"[{typed(self.lower)}, {typed(self.upper)}]"
             raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {typed(self.start)})")
-        if isinstance(self.prior, Uniform) and not np.isfinite(self.upper - self.lower):
+        if self.prior.needs_bounds and not np.isfinite(self.upper - self.lower):
             raise ValueError(
                 f"{self.name}.prior: a uniform prior needs finite bounds (got [{typed(self.lower)}, "
                 f"{typed(self.upper)}])"
@@ -135,18 +135,17 @@ class JointPrior:
     """
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
-        direct = [(j, p.prior) for j, p in enumerate(parameters) if isinstance(p.prior, Normal)]
-        halves = [(j, p.prior.gaussian) for j, p in enumerate(parameters) if isinstance(p.prior, HalfNormal)]
-        logs = [(j, p.prior.gaussian) for j, p in enumerate(parameters) if isinstance(p.prior, LogNormal)]
-        gaussian = [*direct, *halves, *logs]
-        self._gaussian = np.array([j for j, _ in gaussian], dtype=int)
-        self._n_direct, self._n_logs = len(direct) + len(halves), len(logs)
+        forms = [(j, form) for j, p in enumerate(parameters) if (form := p.prior.gaussian_form) is not None]
+        forms.sort(key=lambda one: (one[1].of_logarithm, one[1].log_factor))
+        self._gaussian = np.array([j for j, _ in forms], dtype=int)
+        self._n_logs = sum(form.of_logarithm for _, form in forms)
+        self._n_direct = len(forms) - self._n_logs
         # a row, like one theta, which spares it NumPy's broadcasting
-        self._mean = np.array([prior.mean for _, prior in gaussian])[None]
-        self._precision = np.array([prior.sd for _, prior in gaussian]) ** -2.0
-        one_array = set(self._gaussian.tolist())
-        self._others = [(j, p.prior) for j, p in enumerate(parameters) if j not in one_array]
-        log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters) - len(halves) * np.log(2.0)
+        self._mean = np.array([form.mean for _, form in forms])[None]
+        self._precision = np.array([form.sd for _, form in forms]) ** -2.0
+        self._others = [(j, p.prior) for j, p in enumerate(parameters) if p.prior.gaussian_form is None]
+        log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters)
+        log_mass -= math.fsum(form.log_factor for _, form in forms)
         self._weight = -0.5 * self._precision
         self._constant = 0.5 * float(np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass
 

@@ -8,7 +8,7 @@ instead of 480 µs, and a thousand draws 0.1 ms instead of 2 ms.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri_exp
@@ -20,8 +20,34 @@ _CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
 _ENDS = ndtr(np.array([-4.0, 4.0]))
 
 
+class GaussianForm(NamedTuple):
+    """A density that is Gaussian in x or in log x, before truncation: log p(x) = log_factor + log N(x; mean, sd).
+
+    With `of_logarithm` N is the density of log x, and − log x is added. Those of all parameters are evaluated as
+    one array (`fmu.posterior.parameters.JointPrior`).
+    """
+
+    mean: float
+    sd: float
+    of_logarithm: bool = False
+    log_factor: float = 0.0
+
+
 class Prior(Protocol):
-    """A one-dimensional distribution, before the bounds truncate it."""
+    """A one-dimensional distribution, before the bounds truncate it.
+
+    Attributes
+    ----------
+    needs_bounds : bool
+        Whether it is a distribution between two finite bounds only.
+    gaussian_form : GaussianForm or None
+    """
+
+    @property
+    def needs_bounds(self) -> bool: ...  # noqa: D102
+
+    @property
+    def gaussian_form(self) -> GaussianForm | None: ...  # noqa: D102
 
     @property
     def support(self) -> tuple[float, float]:
@@ -71,6 +97,7 @@ class Normal:
 
     sd: Positive
     mean: float = 0.0
+    needs_bounds: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         require_positive("sd", self.sd)
@@ -81,6 +108,11 @@ class Normal:
         """Return the prior with the paper's coefficient α = 1/sd²."""
         require_positive("alpha", alpha)
         return cls(sd=float(alpha) ** -0.5, mean=mean)
+
+    @property
+    def gaussian_form(self) -> GaussianForm:
+        """Mean and standard deviation."""
+        return GaussianForm(self.mean, self.sd)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -144,6 +176,9 @@ class Normal:
 class Uniform:
     """Constant between the bounds, which must both be finite."""
 
+    needs_bounds: ClassVar[bool] = True
+    gaussian_form: ClassVar[None] = None
+
     @property
     def support(self) -> tuple[float, float]:
         """All numbers; only the bounds limit it."""
@@ -180,6 +215,13 @@ class Uniform:
 
 class QuantilePrior:
     """Draws, scale and box of a prior from the quantiles of the truncated distribution."""
+
+    needs_bounds: ClassVar[bool] = False
+
+    @property
+    def gaussian_form(self) -> GaussianForm | None:
+        """None: `log_pdf` is evaluated by itself."""
+        return None
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return the normalised log-density."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.posterior.priors.base import Normal, QuantilePrior
+from fmu.posterior.priors.base import GaussianForm, Normal, QuantilePrior
 from fmu.types import FloatArray, Positive, require_finite, require_positive
 
 
@@ -38,6 +38,11 @@ class HalfNormal(QuantilePrior):
     def __post_init__(self) -> None:
         require_positive("sd", self.sd)
         require_finite("at", self.at)
+
+    @property
+    def gaussian_form(self) -> GaussianForm:
+        """Twice the Gaussian."""
+        return GaussianForm(self.at, self.sd, log_factor=float(np.log(2.0)))
 
     @property
     def support(self) -> tuple[float, float]:
@@ -119,6 +124,11 @@ class LogNormal(QuantilePrior):
         )
         variance = np.logaddexp(0.0, log_v)
         return cls(float(mode * np.exp(variance)), float(np.sqrt(variance)))
+
+    @property
+    def gaussian_form(self) -> GaussianForm:
+        """The Gaussian of log x."""
+        return GaussianForm(self.gaussian.mean, self.gaussian.sd, of_logarithm=True)
 
     @property
     def support(self) -> tuple[float, float]:
