@@ -99,7 +99,7 @@ def schema(out: Path | None) -> None:
     An editor with Taplo (Even Better TOML) completes and checks files whose first line is
     #:schema ./fmu.schema.json
     """
-    from fmu.config.schema import schema
+    from fmu.config.problem import schema
 
     text = json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
     if out is None:

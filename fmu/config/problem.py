@@ -1,4 +1,4 @@
-"""The whole file: model, measurement, parameters -> an updating problem."""
+"""The whole file: model, measurement, parameters -> an updating problem; and its JSON schema."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ Reduction = Annotated[
     Annotated[bool, Tag("<switch>")] | Annotated[float, Field(gt=0, le=LOOSEST_FREQUENCY), Tag("<number>")],
     by_kind("true, false or a number"),
 ]
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+TITLE = "A Bayesian model-updating problem for fmu"
 MOST_PARAMETERS = 200
 """Far more than a few modes can determine."""
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
@@ -125,3 +127,39 @@ class ProblemFile(TomlTable):
         if self.error == "modal-residual" and self.measurement.beta is None:
             raise BrokenError([Mistake("measurement.beta", "must be given for the modal residual, as a number")])
         return data
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of a configuration file.
+
+    Returns
+    -------
+    dict
+        Draft 2020-12. It knows keys, types and ranges; what holds between the tables, such as that a member's
+        section exists, only `fmu.load` checks.
+    """
+    found = _for_toml(ProblemFile.model_json_schema())
+    return {"$schema": DIALECT, "title": TITLE} | found
+
+
+def _for_toml(part: Any) -> Any:
+    """Return a schema in the form that editors show best.
+
+    Without null, which TOML does not have, and without pydantic's titles; line breaks in descriptions are removed.
+    """
+    if isinstance(part, list):
+        return [_for_toml(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    found: dict[str, Any] = {}
+    for key, value in part.items():
+        if (key, value) == ("default", None) or (key == "title" and isinstance(value, str)):
+            continue
+        if key == "description" and isinstance(value, str):
+            found[key] = " ".join(value.replace("``", "`").split())
+        elif key == "anyOf" and {"type": "null"} in value:
+            rest = [_for_toml(item) for item in value if item != {"type": "null"}]
+            found |= rest[0] if len(rest) == 1 else {"anyOf": rest}
+        else:
+            found[key] = _for_toml(value)
+    return found

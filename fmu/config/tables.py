@@ -93,7 +93,7 @@ def one_length(what: str) -> AfterValidator:
 class TomlTable(BaseModel):
     """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted.
 
-    The string below a key describes it in the schema that editors show (`fmu.config.schema`).
+    The string below a key describes it in the schema that editors show (`fmu.config.problem`).
     """
 
     model_config = ConfigDict(

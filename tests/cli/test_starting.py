@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from fmu.cli import main
-from fmu.config.schema import schema
+from fmu.config.problem import schema
 from fmu.config.template import KINDS, files, template
 
 

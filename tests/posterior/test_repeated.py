@@ -6,13 +6,13 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm, t
 
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.data.repeated import RepeatedTests, mean_frequencies, mean_shapes, shapes_sd
+from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 
 TESTS = np.array([[10.0, 20.1, 30.3], [10.2, 20.0, np.nan], [10.1, 20.5, 30.0]])
 
 
 def test_each_mode_has_the_scatter_of_its_own_values():
-    mean, sd, covariance = mean_frequencies(TESTS)
+    mean, sd, covariance = RepeatedTests(TESTS).mean()
     assert covariance is None
     assert_allclose(mean, [10.1, 20.2, 30.15])
     factor = t.ppf(0.975, [2, 2, 1]) / norm.ppf(0.975)
@@ -23,12 +23,12 @@ def test_each_mode_has_the_scatter_of_its_own_values():
 @pytest.mark.parametrize(("n", "factor"), [(2, 6.5), (3, 2.2), (5, 1.4), (25, 1.05)])
 def test_factors_that_the_documentation_names(n, factor):
     values = np.random.default_rng(n).normal(10.0, 0.1, (n, 1))
-    sd = mean_frequencies(values)[1][0]
+    sd = RepeatedTests(values).mean()[1][0]
     assert sd == pytest.approx(factor * values.std(ddof=1) / np.sqrt(n), rel=0.02)
 
 
 def test_pooled_scatter_is_one_relative_scatter():
-    mean, sd, _ = mean_frequencies(TESTS, "pooled")
+    mean, sd, _ = RepeatedTests(TESTS, "pooled").mean()
     relative = [np.nanstd(TESTS[:, i], ddof=1) / mean[i] for i in range(3)]
     c = np.sqrt((2 * relative[0] ** 2 + 2 * relative[1] ** 2 + relative[2] ** 2) / 5)
     assert_allclose(sd, c * mean / np.sqrt([3, 3, 2]) * t.ppf(0.975, 5) / norm.ppf(0.975))
@@ -41,7 +41,7 @@ def test_intervals_cover_the_truth(scatter, n):
     truth, rng = np.array([10.0, 25.0]), np.random.default_rng(n)
     inside = []
     for _ in range(4000):
-        mean, sd, _ = mean_frequencies(truth * (1.0 + 0.01 * rng.standard_normal((n, 2))), scatter)
+        mean, sd, _ = RepeatedTests(truth * (1.0 + 0.01 * rng.standard_normal((n, 2))), scatter).mean()
         inside.append(np.abs(mean - truth) < norm.ppf(0.975) * sd)
     assert_allclose(np.mean(inside, axis=0), 0.95, atol=5 * 0.0035)
 
@@ -53,7 +53,7 @@ def test_joint_covariance_is_that_of_the_posterior_of_the_mean():
     rng = np.random.default_rng(0)
     n, truth = 12, np.array([[1.0, 0.8], [0.8, 1.0]])
     values = rng.multivariate_normal([10.0, 20.0], truth, n)
-    mean, sd, covariance = mean_frequencies(values, "joint")
+    mean, sd, covariance = RepeatedTests(values, "joint").mean()
     assert sd is None
     centred = values - values.mean(axis=0)
     sigma = invwishart(n - 1, centred.T @ centred).rvs(20000, random_state=rng)
@@ -63,14 +63,14 @@ def test_joint_covariance_is_that_of_the_posterior_of_the_mean():
 
 def test_joint_covariance_of_many_tests_is_the_sample_covariance_over_n():
     values = np.random.default_rng(1).multivariate_normal([10.0, 20.0], [[1.0, 0.5], [0.5, 1.0]], 5000)
-    assert_allclose(mean_frequencies(values, "joint")[2], np.cov(values.T) / 5000, rtol=1e-3)
+    assert_allclose(RepeatedTests(values, "joint").mean()[2], np.cov(values.T) / 5000, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("scatter", "nu"), [("each", [2, 2, 1]), ("pooled", [5, 5, 5])])
 def test_one_more_test_scatters_as_students_t(scatter, nu):
     """With the sd of single tests, √n times that of the mean but for the factors of few tests."""
     tests = RepeatedTests(TESTS, scatter)
-    sd = mean_frequencies(TESTS, scatter).sd_hz
+    sd = RepeatedTests(TESTS, scatter).mean().sd_hz
     s = sd * np.sqrt([3, 3, 2]) * norm.ppf(0.975) / t.ppf(0.975, nu)
     drawn = tests.simulate(np.random.default_rng(5), 20000)
     for share in (0.05, 0.25, 0.75, 0.9):
@@ -172,7 +172,7 @@ def test_data_from_tests():
     shapes = np.tile([[1.0, 1.0, 1.0], [0.5, -1.0, 0.2]], (3, 1, 1))
     sensors = ((1, "x"), (2, "x"))
     data = ModalData.from_tests(TESTS, shapes, scatter="pooled", numbers=(1, 2, 4), sensors=sensors)
-    mean, sd, _ = mean_frequencies(TESTS, "pooled")
+    mean, sd, _ = RepeatedTests(TESTS, "pooled").mean()
     assert_allclose(data.frequencies_hz, mean)
     assert_allclose(data.sd_hz, sd)
     assert_allclose(data.shapes, mean_shapes(shapes))
@@ -206,7 +206,7 @@ def test_data_from_tests():
 )
 def test_wrong_frequencies(frequencies, scatter, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
-        mean_frequencies(frequencies, scatter)
+        RepeatedTests(frequencies, scatter).mean()
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ class ModalData:
             Independent modes, each with its own scatter; independent modes with one relative scatter, for few
             tests; or a full covariance, which needs at least three tests more than modes. In all three the
             standard deviation is increased because few tests determine it poorly:
-            `fmu.posterior.data.repeated.mean_frequencies`.
+            `fmu.posterior.data.repeated.RepeatedTests`.
         numbers, sensors, labels
             As of the class.
 

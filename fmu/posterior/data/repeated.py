@@ -27,46 +27,6 @@ class MeanFrequencies(NamedTuple):
     covariance_hz2: FloatArray | None
 
 
-def mean_frequencies(frequencies: ArrayLike, scatter: str = "each") -> MeanFrequencies:
-    """Return the mean over tests, and the size of its error estimated from the scatter between them.
-
-    With n_i tests of mode i, s_i their sample standard deviation and ν degrees of freedom the error of the mean,
-    over s_i/√n_i, has Student's distribution, because s_i is itself an estimate. The Gaussian taken for it has the
-    same central 95 %: its standard deviation is s_i/√n_i · t_0.975(ν)/1.96 (the expanded uncertainty of JCGM
-    100:2008, GUM, annex G.3, over the normal's factor). That is 6.5 s_i/√n_i for two tests, 2.2 for three, 1.4
-    for five, 1.05 for twenty-five.
-
-    Parameters
-    ----------
-    frequencies : array_like, shape (n_tests, n_modes), Hz
-        NaN where a test missed a mode; every mode needs two values.
-    scatter : {"each", "pooled", "joint"}
-        "each": modes are independent, each with the scatter of its own values, ν = n_i − 1. This makes no
-        assumption that the tests could contradict, but a few tests may agree closely by chance, and such a mode
-        then gets too much weight. "pooled": independent modes with one *relative* scatter, s_i = c f_i with
-        c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: useful for two to four tests. "joint": a full covariance, for
-        modes that move together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a
-        multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section 3.6);
-        its covariance is taken, S (n − 1)/(n (n − n_modes − 2)) with the sample covariance S, which exists for
-        n ≥ n_modes + 3 tests, none with a mode missing. With fewer tests, S is singular or nearly so.
-
-    Raises
-    ------
-    ValueError
-        If a frequency is not positive, a mode has too few values or they do not scatter at all.
-
-    Notes
-    -----
-    This is repeatability only. Errors that all tests share (the mass of the sensors, the weather of that day, a
-    bias of the identification, the error of the model) do not average out and are not included.
-    """
-    values = _checked(frequencies, scatter)
-    if scatter == "joint":
-        return _joint(values)
-    found = _scatter(values, scatter)
-    return MeanFrequencies(found.mean, found.s / np.sqrt(found.n) * _student(found.nu), None)
-
-
 class _Scatter(NamedTuple):
     """Means and sample standard deviations in Hz, degrees of freedom and numbers of tests: each (n_modes,)."""
 
@@ -117,14 +77,26 @@ class RepeatedTests:
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_tests, n_modes)
-        NaN where a test missed a mode.
+        NaN where a test missed a mode; every mode needs two values.
     scatter : {"each", "pooled", "joint"}
-        As in `mean_frequencies`.
+        "each": modes are independent, each with the scatter of its own values, ν = n_i − 1. This makes no
+        assumption that the tests could contradict, but a few tests may agree closely by chance, and such a mode
+        then gets too much weight. "pooled": independent modes with one *relative* scatter, s_i = c f_i with
+        c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: useful for two to four tests. "joint": a full covariance, for
+        modes that move together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a
+        multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section 3.6);
+        its covariance is taken, S (n − 1)/(n (n − n_modes − 2)) with the sample covariance S, which exists for
+        n ≥ n_modes + 3 tests, none with a mode missing. With fewer tests, S is singular or nearly so.
 
     Raises
     ------
     ValueError
-        As `mean_frequencies` does.
+        If a frequency is not positive, a mode has too few values or they do not scatter at all.
+
+    Notes
+    -----
+    This is repeatability only. Errors that all tests share (the mass of the sensors, the weather of that day, a
+    bias of the identification, the error of the model) do not average out and are not included.
     """
 
     frequencies_hz: ArrayLike
@@ -137,8 +109,19 @@ class RepeatedTests:
         self.mean()
 
     def mean(self) -> MeanFrequencies:
-        """Return the mean over the tests and the uncertainty of that mean."""
-        return mean_frequencies(self.frequencies_hz, self.scatter)
+        """Return the mean over tests, and the size of its error estimated from the scatter between them.
+
+        With n_i tests of mode i, s_i their sample standard deviation and ν degrees of freedom the error of the
+        mean, divided by s_i/√n_i, has Student's distribution, because s_i is itself an estimate. It is replaced by
+        the Gaussian with the same central 95 %, whose standard deviation is s_i/√n_i · t_0.975(ν)/1.96 (the
+        expanded uncertainty of JCGM 100:2008, GUM, annex G.3, divided by the normal factor). That is 6.5 s_i/√n_i
+        for two tests, 2.2 for three, 1.4 for five, 1.05 for twenty-five.
+        """
+        values = np.asarray(self.frequencies_hz)
+        if self.scatter == "joint":
+            return _joint(values)
+        found = _scatter(values, self.scatter)
+        return MeanFrequencies(found.mean, found.s / np.sqrt(found.n) * _student(found.nu), None)
 
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw deviations of one more test from the frequencies of the structure, shape (size, n_modes), Hz.
@@ -146,9 +129,9 @@ class RepeatedTests:
         The standard deviation of a single test is estimated from n tests. With the prior ∝ 1/s it is integrated
         out: s_i times Student's t with ν_i degrees of freedom. An interval about the posterior of a model that
         can follow the mean is a little wide for very few tests (a 90 % interval holds 93 % for two tests, 92 %
-        for three, 90 % from five on), as the Gaussian of `mean_frequencies` is widened too. Where the scatter is
+        for three, 90 % from five on), as the Gaussian of `mean` is widened too. Where the scatter is
         "joint", the multivariate t with n − n_modes degrees of freedom and the matrix (n − 1) S/(n − n_modes),
-        under the prior of `mean_frequencies`.
+        under the prior described for `scatter`.
         """
         values = np.asarray(self.frequencies_hz)
         z = rng.standard_normal((size, values.shape[1]))
@@ -216,7 +199,7 @@ def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
     With the shapes u_j of unit length and one sign, and their mean m, the parts of u_j across m scatter in
     n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1), the same for all
     sensors, as sensors of one kind have it. The error of the mean is s/√n, widened for few tests as in
-    `mean_frequencies`. None where a mode has fewer than two shapes, there is only one sensor, or a mode's shapes
+    `RepeatedTests.mean`. None where a mode has fewer than two shapes, there is only one sensor, or a mode's shapes
     do not differ.
 
     Parameters

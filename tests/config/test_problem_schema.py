@@ -6,7 +6,7 @@ import pytest
 
 from fmu import cases
 from fmu.config.parameters import Target
-from fmu.config.schema import DIALECT, schema
+from fmu.config.problem import DIALECT, schema
 from fmu.config.template import KINDS, template
 
 jsonschema = pytest.importorskip("jsonschema")
