@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,41 +17,30 @@ if TYPE_CHECKING:
     from fmu.analysis.convergence.diagnosis import Diagnosis
     from fmu.analysis.evidence import FoundEvidence
 
-_FORMATS: dict[str, Callable[[float], str]] = {
-    "rhat": lambda x: fixed(x, 4),
-    "rhat_max": lambda x: fixed(x, 4),
-    "ess_bulk": lambda x: fixed(x, 0),
-    "ess_tail": lambda x: fixed(x, 0),
-    "ess_bulk_min": lambda x: fixed(x, 0),
-    "ess_tail_min": lambda x: fixed(x, 0),
-    "wall_s": lambda x: fixed(x, 1),
-    "sd": lambda x: apart(x, digits=2)[0],
-    "mcse_mean": lambda x: apart(x, digits=2)[0],
-}
-
-
-def summary_text(table: pd.DataFrame, updated: Sequence[str] | None = None) -> str:
-    """Return ``fmu.summary(trace)`` as text; the sd decides how many digits of means and intervals are shown.
-
-    With `updated`, a last column says whether the data updated each parameter.
-    """
-    more = [] if updated is None else ["updated"]
-    rows = []
-    for k, (name, row) in enumerate(table.iterrows()):
-        cells = [_FORMATS[c](row[c]) if c in _FORMATS else rounded(row[c], row["sd"]) for c in table.columns]
-        rows.append([str(name), *cells, table.attrs["units"][name], *([] if updated is None else [updated[k]])])
-    n = len(table.columns) + 1
-    return text_table(["", *map(str, table.columns), "unit", *more], rows, words=(0, n, n + 1)[: 2 + len(more)])
+_DECIMALS = {
+    "rhat": 4, "rhat_max": 4, "ess_bulk": 0, "ess_tail": 0, "ess_bulk_min": 0, "ess_tail_min": 0, "wall_s": 1,
+}  # fmt: skip
+_WORDS = ("", "unit", "updated")
 
 
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
-    """Print the summary of a sampler's trace, with a column that says which parameters the data updated."""
+    """Print the summary of a sampler's trace; the sd decides how many digits of means and intervals are shown.
+
+    A last column says whether the data updated each parameter, if that is known.
+    """
     from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 
-    words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
+    columns = {"": list(map(str, table.index))}
+    for column in map(str, table.columns):
+        columns[column] = [_summary_cell(column, x, sd) for x, sd in zip(table[column], table["sd"], strict=True)]
+    columns["unit"] = [table.attrs["units"][parameter] for parameter in table.index]
     found = information(trace)
-    updated = None if found is None else [words[basis] for basis in found.basis]
-    click.echo(f"{name}\n{summary_text(table, updated)}\n")
+    if found is not None:
+        words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
+        columns["updated"] = [words[basis] for basis in found.basis]
+    rows = list(zip(*columns.values(), strict=True))
+    text = text_table(list(columns), rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
+    click.echo(f"{name}\n{text}\n")
 
 
 def echo_comparison(
@@ -89,10 +78,16 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
         click.echo(wrapped(f"{one.value}, from {one.basis}: {one.is_reliable}", "  ", "    "))
 
 
+def _summary_cell(name: str, value: float, sd: float) -> str:
+    if name in _DECIMALS:
+        return fixed(value, _DECIMALS[name])
+    return apart(value, digits=2)[0] if name in ("sd", "mcse_mean") else rounded(value, sd)
+
+
 def _cell(name: str, value: Any) -> str:
     """Format a value of the comparison: whole numbers in full, a dash for what does not apply."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):
         return str(value)
-    return _FORMATS.get(name, significant)(value)
+    return fixed(value, _DECIMALS[name]) if name in _DECIMALS else significant(value)
