@@ -22,7 +22,7 @@ import dask
 import distributed
 
 from fmu.engines.base import RunFailedError
-from fmu.engines.remote import RemoteEngine, Shared, Task, WorkerDeath, carry_out, limit_blas_threads
+from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
 from fmu.progress import Report
 
 _ADDRESS = re.compile(r"tcp://[^\s/]+:\d+")
@@ -124,7 +124,7 @@ class DaskCluster(RemoteEngine):
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
             return self._client.submit(function, *arguments, key=key, pure=False)
 
-    def _ended(self, report: Report | None) -> Iterator[tuple[Task, bytes | WorkerDeath]]:
+    def _ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         try:
             kind, content = self._inbox.get(timeout=_CHECK_INTERVAL_S)
         except queue.Empty:
@@ -144,18 +144,17 @@ class DaskCluster(RemoteEngine):
                 self._last_report.pop(key, None)
                 yield self._running.pop(key)[1], outcome
 
-    def _outcome(self, key: str, report: Report | None) -> bytes | WorkerDeath:
+    def _outcome(self, key: str, report: Report | None) -> Outcome:
         how = f"on the Dask cluster {self.address}"
         try:
             outcome, number, message = cloudpickle.loads(self._running[key][0].result().content)
         except CancelledError:  # lost together with something it needs
-            return WorkerDeath(how)
+            return Outcome(deaths=1, how=how)
         except distributed.KilledWorker as error:
-            return WorkerDeath(how, error.allowed_failures + 1)
+            return Outcome(deaths=error.allowed_failures + 1, how=how)
         if message is not None and self._last_report.get(key) != number:
             self._pass_on(key, number, message, report)
-        packed: bytes = outcome
-        return packed
+        return Outcome(outcome)
 
     def _pass_on(self, key: str, number: int, message: tuple[Any, ...], report: Report | None) -> None:
         if key in self._running and report is not None:

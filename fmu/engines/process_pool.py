@@ -27,7 +27,7 @@ from typing import Any
 
 import cloudpickle
 
-from fmu.engines.remote import RemoteEngine, Shared, Task, WorkerDeath, carry_out, limit_blas_threads
+from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
 from fmu.progress import Report
 
 # How often workers are checked: processes that a worker started itself may keep its pipe open after its death.
@@ -126,7 +126,7 @@ class ProcessPool(RemoteEngine):
             process.give(waiting.popleft(), packed)
         return any(process.task is not None for process in self._processes)
 
-    def _ended(self, report: Report | None) -> Iterator[tuple[Task, bytes | WorkerDeath]]:
+    def _ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         busy = {p.connection: (p, p.task) for p in self._processes if p.task is not None}
         wait([*busy, *(process.process.sentinel for process, _ in busy.values())], timeout=_CHECK_INTERVAL_S)
         for process, task in busy.values():
@@ -135,10 +135,10 @@ class ProcessPool(RemoteEngine):
                 report(*content)
             elif kind == "died":
                 self._stop(process)
-                yield task, WorkerDeath(content)
+                yield task, Outcome(deaths=1, how=content)
             elif kind == "outcome":
                 process.task = None
-                yield task, content
+                yield task, Outcome(content)
 
     def _abandon(self) -> None:
         """Stop the workers that are running a task; the others stay."""

@@ -38,11 +38,12 @@ class Task(NamedTuple):
         return bytes(cloudpickle.dumps((self.work, self.argument, self.reports)))
 
 
-class WorkerDeath(NamedTuple):
-    """A worker, or several in a row, died while running a task."""
+class Outcome(NamedTuple):
+    """How a task ended: with what `carry_out` returned, or with the death of one or several workers in a row."""
 
-    how: str
-    number: int = 1
+    packed: bytes = b""
+    deaths: int = 0
+    how: str = ""
 
 
 class RemoteError(Exception):
@@ -78,10 +79,10 @@ class RemoteEngine(Engine):
         try:
             while self._start(waiting, shared):
                 for task, outcome in self._ended(report):
-                    if isinstance(outcome, WorkerDeath):
+                    if outcome.deaths:
                         waiting.appendleft(_again(task, outcome))
                         continue
-                    results[task.sequence] = unpacked(outcome)
+                    results[task.sequence] = unpacked(outcome.packed)
                     self._start(waiting, shared)  # no worker is idle while `follow` runs
                     following = None if follow is None else follow(task.sequence, results[task.sequence])
                     if following is not None:
@@ -98,7 +99,7 @@ class RemoteEngine(Engine):
         """Start as many of the waiting tasks as there are idle workers; return whether any task is running."""
 
     @abstractmethod
-    def _ended(self, report: Report | None) -> Iterator[tuple[Task, bytes | WorkerDeath]]:
+    def _ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         """Wait for the workers, pass their reports on, and give the tasks that have ended since the last call."""
 
     @abstractmethod
@@ -160,11 +161,11 @@ def limit_blas_threads() -> None:
     threadpool_limits(1, "blas")
 
 
-def _again(task: Task, death: WorkerDeath) -> Task:
+def _again(task: Task, outcome: Outcome) -> Task:
     """Return a task to be run again; LostTaskError if too many workers have died of it."""
-    deaths = task.deaths + death.number
+    deaths = task.deaths + outcome.deaths
     if deaths >= MAX_DEATHS:
-        raise LostTaskError(task.sequence, death.how)
+        raise LostTaskError(task.sequence, outcome.how)
     return task._replace(deaths=deaths)
 
 
