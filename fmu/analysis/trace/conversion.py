@@ -20,7 +20,6 @@ from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.reading import check_trace
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
-from fmu.posterior.errors.frequency import CorrelatedFrequencyTerm
 from fmu.progress.phases import by_parts
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.tempering import first_ladder, rejections
@@ -209,7 +208,7 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
     if likelihood is not None and likelihood.beta is not None:
         variables["beta"] = ("mode", np.asarray(likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
-        if isinstance(likelihood.error, CorrelatedFrequencyTerm):
+        if likelihood.error is not None and likelihood.error.covariance_hz2 is not None:
             variables["covariance_hz2"] = (("mode", "other_mode"), likelihood.error.covariance_hz2)
             coordinates["other_mode"] = coordinates["mode"]
     return xr.Dataset(variables, coords=coordinates)
@@ -228,7 +227,7 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     if problem.likelihood.error is not None:
         error = problem.likelihood.error
         terms = {"frequency": (dims, error.log_prob_terms(frequency))}
-        if isinstance(error, CorrelatedFrequencyTerm):
+        if error.covariance_hz2 is not None:
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
     else:
         terms = {problem.likelihood.terms_name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
