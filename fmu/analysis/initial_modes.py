@@ -244,7 +244,8 @@ def _of_structure(
 ) -> InitialModes:
     spectrum, paired = _spectrum(model, point)
     frequencies = frequency_hz(spectrum.eigenvalues[0])
-    shapes = _shapes(model, point, spectrum)
+    with single_thread():
+        shapes = model.full.shapes(point[None], spectrum)
     observation = model.structure.observation(problem.data.sensors) if problem.data.sensors else None
     seen = _seen(model, shapes, observation, spectrum.eigenvalues[0])
     moves = _moves(model, point, shapes)
@@ -309,18 +310,6 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]
             if count == total or max(paired) + _BEYOND < count:
                 return spectrum.columns(np.arange(min(count, max(paired) + 1 + _BEYOND))), paired
         count = min(total, 2 * count)
-
-
-def _shapes(model: PairedStructure, point: FloatArray, spectrum: Any) -> FloatArray:
-    """Return the mass-normalised shapes of the modes of a spectrum, shape (n_dof, n_computed)."""
-    shapes = np.zeros((model.structure.n_dof, spectrum.block.shape[1]))
-    with single_thread():
-        for b in np.unique(spectrum.block[0]):
-            columns = np.flatnonzero(spectrum.block[0] == b)
-            ranks = spectrum.rank[0, columns]
-            block = model.full.blocks[b]
-            shapes[np.ix_(block.dofs, columns)] = block.modes(point[None], int(ranks.max()) + 1)[1][0][:, ranks]
-    return shapes
 
 
 def _seen(model: PairedStructure, shapes: FloatArray, observation: Any, eigenvalues: FloatArray) -> BoolArray:

@@ -10,6 +10,7 @@ from fmu.fem.frame.frame import ElementGroup, Frame
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel, Term, selection
+from fmu.fem.pairing.prediction import joined
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.training import Snapshots, proper_orthogonal_basis, smallest_basis
 
@@ -216,7 +217,7 @@ def test_smallest_basis_is_found_by_bisection(trained):
 def test_snapshots_are_collected_and_cut(trained):
     block, reduced, lower, upper = trained
     first, second = (Snapshots.solve(block, sample(lower, upper, n, seed=n), COUNT) for n in (2, 3))
-    both = first + second
+    both = joined([first, second])
     assert both.theta.shape == (5, 2)
     assert both.shapes.shape == (5, block.size, COUNT)
     assert_array_equal(both.eigenvalues[2:], second.eigenvalues)

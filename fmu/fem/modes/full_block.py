@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from fmu.fem.modes.derivatives import by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
-from fmu.fem.modes.modal import Block, BlockModel, BlockPrediction, Mapped, Picked
+from fmu.fem.modes.modal import Block, BlockModel, Mapped, Picked
 from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import FloatArray, IntArray
 
@@ -79,21 +79,16 @@ class FullBlock(Block):
                 continue
         return lam, phi
 
-    def seen(
-        self,
-        theta: FloatArray,
-        count: int,
-        rows: Any,
-        gradient: bool = False,
-        solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> BlockPrediction:
-        """Return the lowest modes as sensors see them; derivatives by a bordered system a mode."""
-        lam, phi = self.modes(theta, count) if solved is None else (solved[0][:, :count], solved[1][:, :, :count])
-        shapes = np.stack([rows @ shape for shape in phi]) if len(phi) else np.empty((0, rows.shape[0], count))
-        if not gradient:
-            return BlockPrediction(lam, shapes)
-        lam_slopes = np.full((*lam.shape, self.n_parameters), np.nan)
-        shape_slopes = np.full((*shapes.shape, self.n_parameters), np.nan)
+    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
+        # sparse rows multiply one shape at a time
+        return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))
+
+    def _slopes_seen(
+        self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        phi = phi[:, :, :count]
+        lam_slopes = np.full((len(theta), count, self.n_parameters), np.nan)
+        shape_slopes = np.full((len(theta), rows.shape[0], count, self.n_parameters), np.nan)
         for i, (K, M) in enumerate(self._matrices(theta)):
             if not np.all(np.isfinite(phi[i])):
                 continue
@@ -103,7 +98,7 @@ class FullBlock(Block):
             for k in range(count):
                 slope, lam_slopes[i, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], dK[k], dM[k])
                 shape_slopes[i, :, k] = rows @ slope
-        return BlockPrediction(lam, shapes, lam_slopes, shape_slopes)
+        return lam_slopes, shape_slopes
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return a map of shapes (n, size, m) to the coordinates `rows`, and the references as they are."""

@@ -224,6 +224,21 @@ class Block:
         solved : tuple of ndarray, optional
             The result of `modes` for `n_required` modes or more, if it is at hand.
         """
+        lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
+        seen = BlockPrediction(lam[:, :count], self._at(rows, phi[:, :, :count]))
+        if not gradient:
+            return seen
+        lam_slopes, shape_slopes = self._slopes_seen(theta, count, rows, lam, phi)
+        return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
+
+    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
+        """Return shapes (n, size, m) as the sensors see them, (n, n_sensors, m)."""
+        raise NotImplementedError
+
+    def _slopes_seen(
+        self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ∂λ (n, count, n_parameters) and ∂φ at the sensors (n, n_sensors, count, n_parameters)."""
         raise NotImplementedError
 
 
@@ -265,6 +280,11 @@ class ModalSolution:
     gradient: FloatArray | None
     block: IntArray
     rank: IntArray
+
+    @property
+    def failed(self) -> BoolArray:
+        """Which modes have no solution, shape (n, m)."""
+        return np.isnan(self.eigenvalues)
 
     def columns(self, picked: IntArray) -> ModalSolution:
         """Return the modes at the given columns alone."""
@@ -328,6 +348,19 @@ class BlockModel:
         chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
         return ModalSolution(lowest, chosen, owner[order], rank[order])
 
+    def shapes(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
+        """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
+
+        For full blocks; zero in the blocks that a mode does not move.
+        """
+        block, rank = modes.block[0], modes.rank[0]
+        shapes = np.zeros((sum(len(of.dofs) for of in self.blocks), len(block)))
+        for b in np.unique(block):
+            columns = np.flatnonzero(block == b)
+            _, phi = self.blocks[b].modes(theta, int(rank[columns].max()) + 1)
+            shapes[np.ix_(self.blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
+        return shapes
+
 
 class FixedModes:
     """Fixed ranks of fixed blocks of a model; everything that does not depend on theta is prepared once.
@@ -359,12 +392,13 @@ class FixedModes:
             else:
                 lam = block.eigenvalues(theta, count)
             values.append(lam[:, ranks])
-        labels = self.labels(len(theta))
-        return ModalSolution(self._joined(values), self._joined(slopes) if gradient else None, *labels)
+        owner, rank, _ = self.located(theta)
+        return ModalSolution(self._joined(values), self._joined(slopes) if gradient else None, owner, rank)
 
-    def labels(self, n: int) -> tuple[IntArray, IntArray]:
-        """Return block and rank for n parameter vectors, shapes (n, m)."""
-        return self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0)
+    def located(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, dict[int, Any]]:
+        """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m); nothing is solved."""
+        n = len(theta)
+        return self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0), {}
 
     def _joined(self, parts: list[FloatArray]) -> FloatArray:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]

@@ -357,24 +357,7 @@ class PairedStructure(ModalModel):
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
-        solved(len(theta))
-        with single_thread():
-            if self.reduced is None:
-                return self._solve_full(theta, gradient)
-            within = (theta >= self._lower) & (theta <= self._upper)
-            everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
-            if everywhere:
-                modes = self._reduced_modes(theta, gradient)
-            else:
-                # far outside its box the reduced model may overflow: a corner stands in for such points
-                inside = within.all(axis=1, keepdims=True)
-                modes = self._reduced_modes(np.where(inside, theta, self._lower), gradient)
-            failed = np.isnan(modes.eigenvalues)
-            if everywhere and np.count_nonzero(failed) == 0:
-                return modes
-            rows = failed.any(axis=1) | ~within.all(axis=1)
-            self.full_solves += int(np.sum(rows))
-            return with_rows(modes, rows, self._solve_full(theta[rows], gradient))
+        return self._answered(self._reduced_modes, self._solve_full, theta, gradient)
 
     def within(self, theta: FloatArray) -> BoolArray:
         """Say, shape (n,), where the reduced model answers; nowhere if there is none."""
@@ -415,7 +398,7 @@ class PairedStructure(ModalModel):
         return self._by_full(self._solve_full, theta)
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return `frequencies` by the full model."""
+        """Return frequencies by the full model."""
         return frequency_hz(self.full_modes(theta).eigenvalues)
 
     def full_shapes(self, theta: FloatArray) -> FloatArray:
@@ -425,14 +408,8 @@ class PairedStructure(ModalModel):
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.full_modes(point)
-        shapes = np.zeros((self.structure.n_dof, self.n_modes))
         with single_thread():
-            for b in np.unique(modes.block[0]):
-                columns = np.flatnonzero(modes.block[0] == b)
-                ranks = modes.rank[0, columns]
-                _, phi = self.full.blocks[b].modes(point, int(ranks.max()) + 1)
-                shapes[np.ix_(self.full.blocks[b].dofs, columns)] = phi[0][:, ranks]
-        return shapes
+            return self.full.shapes(point, modes)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
@@ -509,22 +486,26 @@ class PairedStructure(ModalModel):
         with single_thread():
             return solve(theta)
 
-    def _answered[Prediction: (ModalPrediction, Candidates)](
+    def _answered[Solution: (ModalSolution, ModalPrediction, Candidates)](
         self,
-        reduced: Callable[[FloatArray, bool], Prediction],
-        full: Callable[[FloatArray, bool], Prediction],
+        reduced: Callable[[FloatArray, bool], Solution],
+        full: Callable[[FloatArray, bool], Solution],
         theta: FloatArray,
         gradient: bool,
-    ) -> Prediction:
-        """Return the reduced model's prediction, and the full one's outside the trained box and on failure."""
+    ) -> Solution:
+        """Return the reduced model's solution, and the full one's outside the trained box and on failure."""
         solved(len(theta))
         with single_thread():
             if self.reduced is None:
                 return full(theta, gradient)
-            inside = self.within(theta)
-            found = reduced(np.where(inside[:, None], theta, self._lower), gradient)
-            rows = ~inside | np.isnan(found.frequencies).any(axis=1)
-            if not rows.any():
+            within = (theta >= self._lower) & (theta <= self._upper)
+            everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
+            # far outside its box the reduced model may overflow: a corner stands in for such points
+            inside = theta if everywhere else np.where(within.all(axis=1, keepdims=True), theta, self._lower)
+            found = reduced(inside, gradient)
+            failed = found.failed
+            if everywhere and np.count_nonzero(failed) == 0:
                 return found
+            rows = failed.any(axis=1) | ~within.all(axis=1)
             self.full_solves += int(np.sum(rows))
             return with_rows(found, rows, full(theta[rows], gradient))

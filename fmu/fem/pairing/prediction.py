@@ -38,6 +38,11 @@ class ModalPrediction:
     frequency_slopes: FloatArray | None = None
     shape_slopes: FloatArray | None = None
 
+    @property
+    def failed(self) -> BoolArray:
+        """Which modes have no solution, shape (n, n_modes)."""
+        return np.isnan(self.frequencies)
+
 
 @dataclass(frozen=True)
 class Candidates:
@@ -61,6 +66,11 @@ class Candidates:
     frequency_slopes: FloatArray | None = None
     shape_slopes: FloatArray | None = None
     mac_slopes: FloatArray | None = None
+
+    @property
+    def failed(self) -> BoolArray:
+        """Which modes have no solution, shape (n, k)."""
+        return np.isnan(self.frequencies)
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:

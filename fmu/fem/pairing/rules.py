@@ -56,12 +56,7 @@ class RankPairing:
 
     def bind(self, model: BlockModel) -> PairedSolve:
         """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
-        return _RankSolve(model, self.block, self.rank)
-
-
-class _RankSolve(FixedModes):
-    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
-        return *self.labels(len(theta)), {}
+        return FixedModes(model, self.block, self.rank)
 
 
 @dataclass(frozen=True)
@@ -371,13 +366,7 @@ def _visible_modes(
     """Return shapes (n, q) at `rows` and ranks (n,) in their blocks, of the elastic modes that the sensors see."""
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
-    solved = {
-        b: model.blocks[b].modes(point, int(spectrum.rank[spectrum.block == b].max()) + 1)[1][0]
-        for b in set(spectrum.block[0].tolist())
-    }
-    shapes = np.zeros((count, rows.shape[1]))
-    for shape, b, r in zip(shapes, spectrum.block[0], spectrum.rank[0], strict=True):
-        shape[model.blocks[b].dofs] = solved[int(b)][:, r]
+    shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
     compared, seen = shapes @ rows.T, shapes @ sensors.T
     # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
     elastic = ~is_rigid(spectrum.eigenvalues[0])

@@ -21,7 +21,7 @@ import scipy.linalg as sl
 
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import Block, BlockPrediction, CoefficientMap, Mapped
+from fmu.fem.modes.modal import Block, CoefficientMap, Mapped
 from fmu.fem.modes.separable import Term
 from fmu.types import FloatArray
 
@@ -127,31 +127,26 @@ class ReducedBlock(Block):
         Q, R = np.linalg.qr(rows)
         return R, Q.T @ reference
 
-    def seen(
-        self,
-        theta: FloatArray,
-        count: int,
-        rows: Any,
-        gradient: bool = False,
-        solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> BlockPrediction:
-        """Return the lowest modes as sensors see them; derivatives as sums over all modes of the basis."""
-        lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
-        if not gradient:
-            return BlockPrediction(lam[:, :count], rows @ phi[:, :, :count])
+    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
+        return np.asarray(rows @ phi)
+
+    def _slopes_seen(
+        self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         if self.massless:
+            # modes of infinite frequency have no place in a sum over all modes: a bordered system a mode instead
             lam, phi = lam[:, :count], phi[:, :, :count]
-            slopes = self._bordered_slopes(theta, lam, phi)
-            lam_slopes = self.eigenvalue_gradient(theta, lam, phi)
-            return BlockPrediction(lam, rows @ phi, lam_slopes, _seen_slopes(rows, slopes))
-        dK, dM = (
-            self._slopes(theta, coefficient, matrices, phi, count)
-            for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
-        )
-        i = np.arange(count)
-        slopes = by_all_modes(lam, phi, dK, dM, count)
-        lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
-        return BlockPrediction(lam[:, :count], rows @ phi[:, :, :count], lam_slopes, _seen_slopes(rows, slopes))
+            slopes, lam_slopes = self._bordered_slopes(theta, lam, phi), self.eigenvalue_gradient(theta, lam, phi)
+        else:
+            dK, dM = (
+                self._slopes(theta, coefficient, matrices, phi, count)
+                for coefficient, matrices in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
+            )
+            i = np.arange(count)
+            slopes = by_all_modes(lam, phi, dK, dM, count)
+            lam_slopes = dK[:, i, i] - lam[:, :count, None] * dM[:, i, i]
+        n, r, _, p = slopes.shape
+        return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
         """Return ∂φ, shape (n, r, m, n_parameters), a mode at a time; NaN where its eigenvalue is repeated."""
@@ -231,11 +226,6 @@ def _inverted(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _bordered(*parts: FloatArray) -> tuple[FloatArray]:
     return (by_bordered_matrices(*parts),)
-
-
-def _seen_slopes(sensors: FloatArray, slopes: FloatArray) -> FloatArray:
-    n, r, count, p = slopes.shape
-    return (sensors @ slopes.reshape(n, r, -1)).reshape(n, len(sensors), count, p)
 
 
 def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:

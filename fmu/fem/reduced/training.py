@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -12,8 +12,9 @@ import numpy as np
 from fmu.engines.base import Engine, InProcess
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID, Block, BlockModel, frequency_hz, is_rigid
+from fmu.fem.modes.modal import RIGID, BlockModel, frequency_hz, is_rigid
 from fmu.fem.modes.separable import coefficients, weighted_sum
+from fmu.fem.pairing.prediction import joined
 from fmu.fem.pairing.rules import AT_ONCE, IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.progress.phases import phase, solved
@@ -58,16 +59,6 @@ class Snapshots:
     def solve(cls, block: FullBlock, theta: FloatArray, count: int) -> Snapshots:
         """Solve the full block at every theta."""
         return cls(theta, *block.modes(theta, min(count, block.n_modes)))
-
-    @classmethod
-    def joined(cls, parts: Sequence[Snapshots]) -> Snapshots:
-        """Return the snapshots of all parts."""
-        rows = zip(*((part.theta, part.eigenvalues, part.shapes) for part in parts), strict=True)
-        return cls(*(np.concatenate(row) for row in rows))
-
-    def __add__(self, other: Snapshots) -> Snapshots:
-        """Return the snapshots of both."""
-        return Snapshots.joined([self, other])
 
     def lowest(self, count: int) -> Snapshots:
         """Return the snapshots of the lowest `count` modes alone."""
@@ -208,9 +199,7 @@ class Training:
         return training._trained()
 
     def _trained(self) -> Trained:
-        blocks: list[Block] = list(self.full.blocks)
-        for b, basis in self.basis.items():
-            blocks[b] = ReducedBlock(self._block(b), basis, self.n_trained[b])
+        blocks = (self._reduced(b) if b in self.basis else full for b, full in enumerate(self.full.blocks))
         model = BlockModel(tuple(blocks), self.full.n_parameters)
         return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed)
 
@@ -222,7 +211,7 @@ class Training:
         with phase("training", len(tasks)) as under_way:
             outcome = iter(self._engine.run_tasks(_solve_there, self.full, tasks, lambda *_: under_way.advance()))
             solved(len(theta))
-        return {b: Snapshots.joined(list(islice(outcome, len(parts)))) for b in counts}
+        return {b: joined(list(islice(outcome, len(parts)))) for b in counts}
 
     def _needed(self, snapshots: dict[int, Snapshots]) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
@@ -259,15 +248,18 @@ class Training:
 
     def _good_for(self, fresh: dict[int, Snapshots]) -> bool:
         fixed, needed = self._needed(fresh)
-        if self.fixed is not None and fixed != self.fixed:
+        if (self.fixed is not None and fixed != self.fixed) or self._needs_more(needed):
             return False
-        for b, n_trained in self.n_trained.items():
-            if needed[b] > n_trained:
-                return False
-            reduced = ReducedBlock(self._block(b), self.basis[b], n_trained)
-            if not np.max(fresh[b].lowest(n_trained).largest_error(reduced)) <= self.tolerance:
-                return False
-        return True
+        return bool(np.max(self._errors(fresh)) <= self.tolerance)
+
+    def _needs_more(self, needed: dict[int, int]) -> bool:
+        """Say whether a block needs more modes than its basis was trained for."""
+        return any(needed[b] > n_trained for b, n_trained in self.n_trained.items())
+
+    def _errors(self, fresh: dict[int, Snapshots]) -> FloatArray:
+        """Return the largest relative error of a frequency at each of the fresh points, shape (n,)."""
+        errors = [fresh[b].lowest(n).largest_error(self._reduced(b)) for b, n in self.n_trained.items()]
+        return np.asarray(np.max(errors, axis=0))
 
     def _worth_adding(self, fresh: dict[int, Snapshots]) -> dict[int, Snapshots]:
         """Return the points of `fresh` that are to join the others: where these are many, the bad ones alone."""
@@ -276,20 +268,20 @@ class Training:
             for b, s in self.snapshots.items()
         )
         fixed, needed = self._needed(fresh)
-        if not many or fixed != self.fixed or any(needed[b] > n for b, n in self.n_trained.items()):
+        if not many or fixed != self.fixed or self._needs_more(needed):
             return fresh
-        bad = np.zeros(len(next(iter(fresh.values())).theta), dtype=bool)
-        for b, n_trained in self.n_trained.items():
-            reduced = ReducedBlock(self._block(b), self.basis[b], n_trained)
-            bad |= ~(fresh[b].lowest(n_trained).largest_error(reduced) <= 0.5 * self.tolerance)
+        bad = ~(self._errors(fresh) <= 0.5 * self.tolerance)
         return {b: s.rows(bad) for b, s in fresh.items()}
 
     def _add(self, fresh: dict[int, Snapshots]) -> None:
-        self.snapshots = {b: s + fresh[b] for b, s in self.snapshots.items()}
+        self.snapshots = {b: joined([s, fresh[b]]) for b, s in self.snapshots.items()}
+
+    def _reduced(self, b: int) -> ReducedBlock:
+        return ReducedBlock(self._block(b), self.basis[b], self.n_trained[b])
 
     def _block(self, b: int) -> FullBlock:
-        block = self.full.blocks[b]
-        if not isinstance(block, FullBlock):
+        block: Any = self.full.blocks[b]
+        if block.is_reduced:
             raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
         return block
 
