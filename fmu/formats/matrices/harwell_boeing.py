@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import MatrixFormat, checked, entries_within, rows_within
+from fmu.formats.matrices.limits import Labelled, MatrixFormat, checked, entries_within, rows_within
 
 LONGEST_LINE = 4096
 """Bytes; the format has 80."""
@@ -100,9 +100,9 @@ def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Any:
     return found
 
 
-def _read(path: Path, variable: str | None) -> Any:
+def _read(path: Path, variable: str | None) -> Labelled:
     with open(path, "rb") as file:
-        return parse(file)
+        return Labelled(parse(file))
 
 
 FORMAT = MatrixFormat((".hb", ".rsa", ".rua"), _read)

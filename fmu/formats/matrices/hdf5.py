@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from fmu.formats.matrices.limits import (
     MOST_DOFS,
     MOST_NAMES,
+    Labelled,
     MatrixFormat,
     RefusedError,
     chosen,
@@ -35,7 +36,7 @@ _COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
 _FORMAT = ("format", "encoding-type", "h5sparse_format")
 
 
-def read(path: Path, variable: str | None) -> Any:
+def read(path: Path, variable: str | None) -> Labelled:
     """Return a matrix of a file.
 
     Parameters
@@ -57,9 +58,9 @@ def read(path: Path, variable: str | None) -> Any:
             found = {"/": file}
         member = found[chosen(list(found), variable)]
         if isinstance(member, h5py.Group):
-            return _sparse(member)
+            return Labelled(_sparse(member))
         matrix = _numbers(member)
-        return matrix.T if "MATLAB_class" in member.attrs else matrix
+        return Labelled(matrix.T if "MATLAB_class" in member.attrs else matrix)
 
 
 def _write(path: Path, matrix: Any, variable: str) -> None:

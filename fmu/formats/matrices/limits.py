@@ -31,7 +31,7 @@ class Labelled(NamedTuple):
     """A matrix, and the degrees of freedom (node, direction) of its rows where the file names them."""
 
     matrix: Any
-    dofs: tuple[tuple[int, str], ...] | None
+    dofs: tuple[tuple[int, str], ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class MatrixFormat:
     suffixes : tuple of str
         How names of such files end, in lower case.
     read : callable
-        ``read(path, variable)`` returns an array, a sparse array or a `Labelled`. Of a broken file it may raise
-        anything; the text of a `RefusedError` is shown as it stands.
+        ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise anything; the
+        text of a `RefusedError` is shown as it stands.
     write : callable, optional
         ``write(path, matrix, variable)`` of a csr_array, to the last bit.
     has_names : bool
@@ -52,7 +52,7 @@ class MatrixFormat:
     """
 
     suffixes: tuple[str, ...]
-    read: Callable[[Path, str | None], Any]
+    read: Callable[[Path, str | None], Labelled]
     write: Callable[[Path, Any, str], None] | None = None
     has_names: bool = False
 

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from fmu.formats.matrices import hdf5, limits
 from fmu.formats.matrices.limits import (
     MOST_NAMES,
+    Labelled,
     MatrixFormat,
     RefusedError,
     chosen,
@@ -159,11 +160,11 @@ def _numbers(kind: int, part: memoryview, order: str) -> Any:
     return np.frombuffer(part, dtype)
 
 
-def _read(path: Path, variable: str | None) -> Any:
+def _read(path: Path, variable: str | None) -> Labelled:
     with open(path, "rb") as file:
         if file.read(10).startswith((b"MATLAB 7.3", b"\x89HDF")):
             return hdf5.read(path, variable)
-        return parse(file, path.stat().st_size, variable)
+        return Labelled(parse(file, path.stat().st_size, variable))
 
 
 def _write(path: Path, matrix: Any, variable: str) -> None:

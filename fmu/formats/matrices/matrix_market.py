@@ -25,7 +25,7 @@ SHORTEST_ENTRY = {"coordinate": 6, "array": 2}
 _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
 
 
-def _read(path: Path, variable: str | None) -> Any:
+def _read(path: Path, variable: str | None) -> Labelled:
     """Return the matrix of a file, which may be the text that Abaqus calls ``.mtx``."""
     is_compressed = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_compressed else open(path, "rb") as file:
@@ -33,7 +33,7 @@ def _read(path: Path, variable: str | None) -> Any:
         file.seek(0)
         if start.lower() != BANNER:
             return Labelled(*abaqus.parse(file))  # type: ignore[arg-type]
-        return parse(file, None if is_compressed else path.stat().st_size)  # type: ignore[arg-type]
+        return Labelled(parse(file, None if is_compressed else path.stat().st_size))  # type: ignore[arg-type]
 
 
 def _write(path: Path, matrix: Any, variable: str) -> None:

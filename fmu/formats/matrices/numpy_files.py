@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from fmu.formats.matrices.limits import (
     MOST_NAMES,
+    Labelled,
     MatrixFormat,
     RefusedError,
     chosen,
@@ -76,25 +77,25 @@ def announced(file: Any) -> tuple[int, ...]:
     return tuple(int(n) for n in shape)
 
 
-def _npz(path: Path, variable: str | None) -> Any:
+def _npz(path: Path, variable: str | None) -> Labelled:
     shapes = zipped(path)
     if "format" not in shapes:
         name = chosen([name for name, shape in shapes.items() if len(shape) == 2], variable)
         with np.load(path, allow_pickle=False) as content:
-            return content[name]
+            return Labelled(content[name])
     if variable is not None:
         raise RefusedError(f"variable: the file has one matrix, without a name (got {variable!r})")
-    return sp.load_npz(path)
+    return Labelled(sp.load_npz(path))
 
 
-def _npy(path: Path, variable: str | None) -> Any:
+def _npy(path: Path, variable: str | None) -> Labelled:
     with open(path, "rb") as file:
         announced(file)
         file.seek(0)
-        return np.load(file, allow_pickle=False)
+        return Labelled(np.load(file, allow_pickle=False))
 
 
-def _csv(path: Path, variable: str | None) -> Any:
+def _csv(path: Path, variable: str | None) -> Labelled:
     """Return a full matrix; no more rows are read than the first one has numbers."""
     found: list[Any] = []
     n = 0
@@ -107,7 +108,7 @@ def _csv(path: Path, variable: str | None) -> Any:
                     f"must hold a square matrix (got more than {rows.shape[1]} rows of {rows.shape[1]})"
                 )
             found.append(rows)
-    return np.concatenate(found) if found else np.zeros((0, 0))
+    return Labelled(np.concatenate(found) if found else np.zeros((0, 0)))
 
 
 NPZ = MatrixFormat((".npz",), _npz, lambda path, matrix, _: sp.save_npz(path, matrix), has_names=True)

@@ -100,7 +100,7 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
-            found = _FORMAT_OF[suffix].read(path, variable)
+            matrix, dofs = _FORMAT_OF[suffix].read(path, variable)
     except RefusedError as refused:
         raise ValueError(str(refused)) from None
     except MemoryError:
@@ -109,7 +109,6 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
         is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
         text = str(error) if is_told else "it is not as such a file has to be"
         raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
-    matrix, dofs = found if isinstance(found, Labelled) else Labelled(found, None)
     return Labelled(symmetric_matrix(matrix, triangle), dofs)
 
 
@@ -158,7 +157,7 @@ def _real_square(matrix: Any) -> Any:
         raise ValueError(f"must hold a real square matrix (got {matrix.dtype} of shape {matrix.shape})")
     if not 1 <= matrix.shape[0] <= MOST_DOFS:
         raise ValueError(f"must have 1 to {MOST_DOFS} degrees of freedom (got {matrix.shape[0]})")
-    if hasattr(matrix, "indptr"):
+    if sp.issparse(matrix) and matrix.format in ("csr", "csc"):
         try:
             checked(matrix)
         except ValueError as error:

@@ -62,15 +62,14 @@ def read_frequencies(path: Path) -> MeasuredModes:
     ModesError
         With every mistake, its line and its column.
     """
-    header, rows, found = _table(path)
-    found += [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
+    header, rows = _table(path)
+    found = [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
     found += [
         f"column {name}: must be one of {', '.join(_FREQUENCY_COLUMNS)}"
         for name in header
         if name not in _FREQUENCY_COLUMNS
     ]
-    if found:
-        raise ModesError(path.name, found)
+    _refuse(path, found)
     frequencies = [_number(row, "frequency", found, positive=True) for row in rows]
     sd = [_number(row, "sd", found, positive=True) for row in rows] if "sd" in header else None
     numbers = [_whole(row, "number", found) for row in rows] if "number" in header else []
@@ -81,8 +80,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
         for i, (row, label) in enumerate(zip(rows, labels, strict=True))
         if not label or first[label] < i
     ]
-    if found:
-        raise ModesError(path.name, found)
+    _refuse(path, found)
     deviations = None if sd is None else np.array(sd)
     return MeasuredModes(np.array(frequencies), tuple(labels), deviations, numbers=tuple(numbers))
 
@@ -97,11 +95,10 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
     ModesError
         With every mistake, its line and its column.
     """
-    header, rows, found = _table(path)
-    found += [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
+    header, rows = _table(path)
+    found = [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
     found += [f"column {name}: is no mode" for name in header if name not in ("place", "direction", *labels)]
-    if found:
-        raise ModesError(path.name, found)
+    _refuse(path, found)
     for row in rows:
         if not row.values["place"]:
             found.append(f"line {row.line}, column place: must not be empty")
@@ -111,8 +108,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
                 f"it (got {shown(row.values['direction'])})"
             )
     shapes = [[_number(row, label, found) for label in labels] for row in rows]
-    if found:
-        raise ModesError(path.name, found)
+    _refuse(path, found)
     places = [row.values["place"] for row in rows]
     sensors = [
         (int(place) if re.fullmatch(r"-?\d{1,18}", place) else place, row.values["direction"])
@@ -131,14 +127,14 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
     ModesError
         With every mistake, its line and its column.
     """
-    header, rows, found = _table(path)
+    header, rows = _table(path)
+    found: list[str] = []
     labels = tuple(name for name in header if name != _TEST)
     if not labels:
         found.append("must have a column a mode, with its name")
     if "" in labels:
         found.append("every column must have a name, that of its mode")
-    if found:
-        raise ModesError(path.name, found)
+    _refuse(path, found)
     values = [
         [
             np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
@@ -146,13 +142,12 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
         ]
         for row in rows
     ]
-    if found:
-        raise ModesError(path.name, found)
+    _refuse(path, found)
     return np.array(values), labels
 
 
-def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
-    """Return the names of the columns, the rows, and an empty list for mistakes."""
+def _table(path: Path) -> tuple[list[str], list[_Row]]:
+    """Return the names of the columns, and the rows."""
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
@@ -186,9 +181,14 @@ def _table(path: Path) -> tuple[list[str], list[_Row], list[str]]:
             rows.append(_Row(number, dict(zip(header, cells, strict=True))))
     if not found and not rows:
         found = ["must have a line of column names and a line of values at least"]
+    _refuse(path, found)
+    return header, rows
+
+
+def _refuse(path: Path, found: list[str]) -> None:
+    """Raise ModesError if mistakes were found."""
     if found:
         raise ModesError(path.name, found)
-    return header, rows, found
 
 
 def _cells(line: str, separator: str) -> list[str]:
