@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -17,6 +17,9 @@ Positive = Annotated[float, Gt(0.0)]
 NotNegative = Annotated[float, Ge(0.0)]
 Vector = tuple[float, float, float]
 """x, y, z in global axes."""
+Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
+"""Of a degree of freedom: displacements and rotations."""
+DIRECTIONS: tuple[str, ...] = get_args(Direction)
 
 
 def require_positive(name: str, value: float) -> None:

@@ -13,13 +13,13 @@ from pydantic import Field
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.parameters import KEYS, ParameterTable, Target
 from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
-from fmu.fem.frame.components import DIRECTIONS, Direction, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
 from fmu.fem.frame.frame import ElementGroup, Frame
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.frame.updates import ROTATIONS, Factor
 from fmu.fem.modes.separable import RigidArm
 from fmu.formats.shown import names_shown
-from fmu.types import Positive
+from fmu.types import Direction, Positive
 
 MOST_ELEMENTS = 10_000
 """60 000 degrees of freedom, one second per solve. Condense a larger structure and give its matrices."""

@@ -23,9 +23,7 @@ from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
 from fmu.formats.shown import names_shown
 from fmu.numbers import typed
-
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
-
+from fmu.types import DIRECTIONS
 
 MOST_TERMS = 1000
 

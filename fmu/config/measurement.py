@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -197,7 +198,8 @@ class MeasurementTable(TomlTable):
         try:
             return ModalData(**given)
         except ValueError as error:
-            raise BrokenError([Mistake("measurement", str(error))]) from None
+            rule = re.sub(r"^(\w+)_hz2?", r"\1", str(error))  # keys of the file have no units in their names
+            raise BrokenError([Mistake.of("measurement", rule)]) from None
 
     def _sensors(self, given: tuple[tuple[Any, str], ...], built: Built) -> tuple[tuple[Any, str], ...]:
         """Return sensors of the model for those of the file."""

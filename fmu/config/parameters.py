@@ -10,10 +10,10 @@ from pydantic import Field
 
 from fmu.config.mistakes import Mistake, got
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
-from fmu.fem.frame.components import Direction
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
+from fmu.types import Direction
 
 LEAST_LOG_MASS = -200.0
 """Least log-probability of a prior between the bounds. Bounds 20 standard deviations off are a typing error."""

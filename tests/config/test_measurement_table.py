@@ -210,7 +210,7 @@ BROKEN = {
         "measurement.shapes: must have rows of one length, one value per sensor (got [2, 1])"
     ),
     "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0], [1.0]]\n" + SENSORS: (
-        "measurement: shapes: must have shape (2, 2), sensors x modes (got (1, 2))"
+        "measurement.shapes: must have shape (2, 2), sensors x modes (got (1, 2))"
     ),
     "frequencies = [3.1, 9.8]\nsd = 0.1\nshapes = [[1.0, 1.0]]\n" + SENSORS: (
         "measurement: shapes must be 2, one per mode (got 1)"
@@ -249,7 +249,7 @@ BROKEN = {
     'file = "none.csv"': "measurement.file: must be a file (no such file: ",
     'file = "no-sd.csv"': "measurement: must have either sd or beta or covariance, as the file has no standard",
     'file = "broken.csv"': "measurement.file: line 2, column frequency: must be a positive number (got '-3')",
-    'file = "no-sd.csv"\nsd = [0.1, 0.2, 0.3]': "measurement: sd_hz: must be a number or have shape (2,)",
+    'file = "no-sd.csv"\nsd = [0.1, 0.2, 0.3]': "measurement.sd: must be a number or have shape (2,)",
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "none.csv"': "measurement.shapes_file: must be a file",
     'file = "no-sd.csv"\nsd = 0.1\nshapes_file = "off.csv"': (
         "measurement.shapes_file: must be a point and a direction that are free to move (got ['roof', 'x'])"

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 
 from fmu.fem.modes.separable import RigidArm
 from fmu.numbers import significant, typed
+from fmu.types import DIRECTIONS as DIRECTIONS
 from fmu.types import FloatArray, NotNegative, Positive, require_positive
-
-Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
-DIRECTIONS: tuple[str, ...] = get_args(Direction)
 
 # Nodes closer than this, relative to the structure's extent, are at the same place.
 _COINCIDENT = 1e-9

@@ -20,8 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.matrices.limits import entries_within, rows_within, tables
+from fmu.types import DIRECTIONS
 
-DIRECTIONS = {1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
 LARGEST_NUMBER = 10**9
 """Of a node, a row or a column."""
 HELD = 1e30
@@ -68,7 +68,7 @@ def parse(file: BinaryIO) -> tuple[Any, tuple[tuple[int, str], ...] | None]:
     half.eliminate_zeros()
     if not half.multiply(half.T).nnz:
         matrix = matrix + half.T
-    dofs = tuple((int(dof) // 8, DIRECTIONS[int(dof) % 8]) for dof in known)
+    dofs = tuple((int(dof) // 8, DIRECTIONS[int(dof) % 8 - 1]) for dof in known)
     return sp.csr_array(matrix), dofs
 
 

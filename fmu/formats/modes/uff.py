@@ -31,8 +31,8 @@ from fmu.formats.modes.measured_modes import (
     real_shapes,
 )
 from fmu.formats.shown import in_words
+from fmu.types import DIRECTIONS
 
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 SHAPES = 55
 REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
