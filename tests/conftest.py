@@ -14,8 +14,8 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-ROOMS = ("tests/engines/", "tests/report/")
-"""Folders whose session fixtures are dear: a cluster, rendered pages."""
+ROOMS = ("tests/cli/", "tests/engines/", "tests/report/")
+"""Folders whose session fixtures are dear: a run, a cluster, rendered pages."""
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,17 +1,19 @@
 """Short runs that the tests of breaking off and resuming compare with."""
 
+from contextlib import contextmanager
+
 import pytest
 
 import fmu.analysis.maxima.search
 from fmu.runs.store import Store
-from tests.cli.runs import QUIET, invoke, of, problem_in
+from tests.cli.runs import QUIET, SAMPLERS, invoke, of, problem_in
 
 FOUND = {}
 
 
-@pytest.fixture(scope="module")
-def _searched_once():
-    """The maxima of a problem are searched for once: the tests are of what comes after."""
+@contextmanager
+def searched_once():
+    """Search for the maxima of a problem once: the tests are of what comes after."""
     search = fmu.analysis.maxima.search.find_map
 
     def remembered(problem, starts=None, seed=1):
@@ -26,12 +28,18 @@ def _searched_once():
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory, request, _searched_once):
-    """A run of the module's SAMPLERS that nothing happened to."""
+def _searched_once():
+    with searched_once():
+        yield
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """A run of SAMPLERS that nothing happened to."""
     folder = problem_in(tmp_path_factory.mktemp("whole"))
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, searched_once():
         patch.chdir(folder)
-        result = invoke("run", "two.toml", *of(*request.module.SAMPLERS), "--out", "out", *QUIET)
+        result = invoke("run", "two.toml", *of(*SAMPLERS), "--out", "out", *QUIET)
     assert result.exit_code == 0, result.output
     return folder / "out"
 

@@ -5,9 +5,7 @@ import pytest
 import fmu
 from fmu.runs.run_directory import RunDirectory
 from fmu.runs.store import Store
-from tests.cli.runs import SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
-
-SAMPLERS = ("mh", "hmc", "emcee", "tempering")
+from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
 
 
 def test_broken_off_again_and_again(folder, whole, at_keep):

@@ -6,27 +6,25 @@ import fmu
 from fmu.runs.run_directory import RunDirectory
 from tests.cli.runs import QUIET, assert_same, invoke, of, resume, run
 
-SAMPLERS = ("mh", "slice", "hmc")
-
 
 def test_a_signal_stops_with_what_was_drawn(folder, whole, at_keep):
     at_keep(3, lambda: signal.raise_signal(signal.SIGINT))
     handlers = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
-    stopped = run(*of("slice"))
+    stopped = run(*of("mh"))
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert stopped.exit_code == 130, stopped.output
     assert stopped.stdout == ""
     *_, last = stopped.stderr.splitlines()
-    assert last == "Stopped: slice after 6 of 15 draws. To resume: fmu run --resume out"
+    assert last == "Stopped: mh after 6 of 15 draws. To resume: fmu run --resume out"
     assert_usable(folder / "out", 6)  # a step after it was kept
     result = resume()
     assert result.exit_code == 0, result.output
-    assert_same("slice", folder / "out", whole)
+    assert_same("mh", folder / "out", whole)
 
 
 def assert_usable(directory, draws):
     """A trace of so few draws can be worked with, and says what it is."""
-    partial = fmu.load_trace(directory / "slice.nc")
+    partial = fmu.load_trace(directory / "mh.nc")
     assert partial["posterior"].sizes["draw"] == draws
     assert partial.attrs["complete"] == 0
     compared = invoke("compare", directory)
@@ -73,11 +71,11 @@ def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monk
 
     with monkeypatch.context() as patch:
         patch.setattr(RunDirectory, "finished", ended)
-        stopped = invoke("run", "two.toml", *of("mh", "slice"), "--out", "out", *QUIET)
+        stopped = invoke("run", "two.toml", *of("mh", "hmc"), "--out", "out", *QUIET)
     assert stopped.exit_code == 130
     assert "Stopped. To resume: fmu run --resume out" in stopped.stderr
     assert resume().exit_code == 0
-    for name in ("mh", "slice"):
+    for name in ("mh", "hmc"):
         assert_same(name, folder / "out", whole)
 
 

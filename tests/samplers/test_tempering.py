@@ -276,6 +276,7 @@ def test_the_start_must_be_where_the_density_is_finite():
             run(Failing(), Tempering(kernel), draws=1, warmup=0, chains=1, seed=1, init=[[5.0, 0.0, 0.0]])
 
 
+@pytest.mark.validate
 def test_the_mode_that_no_other_sampler_reaches_from_the_papers_start(section, section_maxima):
     """Slice sampling alone stays 60 below the maximum that holds the probability."""
     settings = {"chains": 4, "seed": 1, "init": "start"}
