@@ -111,17 +111,12 @@ def hertz(*values: float, digits: int = 4) -> tuple[str, ...]:
     )
 
 
-def interval(low: float, high: float, sd: float = math.nan) -> str:
-    """Format an interval: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``; `sd` is the uncertainty of its ends."""
-    return " to ".join(apart(low, high, sd=sd))
-
-
 def with_interval(value: float, low: float, high: float, places: int) -> str:
     """Format a value with an interval, as in a published table: ``"1.0 [0.5, 1.6]"``."""
     return f"{fixed(value, places)} [{fixed(low, places)}, {fixed(high, places)}]"
 
 
-def span(lower: float, upper: float, places: int) -> str:
+def interval(lower: float, upper: float, places: int) -> str:
     """Format an interval with a number of decimals: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``."""
     return " to ".join(_infinite(end) if math.isinf(end) else fixed(end, places) for end in (lower, upper))
 

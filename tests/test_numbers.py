@@ -140,10 +140,8 @@ def test_values_with_their_uncertainty(value, sd, text):
 
 
 def test_intervals_may_be_open():
-    assert n.interval(0.93, 0.96, 0.006) == "0.9300 to 0.9600"
-    assert n.interval(-math.inf, 3.0, 0.2) == "-∞ to 3.00"
-    assert n.span(1.0, 2.25, 1) == "1.0 to 2.2"
-    assert n.span(-5.0, math.inf, 0) == "-5 to ∞"
+    assert n.interval(1.0, 2.25, 1) == "1.0 to 2.2"
+    assert n.interval(-5.0, math.inf, 0) == "-5 to ∞"
 
 
 @pytest.mark.parametrize(

@@ -47,10 +47,9 @@ def echo_comparison(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
     """Print a table with one column per sampler, the verdicts, and the warnings about the model; return both."""
-    from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
+    from fmu.analysis.convergence.diagnosis import judged
 
-    verdicts = diagnose_all(traces, summaries=summaries)
-    table = side_by_side(traces, summaries, verdicts)
+    _, verdicts, table = judged(traces, summaries=summaries)
     columns = table.drop(columns="verdict")
     rows = [[str(name), *(_cell(str(name), value) for value in columns[name])] for name in columns]
     click.echo(text_table(["", *map(str, table.index)], rows))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.convergence.diagnosis import diagnose_all, side_by_side
+from fmu.analysis.convergence.diagnosis import judged
 from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map
@@ -131,8 +131,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
     runs = Runs(problem, maxima, plan.seed, directory_of(case, pairing), plan.steps, progress)
     paper = {s: runs.run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
     long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
-    summaries = {s: summary(trace) for s, trace in long.items()}
-    diagnoses = diagnose_all(long, summaries=summaries)
+    _, diagnoses, comparison = judged(long)
     pace = {}
     for s, length in plan.pace.items():
         starts = starts_in_the_posterior(long, diagnoses, length.chains)
@@ -152,7 +151,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         pace=pace,
         reference=reference,
         diagnoses=diagnoses,
-        comparison=side_by_side(long, summaries, diagnoses),
+        comparison=comparison,
         needed={s: _needed(trace, diagnoses[s], maxima) for s, trace in long.items()},
         curves={
             s: tuple(running_error(t, reference) for t in (trace, paper.get(s)) if t is not None)

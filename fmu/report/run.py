@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of, side_by_side
-from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.convergence.diagnosis import Diagnosis, judged, maxima_of
 from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of
 from fmu.report.plots.style import TITLES, Unit, unit_of
@@ -95,12 +94,11 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
     problems = {str(trace.attrs["problem"]) for trace in traces.values()}
     if len(problems) > 1:
         raise ValueError(f"traces: must be of one problem (got {', '.join(sorted(problems))})")
-    summaries = {name: summary(trace) for name, trace in traces.items()}
-    verdicts = diagnose_all(traces, summaries=summaries)
-    costs = side_by_side(traces, summaries, verdicts)
+    summaries, verdicts, comparison = judged(traces)
+    costs = comparison.T
     return {
         name: ReportedRun(
-            name, trace, summaries[name], verdicts[name], costs.T[name], maxima_of(trace), _predicted(trace)
+            name, trace, summaries[name], verdicts[name], costs[name], maxima_of(trace), _predicted(trace)
         )
         for name, trace in traces.items()
     }

@@ -6,7 +6,7 @@ import html
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -280,18 +280,29 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
     for name, trace in traces.items():
         check_trace(trace, f"traces.{name}")
-    summaries = {name: summary(trace) for name, trace in traces.items()}
-    return side_by_side(traces, summaries, diagnose_all(traces, problem, summaries))
+    return judged(traces, problem).comparison
 
 
-def side_by_side(
-    traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
-) -> pd.DataFrame:
-    """Return the table of `compare` from summaries and verdicts already computed."""
+class Judged(NamedTuple):
+    """Several runs on one posterior: ``summary(trace)`` and verdict of each, and the table of `compare`."""
+
+    summaries: Mapping[str, pd.DataFrame]
+    verdicts: dict[str, Diagnosis]
+    comparison: pd.DataFrame
+
+
+def judged(
+    traces: Mapping[str, xr.DataTree],
+    problem: UpdatingProblem | None = None,
+    summaries: Mapping[str, pd.DataFrame] | None = None,
+) -> Judged:
+    """Return summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
+    summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
+    verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
     table = data_frame(rows, "sampler", list(traces))
     table["divergences"] = table["divergences"].astype("Int64")
-    return table
+    return Judged(summaries, verdicts, table)
 
 
 def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, Any]:

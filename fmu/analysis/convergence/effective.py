@@ -12,7 +12,7 @@ the verdict.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,30 +36,24 @@ def rhat(x: FloatArray) -> float:
 
     NaN for one chain, a constant, fewer than four draws, or a draw that is not finite.
     """
-    from arviz_stats.base.array import array_stats
-
     if len(x) < 2 or _is_degenerate(x):
         return np.nan
     # Chains that stand still at different places have no variance within: the division gives inf, as it should.
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(array_stats.rhat(x, chain_axis=0, draw_axis=1, method="rank"))
+        return float(_arviz("rhat", x, method="rank"))
 
 
 def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
     """Return the bulk effective sample size: rank-normalised for chains, of the mean for ensembles."""
-    from arviz_stats.base.array import array_stats
-
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
-    return float(array_stats.ess(x, chain_axis=0, draw_axis=1, method="bulk"))
+    return float(_arviz("ess", x, method="bulk"))
 
 
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
     """Return the effective sample size of the 5 % and the 95 % quantile, the smaller of the two."""
-    from arviz_stats.base.array import array_stats
-
     if _is_degenerate(x):
         return np.nan
     below = [x <= quantile for quantile in np.quantile(x, TAIL)]
@@ -68,20 +62,18 @@ def ess_tail(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     if walkers > 1:
         return float(np.min([_ensemble_ess(indicator, walkers) for indicator in below]))
-    return float(array_stats.ess(x, chain_axis=0, draw_axis=1, method="tail", prob=TAIL))
+    return float(_arviz("ess", x, method="tail", prob=TAIL))
 
 
 def ess_mean(x: FloatArray, walkers: int = 1) -> float:
     """Return the effective sample size of the mean, from which its standard error follows."""
-    from arviz_stats.base.array import array_stats
-
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
     # ArviZ takes a range below 1e-15 for a constant, whatever the unit: second moments of area are 1e-9 m⁴.
     standardised = (x - x.mean()) / x.std()
-    return float(array_stats.ess(standardised, chain_axis=0, draw_axis=1, method="mean"))
+    return float(_arviz("ess", standardised, method="mean"))
 
 
 def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
@@ -135,6 +127,13 @@ def apart(draws: int, most: int, walkers: int = 1) -> int:
     return distance
 
 
+def _arviz(statistic: str, x: FloatArray, **options: Any) -> Any:
+    """Return a statistic of ArviZ of draws (chains, draws)."""
+    from arviz_stats.base.array import array_stats
+
+    return getattr(array_stats, statistic)(x, chain_axis=0, draw_axis=1, **options)
+
+
 def _autocorrelation(paths: FloatArray) -> FloatArray:
     """Return the autocorrelation at lags 0, 1, ... of walkers (walkers, steps), about their common mean."""
     from scipy.fft import irfft, next_fast_len, rfft
@@ -184,10 +183,8 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
     ----------
     energy : ndarray, shape (chains, draws)
     """
-    from arviz_stats.base.array import array_stats
-
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(array_stats.bfmi(energy, chain_axis=0, draw_axis=1))
+        return np.asarray(_arviz("bfmi", energy))
 
 
 MOST_RANKED = 2000

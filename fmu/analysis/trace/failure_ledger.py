@@ -6,13 +6,10 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from fmu.numbers import share
 from fmu.posterior.failures import Failure
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ENOUGH_SOLVES = 200
 """With fewer solves a failure rate says little: chains may start where the model fails."""
@@ -42,30 +39,25 @@ class FailedSolves(NamedTuple):
     n_failed: int
 
 
-def failures_table(names: Sequence[str], units: Sequence[str], parts: Iterable[FailedSolves]) -> pd.DataFrame:
-    """Return the ledger: one row a failed theta, in the order of `parts`.
+def failures_csv(
+    names: Sequence[str], units: Sequence[str], parts: Iterable[FailedSolves], header: bool = True
+) -> str:
+    """Return the table of failed solves as CSV, numbers with all their digits.
 
     Parameters
     ----------
     names, units : sequence of str, one a parameter
     parts : iterable of FailedSolves
+    header : bool
+        False to append to a file.
 
     Returns
     -------
-    pandas.DataFrame
-        ``task``, ``phase`` and ``step`` as in `FailedSolves`: the theta failed in the part that ended there.
-        The parameters in SI units, as ``E [Pa]``; ``reason``. What failed and has no row of its own is counted in
-        a row without parameters.
+    str
+        One row a failed theta, in the order of `parts`: ``task``, ``phase`` and ``step`` as in `FailedSolves`; the
+        parameters in SI units, as ``E [Pa]``; ``reason``. Failures without a recorded theta are counted in a row
+        without parameters.
     """
-    import pandas as pd
-
-    return pd.DataFrame([*_rows(len(names), parts)], columns=_columns(names, units))
-
-
-def failures_csv(
-    names: Sequence[str], units: Sequence[str], parts: Iterable[FailedSolves], header: bool = True
-) -> str:
-    """Return the rows of `failures_table` as CSV, numbers with all their digits; without the header to append."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     if header:

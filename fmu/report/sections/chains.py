@@ -9,7 +9,7 @@ import numpy as np
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.effective import energy_fraction
 from fmu.analysis.trace.reading import array_of, has, parameter_draws
-from fmu.numbers import decimals, fixed, given, significant, span
+from fmu.numbers import decimals, fixed, given, interval, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
 from fmu.report.plots.chains import (
     plot_autocorrelation,
@@ -54,7 +54,7 @@ def paths(run: ReportedRun) -> PageSection:
     for name in run.names:
         unit, n = run.unit(name), decimals(run.value(name, "sd"))
         draws = run.trace["posterior"][name].to_numpy() / unit.factor
-        ranges.append(f"{name} {span(draws.min(), draws.max(), n)} {unit.name}".rstrip())
+        ranges.append(f"{name} {interval(draws.min(), draws.max(), n)} {unit.name}".rstrip())
     worst = run.summary["rhat"].max()
     alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {fixed(worst, 4)}."
     caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."

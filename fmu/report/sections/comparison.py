@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from fmu.numbers import decimals, fixed, significant, span, whole
+from fmu.numbers import decimals, fixed, interval, significant, whole
 from fmu.report.document import Items, Link, PageSection, PageTable, Pictures, Text, picture
 from fmu.report.plots.parameters import plot_efficiency, plot_parameter_updates
 from fmu.report.run import ReportedRun
@@ -64,7 +64,7 @@ def agreement(runs: Mapping[str, ReportedRun]) -> PageSection:
         cells = []
         for run in runs.values():
             mean, low, high = (run.value(name, column) for column in ("mean", "eti90_lb", "eti90_ub"))
-            cells.append(f"{fixed(mean, n)} ({span(low, high, n)})")
+            cells.append(f"{fixed(mean, n)} ({interval(low, high, n)})")
         rows.append((name, first.unit(name).name, *cells))
     titled = {run.title: run for run in runs.values()}
     table = PageTable(

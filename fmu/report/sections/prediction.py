@@ -17,7 +17,7 @@ from fmu.analysis.prediction import (
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has
-from fmu.numbers import decimals, fixed, given, share, span
+from fmu.numbers import decimals, fixed, given, interval, share
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
 from fmu.report.plots.frequencies import plot_predictive_check
 from fmu.report.run import ReportedRun
@@ -145,8 +145,10 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
         s = float(made.std(ddof=1))
         n = decimals(s / np.sqrt(len(made)))
         inside = int(np.sum((made >= low) & (made <= high)))
-        mean = span(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n)
-        rows.append((str(mode), str(len(made)), fixed(s, n), mean, span(low, high, n), f"{inside} of {len(made)}"))
+        mean = interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n)
+        rows.append(
+            (str(mode), str(len(made)), fixed(s, n), mean, interval(low, high, n), f"{inside} of {len(made)}")
+        )
     header = (
         "mode", "tests", "scatter s, Hz", "90 % for the mean of as many tests, Hz", "90 % for one more test, Hz",
         "tests inside that",

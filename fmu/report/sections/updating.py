@@ -11,7 +11,7 @@ from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.reading import constant
-from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, rounded, share, span
+from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, interval, rounded, share
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
@@ -33,17 +33,17 @@ def parameters(run: ReportedRun) -> PageSection:
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
         mean, sd, low, high = (run.value(name, c) for c in ("mean", "sd", "eti90_lb", "eti90_ub"))
         n = decimals(sd)
-        bounds = span(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).any() else "none"
+        bounds = interval(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).any() else "none"
         moved = change(mean / start - 1) if start else MISSING
         if found and rests_on != DATA:
             moved = share(min(float(found.remaining_sd[k]), 1.0))
         rows[rests_on == DATA].append(
             (
-                name, unit.name or MISSING, fixed(start, n), fixed(mean, n), span(low, high, n), fixed(sd, n),
+                name, unit.name or MISSING, fixed(start, n), fixed(mean, n), interval(low, high, n), fixed(sd, n),
                 moved, bounds, *(() if rests_on == DATA else (_RESTS_ON[rests_on],)),
             )
         )  # fmt: skip
-        words = f"{name} {fixed(mean, n)} {unit.name} ({span(low, high, n)})".replace("  ", " ")
+        words = f"{name} {fixed(mean, n)} {unit.name} ({interval(low, high, n)})".replace("  ", " ")
         seen.append(f"{words}, start {fixed(start, n)}, bounds {bounds}")
     header: tuple[str, ...] = ("parameter", "unit", "start", "mean", "90 % interval", "sd", "change", "bounds")
     parts: list[Part] = []
@@ -76,12 +76,12 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     for (mode, row), f in zip(table.iterrows(), before, strict=True):
         n = max(1, decimals(row["sd"]))
         errors = [change(value / row["measured"] - 1) for value in (f, row["mean"])]
-        noisy = span(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
-        single = (span(row["test_eti90_lb"], row["test_eti90_ub"], n),) if has_tests else ()
+        noisy = interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
+        single = (interval(row["test_eti90_lb"], row["test_eti90_ub"], n),) if has_tests else ()
         rows.append(
             (
                 str(mode), given(row["measured"]), fixed(f, n), errors[0], fixed(row["mean"], n),
-                errors[1], span(row["eti90_lb"], row["eti90_ub"], n), noisy, *single,
+                errors[1], interval(row["eti90_lb"], row["eti90_ub"], n), noisy, *single,
             )
         )  # fmt: skip
         seen.append(f"mode {mode} {errors[0]} before, {errors[1]} after")
