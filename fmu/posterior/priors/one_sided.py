@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from fmu.posterior.priors.base import GaussianForm, Normal, QuantilePrior
+from fmu.posterior.priors.base import GaussianForm, Normal, Prior
 from fmu.types import FloatArray, Positive, require_finite, require_positive
 
 
 @dataclass(frozen=True)
-class HalfNormal(QuantilePrior):
+class HalfNormal(Prior):
     """The half of a Gaussian above its centre: density ∝ exp(−(x − at)²/(2 sd²)) for x ≥ at.
 
     Attributes
@@ -76,7 +76,7 @@ class HalfNormal(QuantilePrior):
 
 
 @dataclass(frozen=True)
-class LogNormal(QuantilePrior):
+class LogNormal(Prior):
     """The logarithm is Gaussian: z = log(x/median)/sigma is a standard normal variable, x positive.
 
     Attributes

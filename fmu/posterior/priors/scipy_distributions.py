@@ -6,6 +6,7 @@ probability between the bounds must exceed the smallest double, about 1e-308.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,30 +15,30 @@ import numpy as np
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
 from fmu.numbers import significant, typed
-from fmu.posterior.priors.base import QuantilePrior
+from fmu.posterior.priors.base import Prior
 from fmu.types import FloatArray, Positive, require_finite, require_positive
 
 _STEP, _EDGE = 1e-3, 1e-6
 
 
-class InvertedPrior(QuantilePrior):
+class InvertedPrior(Prior):
     """A prior given by its distribution function F, by 1 − F, and by the inverses of both."""
 
+    @abstractmethod
     def cdf(self, x: Any) -> Any:
         """Return F."""
-        raise NotImplementedError
 
+    @abstractmethod
     def sf(self, x: Any) -> Any:
         """Return 1 − F."""
-        raise NotImplementedError
 
+    @abstractmethod
     def ppf(self, p: FloatArray) -> FloatArray:
         """Return the inverse of F."""
-        raise NotImplementedError
 
+    @abstractmethod
     def isf(self, p: FloatArray) -> FloatArray:
         """Return the inverse of 1 − F."""
-        raise NotImplementedError
 
     def log_mass(self, lower: float, upper: float) -> float:
         """Return the logarithm of the probability between two bounds, ``-inf`` where that underflows."""
