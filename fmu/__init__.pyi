@@ -17,11 +17,11 @@ from .engines import engine as engine
 from .fem.black_box import BlackBoxModel as BlackBoxModel
 from .fem.condensation import craig_bampton as craig_bampton
 from .fem.condensation import guyan as guyan
+from .fem.frame.components import ElementGroup as ElementGroup
 from .fem.frame.components import JointSpring as JointSpring
 from .fem.frame.components import Material as Material
 from .fem.frame.components import PointMass as PointMass
 from .fem.frame.components import Section as Section
-from .fem.frame.frame import ElementGroup as ElementGroup
 from .fem.frame.frame import Frame as Frame
 from .fem.frame.updates import Factor as Factor
 from .fem.modes.separable import RigidArm as RigidArm

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.fem.frame.components import DIRECTIONS, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal

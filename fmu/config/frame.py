@@ -13,8 +13,8 @@ from pydantic import Field
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.parameters import KEYS, ParameterTable, Target
 from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.frame.updates import ROTATIONS, Factor
 from fmu.fem.modes.separable import RigidArm

@@ -7,7 +7,8 @@ import time
 import numpy as np
 
 import fmu
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import ElementGroup
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.modal import BlockModel, frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.priors.base import Normal

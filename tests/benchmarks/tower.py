@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 import fmu
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.posterior.priors.base import Normal
 
 STOREYS, ZONES = 70, 4

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fmu.config import ConfigurationError, load
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.updates import Factor
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz

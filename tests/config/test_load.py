@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu import cases
 from fmu.config import ConfigurationError, load
-from fmu.fem.frame.components import DIRECTIONS, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import Term
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal

@@ -3,8 +3,8 @@
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.frame.components import Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import SeparableModel, Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

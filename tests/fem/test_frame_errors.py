@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fmu.fem.frame.components import DIRECTIONS, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 
 SECTION = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

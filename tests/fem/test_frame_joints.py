@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.updates import Factor
 from fmu.fem.modes.eigensolver import eigen
 

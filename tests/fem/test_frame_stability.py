@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import free_motions, require_stable
 from fmu.fem.modes import eigensolver
 from fmu.fem.modes.full_block import FullBlock

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import RigidArm

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes import eigensolver
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock

@@ -5,8 +5,8 @@ import pytest
 import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame.components import DIRECTIONS, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel, Term, selection

@@ -6,8 +6,8 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.condensation import craig_bampton, guyan, reusable, substructures
-from fmu.fem.frame.components import DIRECTIONS, Material, PointMass, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.eigensolver import eigen
 
 SECTION = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)

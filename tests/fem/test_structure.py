@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.pairing.paired_model import PairedStructure
 from tests import cantilever
 

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.modal import BlockModel, frequency_hz
 from fmu.fem.modes.separable import selection

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fmu
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.pairing.paired_model import PairedStructure
 

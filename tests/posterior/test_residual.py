@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fmu.fem.condensation import guyan
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.modal import frequency_hz
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.residual import ModalResidual

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.fem.frame.components import JointSpring, Material, Section
-from fmu.fem.frame.frame import ElementGroup, Frame
+from fmu.fem.frame.components import ElementGroup, JointSpring, Material, Section
+from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior import rounding as module
 from fmu.posterior.data.modal_data import ModalData

@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 import fmu
-from fmu.fem.frame.components import DIRECTIONS, Material, Section
-from fmu.fem.frame.frame import ElementGroup
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.posterior.priors.base import Normal

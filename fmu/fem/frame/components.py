@@ -1,4 +1,4 @@
-"""The parts of a frame: cross-sections and materials, and what is at nodes: point masses, springs, ties."""
+"""The parts of a frame: cross-sections, materials and groups of elements; point masses, springs and ties."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
+from numpy.typing import ArrayLike
 
 from fmu.fem.modes.separable import RigidArm
 from fmu.numbers import significant, typed
@@ -138,6 +139,34 @@ class Material:
 
 
 @dataclass(frozen=True)
+class ElementGroup:
+    """Beam elements that share a section, a material and, in an update, their parameters.
+
+    Attributes
+    ----------
+    name : str
+    elements : array_like of int, shape (n, 2)
+        Node numbers (from 0) of both ends.
+    section : Section
+    material : Material
+    y_direction : tuple of float, length 3, optional
+        A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean. Without it local y is
+        horizontal, so that Iy resists bending in the vertical plane, global z being up; of vertical elements
+        it is global y.
+    """
+
+    name: str
+    elements: ArrayLike
+    section: Section
+    material: Material
+    y_direction: tuple[float, float, float] | None = None
+
+    def value(self, name: str) -> float:
+        """Return the initial value of a property of `fmu.fem.frame.updates.PROPERTIES`."""
+        return float(getattr(self.material if name in ("E", "rho") else self.section, name))
+
+
+@dataclass(frozen=True)
 class PointMass:
     """A mass on the three translations of a node, and rotary inertias about its global axes.
 
@@ -216,6 +245,10 @@ class JointSpring:
             raise ValueError(f"{here}: must have two ends to be tied; a support holds one to the ground")
         if self.nodes[0] == self.nodes[1]:
             raise ValueError(f"{here}: ends must differ (got {self.nodes})")
+
+    def value(self, direction: str) -> float:
+        """Return the stiffness in a direction."""
+        return self.stiffness[direction]
 
     def elongation(self, direction: str, nodes: FloatArray) -> dict[int, float]:
         """Return the spring's elongation in a direction as weights of the degrees of freedom 6 · node + 0 … 5.

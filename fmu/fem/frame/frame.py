@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from fmu.fem.frame import beam
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, Material, PointMass, Section
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 from fmu.fem.frame.updates import Factor, Ownership, Quantity, Target, ownership
 from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel, Term, merge_terms
 from fmu.types import FloatArray, IntArray
@@ -21,34 +21,6 @@ Dof = tuple[int, str]
 # What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
 _STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("E", "J")}
 _MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
-
-
-@dataclass(frozen=True)
-class ElementGroup:
-    """Beam elements that share a section, a material and, in an update, their parameters.
-
-    Attributes
-    ----------
-    name : str
-    elements : array_like of int, shape (n, 2)
-        Node numbers (from 0) of both ends.
-    section : Section
-    material : Material
-    y_direction : tuple of float, length 3, optional
-        A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean. Without it local y is
-        horizontal, so that Iy resists bending in the vertical plane, global z being up; of vertical elements
-        it is global y.
-    """
-
-    name: str
-    elements: ArrayLike
-    section: Section
-    material: Material
-    y_direction: tuple[float, float, float] | None = None
-
-    def value(self, name: str) -> float:
-        """Return the initial value of a property of `PROPERTIES`."""
-        return float(getattr(self.material if name in ("E", "rho") else self.section, name))
 
 
 @dataclass(frozen=True)

@@ -60,16 +60,22 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
     K = sp.csr_array(model.K(theta))
     if not np.all(np.isfinite(K.data)):
         raise ValueError("the stiffness matrix must be finite")
-    zero, negative = [np.zeros((model.n_dof, 0))], [np.zeros((model.n_dof, 0))]
+    zero, negative = _lowest_motions(model, K)
+    return FreeMotions(zero, rigid_motions(model, zero), negative)
+
+
+def _lowest_motions(model: SeparableModel, matrix: Any) -> tuple[FloatArray, FloatArray]:
+    """Return motions of no energy, and motions of negative energy, of a symmetric matrix, shapes (n_dof, n)."""
+    zero: list[FloatArray] = []
+    negative: list[FloatArray] = []
     for dofs in model.blocks:
-        S, scale = unit_diagonal(K[dofs][:, dofs])
+        S, scale = unit_diagonal(matrix[dofs][:, dofs])
         lam, vectors = lowest(S)
-        full = np.zeros((model.n_dof, len(lam)))
-        full[dofs] = scale[:, None] * vectors
-        zero.append(full[:, (lam < ZERO) & (lam > -NEGATIVE)])
-        negative.append(full[:, lam <= -NEGATIVE])
-    found = np.concatenate(zero, axis=1)
-    return FreeMotions(found, rigid_motions(model, found), np.concatenate(negative, axis=1))
+        for found, wanted in ((zero, (lam < ZERO) & (lam > -NEGATIVE)), (negative, lam <= -NEGATIVE)):
+            motions = np.zeros((model.n_dof, int(np.sum(wanted))))
+            motions[dofs] = scale[:, None] * vectors[:, wanted]
+            found.append(motions)
+    return np.concatenate(zero, axis=1), np.concatenate(negative, axis=1)
 
 
 def require_stable(
@@ -124,16 +130,9 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
         raise ValueError("the mass matrix must be finite")
     if M.nnz == 0 or abs(M).max() == 0.0:
         raise ValueError("the mass matrix must have entries (all of it is zero)")
-    negative = [np.zeros((model.n_dof, 0))]
-    for dofs in model.blocks:
-        S, scale = unit_diagonal(M[dofs][:, dofs])
-        lam, vectors = lowest(S)
-        full = np.zeros((model.n_dof, int(np.sum(lam <= -NEGATIVE))))
-        full[dofs] = scale[:, None] * vectors[:, lam <= -NEGATIVE]
-        negative.append(full)
-    found = np.concatenate(negative, axis=1)
-    if found.shape[1]:
-        moving = what_moves(model, found, label)
+    _, negative = _lowest_motions(model, M)
+    if negative.shape[1]:
+        moving = what_moves(model, negative, label)
         raise ValueError(f"the mass matrix must not be negative for any motion (it is where {moving})")
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-from fmu.fem.frame.components import DIRECTIONS, JointSpring, PointMass
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 
 Target = Sequence[str]
 """(property,), (property, name) or (property, name, direction)."""
@@ -45,15 +45,6 @@ class Owner(NamedTuple):
     factor: bool
 
 
-class Group(Protocol):
-    """A group of elements, as far as updates go."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-
 @dataclass(frozen=True)
 class Ownership:
     """Which quantities of a frame belong to which parameter.
@@ -81,7 +72,7 @@ class Ownership:
 
 def ownership(
     updates: Mapping[str, Sequence[Target] | Factor],
-    groups: Sequence[Group],
+    groups: Sequence[ElementGroup],
     masses: Sequence[PointMass],
     springs: Sequence[JointSpring],
 ) -> Ownership:
@@ -132,7 +123,7 @@ def _quantities(
             raise ValueError(f"{parameter}: {rule}")
     if factor:
         for quantity in found:
-            if value_of(quantity, things[kind][quantity.number]) == 0.0:
+            if things[kind][quantity.number].value(quantity.direction or name) == 0.0:
                 raise ValueError(f"{parameter}: {_in_words(quantity, things)} is 0, a factor changes nothing")
     return found
 
@@ -148,15 +139,6 @@ def _directed(parameter: str, name: str, i: int, thing: Any, direction: Sequence
         if d not in known:
             raise ValueError(f"{parameter}: direction of {thing.name!r} must be one of {known} (got {d!r})")
     return [Quantity(name, i, d) for d in direction or has]
-
-
-def value_of(quantity: Quantity, thing: Any) -> float:
-    """Return the value that a quantity of a group, mass or spring has in the frame."""
-    if quantity.property == "stiffness":
-        return float(thing.stiffness[quantity.direction])
-    if quantity.property in ("mass", "inertia"):
-        return float(thing.value(quantity.direction or "x"))
-    return float(thing.value(quantity.property))
 
 
 def _in_words(quantity: Quantity, things: Mapping[str, Sequence[Any]]) -> str:
