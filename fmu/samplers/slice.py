@@ -15,6 +15,8 @@ from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 START_WIDTH = 0.5
 """Interval of a slice before anything is learnt, in scaled units."""
 SCHEMES = ("hyperrectangle", "coordinate")
+ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
+"""What a step counts for each chain."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +84,6 @@ class Slice(Sampler):
         return SliceTuner(self, density, steps) if self.width is None else None
 
 
-@dataclass
-class _Account:
-    """Cost of one step so far, per chain."""
-
-    n_solves: IntArray
-    n_nonfinite: IntArray
-    n_steps_out: IntArray
-    n_shrinks: IntArray
-
-
 @dataclass(frozen=True)
 class SliceKernel:
     """Slice sampling bound to a density; `width` has one entry per axis, the axes are the columns of `axes`.
@@ -112,7 +104,7 @@ class SliceKernel:
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw from the slice: once along all axes together, or a full sweep of them."""
         chains, ndim = state.position.shape
-        account = _Account(*(np.zeros(chains, dtype=np.int64) for _ in range(4)))
+        account = {name: np.zeros(chains, dtype=np.int64) for name in ACCOUNT}
         x, log_prob = state.position, state.log_prob
         if self.settings.scheme == "hyperrectangle":
             level = log_prob - rng.standard_exponential(chains)
@@ -124,14 +116,8 @@ class SliceKernel:
                 ends = self._place(rng, chains, self.width[..., i : i + 1])
                 ends = self._step_out(rng, x, level, i, ends, account)
                 x, log_prob = self._shrink(rng, x, log_prob, level, ends, self.axes[..., i : i + 1], account)
-        extra = {
-            "n_nonfinite": account.n_nonfinite,
-            "n_steps_out": account.n_steps_out,
-            "n_shrinks": account.n_shrinks,
-        }
-        moved = np.any(x != state.position, axis=1)
-        info = Info(moved, log_prob, account.n_solves, np.zeros_like(account.n_solves), extra)
-        return State(x, log_prob), info
+        moved, n_solves = np.any(x != state.position, axis=1), account.pop("n_solves")
+        return State(x, log_prob), Info(moved, log_prob, n_solves, np.zeros_like(n_solves), account)
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
         """Return the initial interval around offset 0, placed at random: (left and right, chains, axes)."""
@@ -145,7 +131,7 @@ class SliceKernel:
         level: FloatArray,
         i: int,
         interval: FloatArray,
-        account: _Account,
+        account: dict[str, IntArray],
     ) -> FloatArray:
         """Widen the intervals along axis `i` until both ends are off the slice (Neal 2003, figure 3).
 
@@ -168,7 +154,7 @@ class SliceKernel:
             left_over[side[~on_slice], chain[~on_slice]] = 0
             side, chain = side[on_slice], chain[on_slice]
             ends[side, chain] += outward[side, chain]
-            np.add.at(account.n_steps_out, chain, 1)
+            np.add.at(account["n_steps_out"], chain, 1)
 
     def _shrink(
         self,
@@ -178,7 +164,7 @@ class SliceKernel:
         level: FloatArray,
         ends: FloatArray,
         axes: FloatArray,
-        account: _Account,
+        account: dict[str, IntArray],
     ) -> tuple[FloatArray, FloatArray]:
         """Draw from the intervals, shrinking them towards offset 0 at every miss (Neal 2003, figures 5 and 8).
 
@@ -200,30 +186,25 @@ class SliceKernel:
             below = offset < 0.0
             left[waiting] = np.where(below, offset, left[waiting])
             right[waiting] = np.where(below, right[waiting], offset)
-            account.n_shrinks[waiting] += 1
+            account["n_shrinks"][waiting] += 1
         return new, new_log_prob
 
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the intervals cut at the bounds, along axes that alone decide whether a bound is crossed."""
+        """Return the intervals cut at the bounds of coordinates that a single axis moves."""
         left, right = ends[0].copy(), ends[1].copy()
         if axes.ndim == 3:  # each chain's own, learnt and so oblique: cut only if there is a single one
             return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
-        alone = (
-            [i for i in range(len(axes)) if np.count_nonzero(axes[i]) == 1]
-            if axes.shape[1] > 1
-            else range(len(axes))
-        )
-        for i in alone:
-            for k in np.flatnonzero(axes[i]):
-                walls = np.stack([self.target.lower[i] - x[:, i], self.target.upper[i] - x[:, i]]) / axes[i, k]
-                left[:, k] = np.maximum(left[:, k], walls.min(axis=0))
-                right[:, k] = np.minimum(right[:, k], walls.max(axis=0))
+        moves = axes != 0.0
+        for i, k in np.argwhere(moves & (np.count_nonzero(moves, axis=1) == 1)[:, None]):
+            walls = np.stack([self.target.lower[i] - x[:, i], self.target.upper[i] - x[:, i]]) / axes[i, k]
+            left[:, k] = np.maximum(left[:, k], walls.min(axis=0))
+            right[:, k] = np.minimum(right[:, k], walls.max(axis=0))
         return left, right
 
-    def _evaluate(self, points: FloatArray, chain: IntArray, account: _Account) -> FloatArray:
+    def _evaluate(self, points: FloatArray, chain: IntArray, account: dict[str, IntArray]) -> FloatArray:
         found = self.target.evaluate(points, chain)
-        np.add.at(account.n_solves, chain, found.n_solves)
-        np.add.at(account.n_nonfinite, chain, found.n_nonfinite)
+        np.add.at(account["n_solves"], chain, found.n_solves)
+        np.add.at(account["n_nonfinite"], chain, found.n_nonfinite)
         return found.log_prob
 
 

@@ -26,9 +26,8 @@ def test_groups_write_their_own_chains_in_any_order():
     record.reserve(6)
     whole = steps(0, 6, chains=4)
     for first_chain, first, stop in ((2, 0, 6), (0, 0, 2), (0, 2, 6)):
-        part = whole.part(first, stop)
-        chains = slice(first_chain, first_chain + 2)
-        own = Steps(part.position[chains], {name: x[chains] for name, x in part.stats.items()})
+        part = slice(first_chain, first_chain + 2), slice(first, stop)
+        own = Steps(whole.position[part], {name: x[part] for name, x in whole.stats.items()})
         record.write(first, first_chain, own)
     np.testing.assert_array_equal(record.steps(0, 6).position, whole.position)
     np.testing.assert_array_equal(record.steps(1, 4, slice(2, 4)).stats["lp"], whole.stats["lp"][2:, 1:4])

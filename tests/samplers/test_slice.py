@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fmu.samplers import Slice, State, run
-from fmu.samplers.slice import SCHEMES, _Account
+from fmu.samplers.slice import ACCOUNT, SCHEMES
 from tests.samplers.targets import CorrelatedGaussian, Counting, Target, TruncatedGaussian
 
 
@@ -72,14 +72,14 @@ def test_stepping_out_stops_at_the_first_end_off_the_slice():
     # out until it has passed that, and each step is one evaluation beside the last of each end.
     narrow = Slice("coordinate", width=0.05, max_steps_out=10**6).bind(target)
     level = -np.full(40, 2.0)
-    account = _Account(*(np.zeros(40, dtype=np.int64) for _ in range(4)))
+    account = {name: np.zeros(40, dtype=np.int64) for name in ACCOUNT}
     rng = np.random.default_rng(1)
     place = narrow._place(rng, len(start), narrow.width[:1])
     left, right = narrow._step_out(rng, start, level, 0, place, account)[:, :, 0]
     reach = np.sqrt(2 * 2.0 / target.precision[0, 0])
     assert np.all((-reach - 0.05 <= left) & (left < -reach))
     assert np.all((reach < right) & (right <= reach + 0.05))
-    np.testing.assert_array_equal(account.n_solves, account.n_steps_out + 2)
+    np.testing.assert_array_equal(account["n_solves"], account["n_steps_out"] + 2)
 
 
 def test_the_candidate_is_what_is_tested_against_the_level():

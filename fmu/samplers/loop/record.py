@@ -87,10 +87,6 @@ class Steps:
     def __len__(self) -> int:
         return int(self.position.shape[1])
 
-    def part(self, first: int, stop: int) -> Steps:
-        """Return the steps from `first` to before `stop`."""
-        return Steps(self.position[:, first:stop], {name: x[:, first:stop] for name, x in self.stats.items()})
-
 
 class Record:
     """The steps of all chains. The arrays of statistics are made when the first steps name them.

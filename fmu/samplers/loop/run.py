@@ -255,10 +255,8 @@ class Run:
         generators = [np.random.default_rng(child) for child in seeds]
         positions = starting_points(context.scaled, init, generators, self.chains, walkers)
         each = self.chains // self.groups
-        groups = []
-        for i, (rng, position) in enumerate(zip(generators, positions, strict=True)):
-            groups.append(_RunningGroup(i, each, GroupState.at(position, rng, i * each)))
-        return groups
+        starts = enumerate(zip(positions, generators, strict=True))
+        return [_RunningGroup(i, each, GroupState.at(*start, first_chain=i * each)) for i, start in starts]
 
     def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
         """Continue a group from where it was last saved, if it was."""

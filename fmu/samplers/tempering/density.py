@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.kernel import Target
 from fmu.samplers.trajectory import ExactGradient
 from fmu.types import FloatArray, IntArray, LogDensity
 
@@ -69,17 +70,15 @@ class PriorAndLikelihood:
     """
 
     def __init__(self, density: LogDensity, with_gradients: bool) -> None:
+        self.given, self.with_gradients = density, with_gradients
         self.scaled = density if isinstance(density, ScaledDensity) else None
-        self.density: Any = density.density if isinstance(density, ScaledDensity) else density
-        self.ndim, self.lower, self.upper = density.ndim, density.lower, density.upper
-        self.with_gradients = with_gradients
+        self.density: Any = density if self.scaled is None else self.scaled.density
         needed = ["log_prior", "log_likelihood", "sample_prior", *["log_prior_and_grad"] * with_gradients]
         missing = [name for name in needed if not hasattr(self.density, name)]
         if missing:
             lacking = f"got one without {', '.join(missing)}"
             raise ValueError(f"problem: tempering needs a density with {', '.join(needed)} ({lacking})")
-        self.solves_per_gradient = int(getattr(self.density, "solves_per_gradient", 1))
-        self.solves_each = self.solves_per_gradient if with_gradients else 1  # of one of `points`
+        self.solves_each = Target(density).solves_per_gradient if with_gradients else 1  # of one of `points`
 
     def points(self, u: FloatArray) -> Points:
         """Evaluate prior and likelihood at u, shape (n, ndim), in one batch, and the gradients if need be."""
@@ -95,7 +94,7 @@ class PriorAndLikelihood:
         """Draw from the prior, shape (n, ndim)."""
         theta = np.asarray(self.density.sample_prior(rng, n), dtype=float)
         u = theta if self.scaled is None else self.scaled.to_scaled(theta)
-        return np.clip(u, self.lower, self.upper)
+        return np.clip(u, self.given.lower, self.given.upper)
 
 
 class TemperedTarget(ExactGradient):
@@ -111,9 +110,8 @@ class TemperedTarget(ExactGradient):
     """
 
     def __init__(self, parts: PriorAndLikelihood, t: FloatArray, start: Points) -> None:
+        super().__init__(parts.given)
         self.parts, self.t, self.start_points = parts, t, start
-        self.ndim, self.lower, self.upper = parts.ndim, parts.lower, parts.upper
-        self.solves_per_gradient = parts.solves_per_gradient
         self.last = start.each(np.copy)
 
     def log_prob(self, position: FloatArray, chain: Any) -> FloatArray:

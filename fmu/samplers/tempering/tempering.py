@@ -97,7 +97,7 @@ class Tempering(Sampler):
             raise ValueError(
                 f"kernel: must be one of {', '.join(_KERNELS)}, or settings of one (got {self.kernel!r})"
             )
-        if any(getattr(kernel, "gradient", "exact") != "exact" for kernel in self._kernels(1)):
+        if any(kernel.takes_gradients and kernel.gradient != "exact" for kernel in self._kernels(1)):
             raise ValueError("kernel.gradient: must be exact under tempering (got central-difference)")
 
     def bind(self, density: LogDensity) -> TemperingKernel:
@@ -112,8 +112,8 @@ class Tempering(Sampler):
         t = first_ladder(self.rungs) if self.temperatures is None else np.asarray(self.temperatures)
         kernels = {id(kernel): kernel.bind(density) for kernel in self._kernels(1)}
         bound = tuple(kernels[id(kernel)] for kernel in self._kernels(len(t) - 1))
-        with_gradients = isinstance(self._kernels(1)[0], HamiltonianMonteCarlo)
-        return TemperingKernel(PriorAndLikelihood(density, with_gradients), t, bound, self.swap_every)
+        parts = PriorAndLikelihood(density, self._kernels(1)[0].takes_gradients)
+        return TemperingKernel(parts, t, bound, self.swap_every)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
         """Return what learns ladder and kernels in `steps` steps of warm-up, None if nothing is to be learnt."""
