@@ -152,8 +152,8 @@ class MatricesTable(TomlTable):
         """
         labels = [one.dofs for one in read if one.dofs is not None]
         matrices = [one.matrix for one in read]
+        self._check(read, bool(labels))
         if labels:
-            self._check_labels(read)
             everything = {dof for names in labels for dof in names}
             dofs: list[tuple[Any, str]] = sorted(everything, key=lambda dof: (dof[0], DIRECTIONS.index(dof[1])))
             index = {dof: i for i, dof in enumerate(dofs)}
@@ -163,7 +163,6 @@ class MatricesTable(TomlTable):
                 sp.csr_array(place.T @ matrix @ place) for place, matrix in zip(rows, matrices, strict=True)
             ]
         else:
-            self._check_sizes(read)
             named = self.dofs or [[i, "x"] for i in range(matrices[0].shape[0])]
             dofs = [(node, str(direction)) for node, direction in named]
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
@@ -172,31 +171,22 @@ class MatricesTable(TomlTable):
             raise BrokenError([Mistake("model.stiffness", f"must have a diagonal below {typed(HELD)} somewhere")])
         return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free]
 
-    def _check_labels(self, read: Sequence[Labelled]) -> None:
-        found = [
-            Mistake(f"{where}.{table.source}", "must name its degrees of freedom, as the other files do")
-            for (where, table), one in zip(self._terms(), read, strict=True)
-            if one.dofs is None
-        ]
-        if self.dofs is not None:
+    def _check(self, read: Sequence[Labelled], are_named: bool) -> None:
+        """Refuse matrices that are not on the same degrees of freedom; files name those of all or of none."""
+        n, found = read[0].matrix.shape[0], []
+        for (where, table), one in zip(self._terms(), read, strict=True):
+            rows = one.matrix.shape[0]
+            if are_named and one.dofs is None:
+                rule = "must name its degrees of freedom, as the other files do"
+                found.append(Mistake(f"{where}.{table.source}", rule))
+            elif not are_named and rows != n:
+                rule = f"must have {n} rows, as model.stiffness.0 has (got {rows})"
+                found.append(Mistake(f"{where}.{table.source}", rule))
+        if self.dofs is not None and are_named:
             found.append(Mistake("model.dofs", "must not be given: the files name the degrees of freedom"))
-        if found:
-            raise BrokenError(found)
-
-    def _check_sizes(self, read: Sequence[Labelled]) -> None:
-        n = read[0].matrix.shape[0]
-        found = [
-            Mistake(
-                f"{where}.{table.source}",
-                f"must have {n} rows, as model.stiffness.0 has (got {one.matrix.shape[0]})",
-            )
-            for (where, table), one in zip(self._terms(), read, strict=True)
-            if one.matrix.shape[0] != n
-        ]
-        if self.dofs is not None and len(self.dofs) != n:
-            found.append(
-                Mistake("model.dofs", f"must name {n} degrees of freedom, one per row (got {len(self.dofs)})")
-            )
+        elif self.dofs is not None and len(self.dofs) != n:
+            rule = f"must name {n} degrees of freedom, one per row (got {len(self.dofs)})"
+            found.append(Mistake("model.dofs", rule))
         if found:
             raise BrokenError(found)
 

@@ -1,4 +1,10 @@
-"""What the tables of a problem file have in common, and tables that a constructor declares."""
+"""Tables of a problem file.
+
+`TomlTable` is the base of all. A table that only collects the arguments of one of the library's constructors is
+not written out: `declared` makes it from the constructor's annotations (keys, types, ranges), defaults and
+docstring (descriptions). In the file, a key ``Annotated[Material, Of("material", Material)]`` is a table with E,
+nu and rho; its value here is a `Material`.
+"""
 
 from __future__ import annotations
 
@@ -130,7 +136,7 @@ class Declared(TomlTable):
         """
         given = self.given() | others
         for make in self.makes:
-            if required(make) <= given.keys() <= _arguments(make).keys():
+            if required(make) <= given.keys() <= arguments(make).keys():
                 return make(**given)
         raise ValueError(got(f"must have either {_ways(self.makes)}", list(given)))
 
@@ -165,11 +171,11 @@ def declared(
         See `Of`.
     """
     described = {key: text for make in makes for key, text in _descriptions(make).items()}
-    every = [_arguments(make) for make in makes]
+    every = [arguments(make) for make in makes]
     key_of = {argument: key for key, argument in (renamed or {}).items()}
     fields: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
-    for arguments in every:
-        for argument, (annotation, default) in arguments.items():
+    for names in every:
+        for argument, (annotation, default) in names.items():
             is_required = all(argument in required(make) for make in makes)
             if not is_required and default is inspect.Parameter.empty:
                 annotation, default = annotation | None, None
@@ -249,17 +255,12 @@ def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Tab
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
-def arguments(make: Callable[..., Any]) -> set[str]:
-    """Return the names of a constructor's arguments."""
-    return set(_arguments(make))
-
-
 def required(make: Callable[..., Any]) -> set[str]:
     """Return the names of the arguments that a constructor cannot do without."""
-    return {key for key, (_, default) in _arguments(make).items() if default is inspect.Parameter.empty}
+    return {key for key, (_, default) in arguments(make).items() if default is inspect.Parameter.empty}
 
 
-def _arguments(make: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
+def arguments(make: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
     """Return annotation and default of each argument."""
     function: Any = make.__init__ if inspect.isclass(make) else make
     hints = get_type_hints(function, include_extras=True)
@@ -268,7 +269,7 @@ def _arguments(make: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
 
 def _ways(makes: tuple[Callable[..., Any], ...]) -> str:
     """Return which arguments the constructors have that are not common to all."""
-    every = [_arguments(make) for make in makes]
+    every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(f"{', '.join(way[:-1])} and {way[-1]}" if len(way) > 1 else way[0] for way in ways)
 
