@@ -143,7 +143,7 @@ def sample(
     """
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
     from fmu.analysis.convergence.effective import live_diagnostics
-    from fmu.analysis.maxima.search import is_searchable
+    from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import starts
     from fmu.analysis.trace.conversion import to_trace
     from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
@@ -151,7 +151,7 @@ def sample(
     from fmu.progress import reporting
     from fmu.progress.phases import solves, told_to
     from fmu.runs import Checkpoint
-    from fmu.runs.maxima import keep_maxima, searched
+    from fmu.runs.maxima import keep_maxima, kept_maxima
     from fmu.samplers.loop.run import Interrupted, Run
     from fmu.samplers.settings import whole_number
 
@@ -176,12 +176,11 @@ def sample(
 
         # 2. Where the chains start.
         found = None
-        if (
-            maxima is None
-            and of_model is not None
-            and (until_ess is not None or (isinstance(init, str) and init == "maxima"))
-        ):
-            maxima = found = searched(problem, None if saved is None else saved.directory)
+        is_needed = until_ess is not None or (isinstance(init, str) and init == "maxima")
+        if maxima is None and of_model is not None and is_needed:
+            maxima = None if saved is None else kept_maxima(saved.directory, problem)
+            if maxima is None:
+                maxima = found = find_map(of_model)
         start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
 
         # 3. The draws, saved in the checkpoint meanwhile.

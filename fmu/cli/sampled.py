@@ -57,18 +57,19 @@ def sampled(
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map
     from fmu.analysis.trace.conversion import load_trace
-
-    starts = asked.orders["starts"] or default_starts(problem)
-
-    def search() -> Maxima:
-        if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long
-            click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
-        return find_map(problem, starts)
+    from fmu.runs.maxima import keep_maxima, kept_maxima
 
     with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
-        outcome = Sampled(running.maxima(search), {}, {})
+        maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
+        if maxima is None:
+            starts = asked.orders["starts"] or default_starts(problem)
+            if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long
+                click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
+            maxima = find_map(problem, starts)
+            keep_maxima(running.folder, maxima, problem)
+        outcome = Sampled(maxima, {}, {})
         arguments = {key: asked.orders[key] for key in sampling.DEFAULTS if key in asked.orders}
-        arguments |= {"maxima": outcome.maxima, "workers": workers}
+        arguments |= {"maxima": maxima, "workers": workers}
         every = asked.orders["keep_draws"], asked.orders["keep_seconds"]
         for name in dict.fromkeys(asked.orders["samplers"]):
             if name in asked.finished:
@@ -83,7 +84,7 @@ def sampled(
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
                     running.finished(name, asked)
-    _write_csv(outcome.maxima.table(), running.path / "map.csv")
+    _write_csv(maxima.table(), running.path / "map.csv")
     return outcome
 
 

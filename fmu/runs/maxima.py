@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 FILE = "maxima.nc"
 
 
-def keep_maxima(directory: Path, maxima: Maxima, problem: Any = None) -> None:
-    """Write the maxima into a directory, with a hash of the posterior if the problem is given."""
+def keep_maxima(directory: Path, maxima: Maxima, problem: Any) -> None:
+    """Write the maxima into a directory, with a hash of the posterior."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import with_maxima
@@ -24,32 +24,25 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: Any = None) -> None:
     save_trace(tree, directory / FILE)
 
 
-def kept_maxima(directory: Path, problem: Any = None) -> Maxima | None:
-    """Return what `keep_maxima` wrote; None if there is nothing, or it is damaged or of another posterior."""
+def kept_maxima(directory: str | os.PathLike[str], problem: Any = None) -> Maxima | None:
+    """Return what `keep_maxima` wrote; None if it is missing, damaged, or not of the problem, if one is given."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import maxima_of
 
-    path = directory / FILE
+    path = Path(directory, FILE)
     if not path.is_file():
         return None
     try:
         tree = xr.load_datatree(path, engine="h5netcdf")
-        return maxima_of(tree) if tree.attrs["posterior"] == _posterior(problem) else None
+        is_other = problem is not None and tree.attrs["posterior"] != _posterior(problem)
+        return None if is_other else maxima_of(tree)
     except (OSError, ValueError, KeyError):  # damaged
         return None
 
 
-def searched(problem: Any, directory: str | os.PathLike[str] | None) -> Maxima:
-    """Return the maxima of an updating problem: those saved in a directory, or searched for if there are none."""
-    from fmu.analysis.maxima.search import find_map
-
-    kept = None if directory is None else kept_maxima(Path(directory), problem)
-    return find_map(problem) if kept is None else kept
-
-
 def _posterior(problem: Any) -> str:
-    """Return a hash of what defines the posterior; empty if there is no problem."""
+    """Return a hash of what defines the posterior."""
     from fmu.analysis.trace.provenance import configuration_hash, described
 
-    return "" if problem is None else configuration_hash(described(problem, "", {}, {})["problem"])
+    return configuration_hash(described(problem, "", {}, {})["problem"])

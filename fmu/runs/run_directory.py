@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from fmu.config.kept import ORIGIN, KeptProblem
 from fmu.runs.lock import FILE as PRESENCE
 from fmu.runs.lock import LOCK, DirectoryLock, PhaseNote, announce
-from fmu.runs.maxima import keep_maxima, kept_maxima
 from fmu.runs.store import LEDGER
-
-if TYPE_CHECKING:
-    from fmu.analysis.maxima.results import Maxima
 
 FOLDER = "checkpoints"
 
@@ -64,14 +59,6 @@ class RunDirectory:
     def of_sampler(self, name: str) -> Path:
         """Return the directory of a sampler's checkpoint."""
         return self.folder / name
-
-    def maxima(self, search: Callable[[], Maxima]) -> Maxima:
-        """Return the maxima: those found before the run was interrupted, or those that `search` finds now."""
-        found = kept_maxima(self.folder)
-        if found is None:
-            found = search()
-            keep_maxima(self.folder, found)
-        return found
 
     def take_ledger(self, sampler: str, to: Path) -> None:
         """Copy the list of a sampler's failed solves; if there is none, remove that of an earlier run."""
