@@ -1,6 +1,7 @@
 import copy
 import os
 import re
+import shutil
 import subprocess
 import sys
 from types import ModuleType
@@ -11,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import fmu
+import fmu.analysis.maxima.search
 from fmu import cli
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.trace.conversion import save_trace
@@ -42,16 +44,54 @@ def loading(monkeypatch, problem, load=KeptProblem.load):
     monkeypatch.setattr(KeptProblem, "load", replaced)
 
 
-@pytest.fixture
-def invoke(young, monkeypatch, tmp_path):
-    """Run a command in an empty directory; the built-in problem is loaded once for all tests."""
-    monkeypatch.chdir(tmp_path)
-    loading(monkeypatch, young)
-    monkeypatch.setattr("fmu.analysis.estimate.estimates", lambda *_: [])  # told only where a machine is slow
+FOUND = {}
+
+
+def commands_in(folder, patch, problem, search=fmu.analysis.maxima.search.find_map):
+    """Return what runs a command there; the built-in problem is loaded once, and searched once for its maxima."""
+
+    def remembered(searched, starts=None, seed=1):
+        if searched is not problem:
+            return search(searched, starts, seed)
+        if (starts, seed) not in FOUND:
+            FOUND[starts, seed] = search(problem, starts, seed)
+        return FOUND[starts, seed]
+
+    patch.chdir(folder)
+    loading(patch, problem)
+    patch.setattr(fmu.analysis.maxima.search, "find_map", remembered)
+    patch.setattr("fmu.analysis.estimate.estimates", lambda *_: [])  # told only where a machine is slow
     return lambda *args: CliRunner().invoke(cli.main, list(map(str, args)), prog_name="fmu")
 
 
+@pytest.fixture
+def invoke(young, monkeypatch, tmp_path):
+    """Run a command in an empty directory."""
+    return commands_in(tmp_path, monkeypatch, young)
+
+
 SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh", "--no-report")
+
+
+@pytest.fixture(scope="module")
+def ran(young, tmp_path_factory):
+    """The directory of a short run, and what it printed."""
+    folder = tmp_path_factory.mktemp("ran")
+    with pytest.MonkeyPatch.context() as patch:
+        result = commands_in(folder, patch, young)("run", "cantilever-young", *SHORT, "--out", "here")
+    assert result.exit_code == 0, result.output
+    return folder / "here", result
+
+
+@pytest.fixture(scope="module")
+def converged(young, tmp_path_factory):
+    """The directory of a run that was long enough, and what it printed."""
+    folder = tmp_path_factory.mktemp("converged")
+    length = ("--draws", 50, "--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
+    with pytest.MonkeyPatch.context() as patch:
+        result = commands_in(folder, patch, young)("run", "cantilever-young", *length, "--no-report")
+    assert result.exit_code == 0, result.output
+    return folder / "here", result
 
 
 def assert_one_line(result, *parts):
@@ -116,8 +156,8 @@ def test_run_writes_pages_to_read(invoke, tmp_path):
     assert "Not converged" in (tmp_path / "here" / "report" / "mh.html").read_text()
 
 
-def test_run_prints_the_tables_and_nothing_else(invoke):
-    result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
+def test_run_prints_the_tables_and_nothing_else(ran):
+    _, result = ran
     assert result.stderr == ""
     lines = result.stdout.splitlines()
     assert lines[0] == "Posterior maxima"
@@ -183,21 +223,22 @@ def test_run_on_a_terminal_shows_a_bar_for_every_phase(invoke, monkeypatch):
     assert "6/6" in result.stdout
 
 
-def test_maxima_are_written_and_kept_in_the_trace(invoke, young):
-    result = invoke("run", "cantilever-young", *SHORT, "--out", "here")
-    table = pd.read_csv("here/map.csv", index_col="maximum")
+def test_maxima_are_written_and_kept_in_the_trace(ran, young):
+    out, result = ran
+    table = pd.read_csv(out / "map.csv", index_col="maximum")
     maxima = fmu.find_map(young)
     pd.testing.assert_frame_equal(table, maxima.table().replace("", np.nan), check_index_type=False)
     assert str(maxima) in result.stdout
-    assert maxima_of(fmu.load_trace("here/mh.nc"))[0].log_prob == maxima[0].log_prob
+    assert maxima_of(fmu.load_trace(out / "mh.nc"))[0].log_prob == maxima[0].log_prob
 
 
-def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp_path):
+def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, monkeypatch, tmp_path):
     """All chains start in one place: the verdict names the maximum that they miss, and compare repeats it.
 
     The run is long enough, but effective draws do not make a verdict good: it is short of what was asked for.
     """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(fmu.analysis.maxima.search, "find_map", lambda problem, starts=None: section_maxima)
     arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start", "--draws", "20", "--warmup", "60")
     until = ("--until-ess", "5", "--max-draws", "40", "--out", "here", "--no-report")
     run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *until])
@@ -220,15 +261,13 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(monkeypatch, tmp
     assert max(map(len, lines)) <= 100
 
 
-def test_sampling_on_until_there_is_enough(invoke):
-    arguments = ("--draws", 50, "--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
-    result = invoke("run", "cantilever-young", *arguments, "--no-report")
-    assert result.exit_code == 0, result.output
+def test_sampling_on_until_there_is_enough(converged):
+    out, result = converged
     assert "Stopped" not in result.stdout
     assert "hmc  converged" in result.stdout.splitlines()
-    steps = fmu.load_trace("here/hmc.nc")["posterior"].sizes["draw"]
+    steps = fmu.load_trace(out / "hmc.nc")["posterior"].sizes["draw"]
     assert 50 < steps <= 1600
-    assert pd.read_csv("here/summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
+    assert pd.read_csv(out / "summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
 
 
 def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
@@ -246,9 +285,10 @@ def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
     assert trace["warmup_posterior"].sizes["draw"] == 20
 
 
-def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(young, monkeypatch, tmp_path):
+def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(converged, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    trace = fmu.sample(young, "hmc", draws=600, warmup=200, init="prior")
+    trace = fmu.load_trace(converged[0] / "hmc.nc")
+    del trace["maxima"]
     save_trace(trace, "hmc.nc")
     result = CliRunner().invoke(cli.main, ["compare", "."])
     lines = result.stdout.splitlines()
@@ -332,9 +372,8 @@ def test_overwrite_replaces_only_what_the_command_writes(invoke, tmp_path):
     assert b"old" not in (now["mh.nc"], now["comparison.csv"])
 
 
-def test_failed_run_does_not_touch_an_earlier_one(invoke, young, monkeypatch, tmp_path):
-    out = tmp_path / "mine"
-    assert invoke("run", "cantilever-young", *SHORT, "--out", out).exit_code == 0
+def test_failed_run_does_not_touch_an_earlier_one(invoke, ran, young, monkeypatch, tmp_path):
+    out = shutil.copytree(ran[0], tmp_path / "mine")
     before = files_in(out)
     problem = copy.copy(young)
     problem.start = young.lower * 0.9
@@ -393,8 +432,8 @@ def test_compare_with_a_foreign_file(invoke, tmp_path):
     assert_one_line(invoke("compare", "."), "hmc.nc", "trace written by fmu")
 
 
-def test_compare_of_different_problems(invoke, young, monkeypatch):
-    invoke("run", "cantilever-young", *SHORT, "--out", "here")
+def test_compare_of_different_problems(invoke, ran, young, monkeypatch):
+    shutil.copytree(ran[0], "here")
     other = copy.copy(young)  # whose maxima are searched for anew
     other.name = "another"
     loading(monkeypatch, other)
