@@ -75,18 +75,13 @@ class EnsembleKernel:
     sampler: Any
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start, one solve a walker; ValueError unless the walkers span the space."""
+        """Evaluate the start, one solve per walker; ValueError unless the walkers span the space."""
         from emcee import walkers_independent
 
         for chain, walkers in enumerate(positions):
             if not walkers_independent(walkers):
                 raise ValueError(f"init: the walkers must span the space (those of ensemble {chain} do not)")
-        shape = positions.shape[:2]
-        first = self.target.evaluate(positions.reshape(-1, self.target.ndim))
-        log_prob = first.log_prob.reshape(shape)
-        nothing = np.zeros(shape, dtype=np.int64)
-        info = Info(nothing.astype(bool), log_prob, first.n_solves.reshape(shape), nothing)
-        return State(positions, log_prob), info
+        return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move every walker once.
@@ -103,10 +98,8 @@ class EnsembleKernel:
             position[chain], log_prob[chain] = end.coords, end.log_prob
             n_solves[chain, : self.target.n_solves] = 1
             n_nonfinite[chain, : self.target.n_nonfinite] = 1
-        accepted = np.any(position != state.position, axis=-1)
-        extra = {"n_nonfinite": n_nonfinite}
-        info = Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
-        return State(position, log_prob), info
+        accepted, extra = np.any(position != state.position, axis=-1), {"n_nonfinite": n_nonfinite}
+        return State(position, log_prob), Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
 
     def _advance(self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray) -> Any:
         """Move one ensemble by one step of emcee and return emcee's state."""

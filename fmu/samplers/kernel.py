@@ -160,11 +160,11 @@ class Evaluation(NamedTuple):
 
     Attributes
     ----------
-    log_prob : ndarray, shape (n,)
+    log_prob : ndarray, shape (...)
         ``-inf`` outside the box, and where the density is not finite inside it.
-    n_solves : ndarray of int, shape (n,)
+    n_solves : ndarray of int, shape (...)
         1 inside the box, 0 outside.
-    n_nonfinite : ndarray of int, shape (n,)
+    n_nonfinite : ndarray of int, shape (...)
         1 where the density inside the box is not finite.
     """
 
@@ -196,15 +196,15 @@ class Target:
         return values
 
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
-        """Evaluate the density where `position`, shape (n, ndim), is inside the box, in one batch.
+        """Evaluate the density where `position`, shape (..., ndim), is inside the box, in one batch.
 
-        `chain`, shape (n,), says whose points they are; if not given, there is one point per chain.
+        `chain`, shape (...), says whose points they are; if not given, there is one point per chain.
 
         Points outside are never evaluated; a NaN coordinate is outside. A value that is not finite (a failed
         eigensolve) counts as ``-inf``, so that only this point is rejected.
         """
         inside = np.all((position >= self.lower) & (position <= self.upper), axis=-1)
-        log_prob = np.full(len(position), -np.inf)
+        log_prob = np.full(inside.shape, -np.inf)
         if inside.any():
             log_prob[inside] = self.log_prob(position[inside], inside if chain is None else chain[inside])
         failed = inside & ~np.isfinite(log_prob)
@@ -214,5 +214,5 @@ class Target:
     def start(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate where the chains start, one solve for each: what `Kernel.init` returns without gradients."""
         first = self.evaluate(positions)
-        none = np.zeros(len(positions), dtype=np.int64)
+        none = np.zeros(first.log_prob.shape, dtype=np.int64)
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
