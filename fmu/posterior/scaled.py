@@ -68,6 +68,6 @@ class ScaledDensity:
         vector = np.asarray(getattr(self.density, name), dtype=float)
         if vector.shape != (self.ndim,):
             raise ValueError(
-                f"{name}: must have shape ({self.ndim},), one entry a coordinate (got {vector.shape})"
+                f"{name}: must have shape ({self.ndim},), one entry per coordinate (got {vector.shape})"
             )
         return vector

@@ -69,7 +69,7 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Ensembles bound to a density. State.position is (chains, walkers, ndim), one ensemble a chain."""
+    """Ensembles bound to a density. State.position is (chains, walkers, ndim), one ensemble per chain."""
 
     target: _Tally
     sampler: Any
@@ -119,7 +119,7 @@ class _Tally(Target):
         self.reset()
 
     def reset(self) -> None:
-        """Begin to count anew."""
+        """Start the counts again at zero."""
         self.n_solves = self.n_nonfinite = 0
 
     def __call__(self, position: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The Metropolis-Hastings sampler (PAPER section 4.1) and its proposals."""
+"""The Metropolis-Hastings sampler (section 4.1 of the paper) and its proposals."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ class MetropolisKernel:
     proposal: Proposal
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start, one solve a chain."""
+        """Evaluate the start, one solve per chain."""
         return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:

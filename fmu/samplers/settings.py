@@ -98,7 +98,7 @@ def fits(name: str, value: Any, ndim: int) -> FloatArray:
     """Return `value` as an array; ValueError unless its length, if it has one, is `ndim`."""
     array = np.asarray(value, dtype=float)
     if array.ndim and array.shape[0] != ndim:
-        raise ValueError(f"{name}: must have length {ndim}, one entry a coordinate (got {array.shape[0]})")
+        raise ValueError(f"{name}: must have length {ndim}, one entry per coordinate (got {array.shape[0]})")
     return array
 
 

@@ -16,7 +16,7 @@ START_WIDTH = 0.5
 """Interval of a slice before anything is learnt, in scaled units."""
 SCHEMES = ("hyperrectangle", "coordinate")
 ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
-"""What a step counts for each chain."""
+"""Counts that a step makes for each chain."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class SliceKernel:
     axes: FloatArray
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start, one solve a chain."""
+        """Evaluate the start, one solve per chain."""
         return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
@@ -256,7 +256,7 @@ def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
 def _cut_line(
     target: Target, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the intervals (chains, 1) along one axis a chain (chains, ndim, 1) cut at the bounds."""
+    """Return the intervals (chains, 1) along one axis per chain (chains, ndim, 1) cut at the bounds."""
     slope = axes[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):  # a wall that is never met
         walls = np.stack([target.lower - x, target.upper - x]) / slope

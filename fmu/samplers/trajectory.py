@@ -50,7 +50,7 @@ class Metric:
         return self if self.inverse.ndim == 2 else Metric(self.inverse[chain], self.inverse_factor[chain])
 
     def sample_momentum(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Draw `n` momenta from N(0, M), one a chain, shape (n, ndim)."""
+        """Draw `n` momenta from N(0, M), one per chain, shape (n, ndim)."""
         z = rng.standard_normal((n, self.inverse.shape[-1]))
         # M = L⁻ᵀ L⁻¹, so that p = L⁻ᵀ z has covariance M; as rows, pᵀ = zᵀ L⁻¹
         return _rows(z, self.inverse_factor)
@@ -270,7 +270,7 @@ class HamiltonianKernel:
         return State(positions, slope.log_prob, slope.gradient), info
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw momenta, follow one trajectory a chain, accept or reject its end."""
+        """Draw momenta, follow one trajectory per chain, accept or reject its end."""
         if state.gradient is None:
             raise ValueError("state: must carry the gradient at its position (got None)")
         chains = len(state.position)

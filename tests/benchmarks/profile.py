@@ -41,7 +41,7 @@ PLACES = {
     "/fmu/analysis/": "the rest of the analysis",
     "/fmu/report/": "pages and tables",
 }
-SAMPLERS = {"metropolis.py": "mh", "slice.py": "slice", "hamiltonian.py": "hmc", "ensemble.py": "emcee"}
+SAMPLERS = {"metropolis.py": "mh", "slice.py": "slice", "trajectory.py": "hmc", "ensemble.py": "emcee"}
 
 TEXT = """## Where the time goes
 

@@ -128,7 +128,7 @@ def test_bad_settings(make, message):
 @pytest.mark.parametrize(
     ("proposal", "message"),
     [
-        (RandomWalk([0.1, 0.1, 0.1]), r"scale: must have length 2, one entry a coordinate \(got 3\)"),
+        (RandomWalk([0.1, 0.1, 0.1]), r"scale: must have length 2, one entry per coordinate \(got 3\)"),
         (LogNormalWalk(0.1, origin=2.0), "origin: must be below every position"),
     ],
 )

@@ -120,12 +120,12 @@ class TemperingKernel:
 
 
 def _taken(values: Any, order: IntArray) -> Any:
-    """Return values (rungs, chains, ...) in the given order of rungs, which differs from chain to chain."""
+    """Return values (rungs, chains, ...) in an order of rungs that differs between chains."""
     return values[order, np.arange(order.shape[1])]
 
 
 def _turned(heading: IntArray) -> tuple[IntArray, IntArray]:
-    """Turn the replicas round at the ends of the ladder; return how many of each chain completed a round trip."""
+    """Update the headings at the ends of the ladder, and count the round trips completed, shape (chains,)."""
     heading = heading.copy()
     heading[0] = np.where(heading[0] == 1, 2, heading[0])
     round_trips = (heading[-1] == 2).astype(np.int64)
