@@ -26,7 +26,7 @@ from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, l
 from fmu.progress import Report
 
 _ADDRESS = re.compile(r"tcp://[^\s/]+:\d+")
-# those that Dask gives handlers of their own
+# loggers with handlers of their own in Dask
 _LOGGERS = ("distributed", "distributed.client", "tornado.application")
 _CONNECT_TIMEOUT_S = 10.0
 _CHECK_INTERVAL_S = 1.0
@@ -46,7 +46,7 @@ class DaskCluster(RemoteEngine):
     Raises
     ------
     ValueError
-        If it is no such address, or no scheduler answers within ten seconds.
+        If `address` has another form, or no scheduler answers within ten seconds.
 
     Notes
     -----

@@ -55,14 +55,14 @@ class WorkerProcess:
         """Send a task and, unless the worker has it, what all tasks share."""
         packed = task.packed()
         self.task = task
-        with suppress(OSError):  # it has died, which `message` tells
+        with suppress(OSError):  # it has died, and `message` will say so
             if self._has is not shared:
                 self._has = shared
                 self.connection.send(("shared", shared))
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return what it has sent; ``("died", how)`` if it is dead, ``("nothing", None)`` if it is at work."""
+        """Return what it has sent; ``("died", how)`` if it is dead, ``("nothing", None)`` if it is working."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()

@@ -47,7 +47,7 @@ class Outcome(NamedTuple):
 
 
 class RemoteError(Exception):
-    """Where in a worker an exception was raised: its cause, when it is raised in the calling process."""
+    """The traceback of an exception in a worker, given as the cause when it is raised in the calling process."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
@@ -108,7 +108,7 @@ class RemoteEngine(Engine):
 
 
 class Shared:
-    """What all tasks need, unpickled when a task first asks for it, so that an error there is the task's error."""
+    """What all tasks need. It is unpickled when a task first asks for it, so an error in that is the task's error."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
