@@ -108,7 +108,7 @@ class RemoteEngine(Engine):
 
 
 class Shared:
-    """What all tasks need. It is unpickled when a task first asks for it, so an error in that is the task's error."""
+    """What all tasks need. It is unpickled when a task first asks for it, so an error then is the task's error."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
