@@ -37,7 +37,7 @@ def _in_a_file(annotation: Any) -> Any:
     return found | None if optional else found
 
 
-ErrorTable = Annotated[Declared, OneOf("of", ERROR_MODELS, _in_a_file)]
+ErrorTable = Annotated[Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file)]
 
 
 def built_errors(

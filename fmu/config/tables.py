@@ -34,6 +34,9 @@ from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
 from fmu.types import Positive as Positive
 
+Maker = Callable[..., Any]
+"""A class of the library, or a function that returns an object of one."""
+
 Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
 """No slash: traces keep names as paths."""
 
@@ -110,7 +113,7 @@ class TomlTable(BaseModel):
 class Declared(TomlTable):
     """A table whose keys are the arguments of a constructor, or of one of several; see `declared`."""
 
-    makes: ClassVar[tuple[Callable[..., Any], ...]] = ()
+    makes: ClassVar[tuple[Maker, ...]] = ()
     tag: ClassVar[str] = ""
     is_complete: ClassVar[bool] = True
     """Whether all arguments are in the table, and none elsewhere in the file."""
@@ -149,7 +152,7 @@ class Declared(TomlTable):
 
 def declared(
     name: str,
-    *makes: Callable[..., Any],
+    *makes: Maker,
     tag: str = "",
     in_a_file: Callable[[Any], Any] | None = None,
     renamed: Mapping[str, str] | None = None,
@@ -200,17 +203,20 @@ class OneOf:
     ----------
     tag : str
         The key.
-    kinds : mapping of str to constructor, or to a tuple of several
+    kinds : mapping of str to tuple of callable
+        The constructors of each kind, see `declared`.
     in_a_file : callable, optional
         See `declared`.
     """
 
-    def __init__(self, tag: str, kinds: Mapping[str, Any], in_a_file: Callable[[Any], Any] | None = None) -> None:
+    def __init__(
+        self,
+        tag: str,
+        kinds: Mapping[str, tuple[Maker, ...]],
+        in_a_file: Callable[[Any], Any] | None = None,
+    ) -> None:
         self._tag = tag
-        self._tables = tuple(
-            declared(name, *(makes if isinstance(makes, tuple) else (makes,)), tag=tag, in_a_file=in_a_file)
-            for name, makes in kinds.items()
-        )
+        self._tables = tuple(declared(name, *makes, tag=tag, in_a_file=in_a_file) for name, makes in kinds.items())
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
         return handler(Annotated[Union[self._tables], Field(discriminator=self._tag)])  # noqa: UP007
@@ -229,14 +235,14 @@ class Of:
         Keys in the file, each with the name of the argument that it stands for: a name of something in the file.
     """
 
-    def __init__(self, name: str, *makes: Callable[..., Any], **renamed: str) -> None:
+    def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
         self._table = declared(name, *makes, renamed=renamed)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
         return core_schema.no_info_after_validator_function(lambda table: table.build(), handler(self._table))
 
 
-def inside(key: str, make: Callable[..., Any]) -> Callable[..., Any]:
+def inside(key: str, make: Maker) -> Maker:
     """Return a constructor whose only argument is the table of another: ``{ tube = { diameter = …, … } }``."""
 
     def made(**given: Any) -> Any:
@@ -255,26 +261,26 @@ def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Tab
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
-def required(make: Callable[..., Any]) -> set[str]:
+def required(make: Maker) -> set[str]:
     """Return the names of the arguments that a constructor cannot do without."""
     return {key for key, (_, default) in arguments(make).items() if default is inspect.Parameter.empty}
 
 
-def arguments(make: Callable[..., Any]) -> dict[str, tuple[Any, Any]]:
+def arguments(make: Maker) -> dict[str, tuple[Any, Any]]:
     """Return annotation and default of each argument."""
     function: Any = make.__init__ if inspect.isclass(make) else make
     hints = get_type_hints(function, include_extras=True)
     return {key: (hints[key], argument.default) for key, argument in inspect.signature(make).parameters.items()}
 
 
-def _ways(makes: tuple[Callable[..., Any], ...]) -> str:
+def _ways(makes: tuple[Maker, ...]) -> str:
     """Return which arguments the constructors have that are not common to all."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(f"{', '.join(way[:-1])} and {way[-1]}" if len(way) > 1 else way[0] for way in ways)
 
 
-def _descriptions(make: Callable[..., Any]) -> dict[str, str]:
+def _descriptions(make: Maker) -> dict[str, str]:
     """Return what the docstring says of each argument, in its section of attributes or parameters."""
     text = inspect.getdoc(make) or ""
     section = re.search(r"(?:Attributes|Parameters)\n-+\n(.*?)(?:\n\n|\Z)", text, re.DOTALL)

@@ -1,1 +1,4 @@
-"""Files of other programs: matrices and measurements."""
+"""Files of other programs: matrices and measured modes.
+
+Reading order: files, shown; then matrices and modes, one file a format.
+"""

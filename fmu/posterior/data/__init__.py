@@ -1,4 +1,4 @@
 """What was measured: modal data, and repeated tests.
 
-Reading order: modal_data, repeated.
+Reading order: modal_data, covariance, repeated.
 """
