@@ -10,6 +10,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
 LARGEST_FILE = 2**30
@@ -63,7 +64,7 @@ class RefusedError(Exception):
 
 def chosen(names: Sequence[str], variable: str | None) -> str:
     """Return the name of the variable to read."""
-    known = ", ".join([name[:100] for name in names[:12]] + ["…"] * (len(names) > 12))
+    known = names_shown(names)
     if not names:
         raise RefusedError("must hold a matrix (it holds none)")
     if variable is None and len(names) > 1:

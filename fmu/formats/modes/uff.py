@@ -30,7 +30,7 @@ from fmu.formats.modes.measured_modes import (
     checked_file,
     real_shapes,
 )
-from fmu.formats.shown import in_words
+from fmu.formats.shown import in_words, shown
 from fmu.types import DIRECTIONS
 
 SHAPES = 55
@@ -177,7 +177,7 @@ def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, A
     place_of = {int(node): place for node, place in nodes.items()}
     missing = sorted(set(place_of) - set(there))
     if missing:
-        raise ModesError(path.name, [f"nodes: must be some of {_short(there)} (got {_short(missing)})"])
+        raise ModesError(path.name, [f"nodes: must be some of {shown(there)} (got {shown(missing)})"])
     return place_of
 
 
@@ -206,10 +206,6 @@ def _at(mode: dict[tuple[Any, str], complex], sensor: tuple[Any, str]) -> comple
 
 def _frequency(mode: dict[str, Any]) -> float:
     return float(mode["freq"]) if mode["analysis_type"] in REAL else float(abs(mode["eig"]) / (2.0 * np.pi))
-
-
-def _short(numbers: Sequence[int]) -> str:
-    return str(list(numbers)) if len(numbers) <= 12 else f"[{', '.join(map(str, numbers[:12]))}, …]"
 
 
 @contextmanager
