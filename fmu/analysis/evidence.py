@@ -129,7 +129,7 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
     """
     if method not in METHODS:
         raise ValueError(f"method: must be one of {', '.join(METHODS)} (got {method!r})")
-    if GROUP not in getattr(trace, "children", {}):
+    if not has(trace, GROUP):
         raise ValueError("trace: must come from parallel tempering, fmu.sample(problem, 'tempering')")
     draws = array_of(trace, GROUP, "log_likelihood")
     t = trace[GROUP]["inverse_temperature"].to_numpy()

@@ -6,12 +6,13 @@ import html
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.maxima.search import is_searchable
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import check_trace, has, parameter_draws, parameter_names, with_group
 from fmu.numbers import fixed, share, significant
@@ -168,18 +169,17 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
         If theta is not within the bounds, the model has no finite derivative there, or the problem's errors are
         not those of modes (the modal residual).
     """
-    likelihood: Any = getattr(problem, "likelihood", None)
-    if likelihood is None or not likelihood.of_modes:
+    if not (is_searchable(problem) and problem.likelihood.of_modes):
         raise ValueError("problem: must be an UpdatingProblem with errors in the modes")
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):
         raise ValueError(f"theta: must be {problem.ndim} numbers within the bounds (got {point.tolist()})")
     n = problem.n_structural
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])
-    sensitivity = likelihood.sensitivity(point[None])[0] * prior_sd
+    sensitivity = problem.likelihood.sensitivity(point[None])[0] * prior_sd
     if not np.all(np.isfinite(sensitivity)):
         raise ValueError(f"theta: the modes must have finite derivatives (got none at {point.tolist()})")
-    labels = likelihood.labels(tuple(map(str, problem.data.labels)))
+    labels = problem.likelihood.labels(tuple(map(str, problem.data.labels)))
     return Identifiability(problem.names[:n], problem.units[:n], labels, point[:n], prior_sd, sensitivity)
 
 

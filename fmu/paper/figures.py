@@ -94,9 +94,11 @@ def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
     axes.axhline(ENOUGH, color=GREY, linestyle="--", linewidth=1.0, zorder=1)
     axes.set_ylim(low, high)
     axes.set_title(f"Error against: {result.reference.origin}", fontsize=FONT - 1, color=GREY)
-    axes.set_xlabel("model solves of one chain (one ensemble), warm-up counted", fontsize=FONT)
-    axes.set_ylabel("error of the running mean / posterior sd", fontsize=FONT)
-    finish(axes)
+    finish(
+        axes,
+        "model solves of one chain (one ensemble), warm-up counted",
+        "error of the running mean / posterior sd",
+    )
     _legend(figure, result)
     return axes
 

@@ -9,6 +9,7 @@ import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 from markupsafe import Markup, escape
 
 if TYPE_CHECKING:
@@ -207,8 +208,7 @@ def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
     caption : str
         The text below it.
     """
-    first = axes if hasattr(axes, "figure") else axes.ravel()[0]
-    figure = first.figure
+    figure = np.ravel(axes)[0].figure
     return Picture(inline_svg(figure, key, alt), caption, round(_CSS_PER_INCH * figure.get_figwidth()))
 
 

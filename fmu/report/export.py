@@ -287,7 +287,8 @@ def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, ab
     lines = tomlkit.dumps(document).splitlines(keepends=True)
     at = 1 if lines and lines[0].startswith(_EDITOR) else 0
     lines.insert(at, f"# {about}\n")
-    return "".join(lines), [word for word in _strings(document) if "." in word or ":" in word]
+    words = (str(table[key]) for table, key in _strings(document))
+    return "".join(lines), [word for word in words if "." in word or ":" in word]
 
 
 def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
@@ -319,31 +320,18 @@ def rename(text: str, names: Mapping[str, str]) -> str:
     if not names:
         return text
     document = tomlkit.parse(text)
-    _replace(document, names)
+    for table, key in list(_strings(document)):
+        table[key] = names.get(str(table[key]), table[key])
     return tomlkit.dumps(document)
 
 
-def _strings(part: Any) -> Iterator[str]:
-    """Yield every string of a document."""
-    if isinstance(part, str):
-        yield str(part)
-    elif isinstance(part, Mapping):
-        for value in part.values():
-            yield from _strings(value)
-    elif isinstance(part, list):
-        for value in part:
-            yield from _strings(value)
-
-
-def _replace(part: Any, names: Mapping[str, str]) -> None:
-    keys = list(part) if isinstance(part, Mapping) else range(len(part))
-    for key in keys:
-        value = part[key]
+def _strings(part: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the place of every string of a document: its table or array, and its key or index there."""
+    for key, value in part.items() if isinstance(part, Mapping) else enumerate(part):
         if isinstance(value, str):
-            if str(value) in names:
-                part[key] = names[str(value)]
+            yield part, key
         elif isinstance(value, Mapping | list):
-            _replace(value, names)
+            yield from _strings(value)
 
 
 def _toml_number(value: float) -> str:

@@ -119,8 +119,7 @@ def _plot_path(axes: Axes, trace: xr.DataTree, name: str) -> None:
         value = constant(trace, bound, name) / unit.factor
         if low - margin < value < high + margin:
             axes.axhline(value, color=BLACK, linestyle="--", linewidth=0.8)
-    axes.set_ylabel(literal(unit.label(name)), fontsize=FONT)
-    finish(axes)
+    finish(axes, y=literal(unit.label(name)))
 
 
 _RANKED = (20, 500)
@@ -177,8 +176,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
         for path in (*axis.lines, *axis.collections):
             path.set_rasterized(True)
         axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        axis.set_ylabel(f"Δ ECDF of\n{literal(name)}", fontsize=FONT)
-        finish(axis)
+        finish(axis, y=f"Δ ECDF of\n{literal(name)}")
     axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
     axes[0].figure.align_ylabels(axes)
     return axes
@@ -210,8 +208,7 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
         for values, shade in zip(autocorrelation(draws[..., i], walkers), chain_colours(trace), strict=True):
             axis.plot(values[: _LAGS + 1], color=shade, linewidth=1.2)
         axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        axis.set_ylabel(f"autocorrelation\nof {literal(name)}", fontsize=FONT)
-        finish(axis)
+        finish(axis, y=f"autocorrelation\nof {literal(name)}")
     axes[-1].set_xlabel("lag / steps", fontsize=FONT)
     axes[-1].set_xlim(0, min(_LAGS, draws.shape[1] // walkers - 1) or 1)
     return axes
@@ -251,9 +248,7 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     )
     axes.hist(changes, bins, density=True, histtype="step", color=BLACK, linewidth=1.3,
               label="change from draw to draw")  # fmt: skip
-    axes.set_xlabel("energy (−log-probability + kinetic), nats", fontsize=FONT)
-    axes.set_ylabel("density / nat⁻¹", fontsize=FONT)
-    finish(axes)
+    finish(axes, "energy (−log-probability + kinetic), nats", "density / nat⁻¹")
     legend_below(axes)
     return axes
 
@@ -296,8 +291,7 @@ def plot_running_means(
             axis.plot(at, means[:, chain, i] / unit.factor, color=shade, linewidth=1.2)
         axis.set_xscale("log")
         axis.minorticks_off()
-        axis.set_ylabel(literal(unit.label(name)), fontsize=FONT)
-        finish(axis)
+        finish(axis, y=literal(unit.label(name)))
     axes[-1].set_xlabel("steps kept", fontsize=FONT)
     axes[0].figure.align_ylabels(axes)
     return axes
@@ -332,8 +326,6 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     axes.set_ylim(_FLOOR, max(3.0 * (RHAT_LIMIT - 1.0), 1.3 * finite.max(initial=0.0)))
     axes.set(xscale="log", yscale="log")
     axes.minorticks_off()
-    axes.set_xlabel("steps kept", fontsize=FONT)
-    axes.set_ylabel(f"R-hat − 1 (at least {given(_FLOOR)})", fontsize=FONT)
-    finish(axes)
+    finish(axes, "steps kept", f"R-hat − 1 (at least {given(_FLOOR)})")
     legend_below(axes)
     return axes

@@ -15,7 +15,6 @@ from fmu.analysis.trace.reading import has
 from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
-    FONT,
     GREY,
     NARROW,
     PALE,
@@ -100,9 +99,7 @@ def plot_frequency_errors(
     names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
     axes.set_xticks(centre, names, **turned)
     axes.set_xlim(-0.5, len(measured) - 0.5)
-    axes.set_xlabel("mode, measured frequency", fontsize=FONT)
-    axes.set_ylabel("(computed − measured)/measured, %", fontsize=FONT)
-    finish(axes)
+    finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")
     legend_below(axes)
     return axes
 
@@ -214,9 +211,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     labels = [literal(str(mode)) for mode in narrow.index]
     axes.set_xticks(x, labels, **_turned(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
-    axes.set_xlabel("mode", fontsize=FONT)
-    axes.set_ylabel("(frequency − predicted mean)\n/ predictive sd", fontsize=FONT)
-    finish(axes)
+    finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")
     legend_below(axes)
     return axes
 

@@ -175,7 +175,5 @@ def plot_efficiency(
     axes.set_yticks(y, names)
     axes.invert_yaxis()
     axes.set_xlim(0.0, _ROOM * max(widths.max(), 1e-300))
-    axes.set_xlabel("effective draws per 1000 model solves", fontsize=FONT)
-    axes.set_ylabel("sampler", fontsize=FONT)
-    finish(axes)
+    finish(axes, "effective draws per 1000 model solves", "sampler")
     return axes

@@ -95,13 +95,19 @@ def unit_of(trace: xr.DataTree, name: str) -> Unit:
     return shown(trace["posterior"][name].attrs.get("units", ""))
 
 
-def finish(axes: Axes) -> None:
-    """Set the tick size of axes and remove their upper and right spines.
+def finish(axes: Axes, x: str = "", y: str = "") -> None:
+    """Label axes, set the size of their ticks and remove the upper and right spines.
 
     Parameters
     ----------
     axes : Axes
+    x, y : str
+        Labels; where empty, the label stays as it is.
     """
+    if x:
+        axes.set_xlabel(x, fontsize=FONT)
+    if y:
+        axes.set_ylabel(y, fontsize=FONT)
     axes.tick_params(labelsize=FONT - 1)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
