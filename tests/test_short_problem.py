@@ -114,7 +114,7 @@ def test_forty_lines_of_toml_are_the_same_problem(folder):
     from_file = fmu.load(folder / "storeys.toml")
     theta = from_file.sample_prior(np.random.default_rng(1), 20)
     np.testing.assert_allclose(from_file.log_prob(theta), names["problem"].log_prob(theta), rtol=1e-12)
-    short = {"draws": 20, "warmup": 20, "chains": 2, "seed": 1}
+    short = {"draws": 20, "warmup": 20, "chains": 2, "seed": 1, "init": "start"}
     of_file, of_script = (fmu.sample(problem, "mh", **short) for problem in (from_file, names["problem"]))
     for name in from_file.names:
         drawn = (trace["posterior"][name].to_numpy() for trace in (of_file, of_script))

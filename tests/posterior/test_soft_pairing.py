@@ -194,6 +194,7 @@ def test_a_mode_that_no_sensor_sees_has_no_share():
     assert_allclose(gradient, differences(problem, theta), rtol=1e-6)
 
 
+@pytest.mark.validate
 def test_hamiltonian_trajectories_across_the_veering():
     """Jumps of the log-probability cost steps: warm-up shortens them until trajectories that meet one are rare."""
     rhat, rate, per_gradient, means = {}, {}, {}, {}
