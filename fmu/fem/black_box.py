@@ -1,21 +1,21 @@
-"""Models that are a function of the user's own: a surrogate, a finite-element program called from Python.
+"""Models given by a user's function: a surrogate, or a finite-element program called from Python.
 
 The contract
 ------------
 ``function(theta)`` takes theta, an ndarray of shape (ndim,) in SI units, in the order of the parameters. It gives
 
-- the natural frequencies in Hz, shape (n,), as many of the model's modes as it likes; or
-- ``{"frequencies": (n,), "shapes": (n_sensors, n), "gradient": (n, ndim)}``, where the first alone is needed; or
-- a tuple of these in that order, None for what is not there.
+- the natural frequencies in Hz, shape (n,), of any number of the model's modes; or
+- ``{"frequencies": (n,), "shapes": (n_sensors, n), "gradient": (n, ndim)}``: only the first is required; or
+- a tuple of these in that order, None for what is missing.
 
 ``shapes`` are mode shapes at the sensors of the measurement, in any scale: with them, and with measured ones, each
 measured mode is paired with a computed one by MAC; otherwise by its number (from 1) in the order returned.
-``gradient`` is ∂f/∂θ in Hz per SI unit; without it central differences are taken, 2 ndim more calls.
+``gradient`` is ∂f/∂θ in Hz per SI unit; without it central differences are taken, which cost 2 ndim more calls.
 
-Of a batched function theta has the shape (n_points, ndim), and everything returned a leading axis of n_points.
+For a batched function theta has the shape (n_points, ndim), and all results have a leading axis of n_points.
 
-The function is called as it stands: it is the user's code that runs. Where it raises, or gives what is not finite,
-that point has failed and the run goes on; `BlackBoxModel.reasons` says why.
+If the function raises, or returns numbers that are not finite, that point has failed and the run continues;
+`BlackBoxModel.reasons` says why.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from fmu.progress.phases import solved
 from fmu.types import FloatArray
 
 MOST_NUMBERS = 2**24
-"""Of one kind, for all points that the function is called for at once."""
+"""Largest array that the function may return."""
 _PARTS = ("frequencies", "shapes", "gradient")
 MOST_REASONS = 20
-# reasons kept for who asks for that of a theta soon after it failed, and the most of a message that may be a log
+# Reasons kept for lookup by theta soon after a failure, and the longest message that is kept.
 _MOST_LATEST = 10_000
 _LONGEST = 500
 
 
 class Answer(NamedTuple):
-    """What the function gave at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) where it has them."""
+    """What the function returned at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) or None."""
 
     frequencies: FloatArray
     shapes: FloatArray | None = None
@@ -52,7 +52,7 @@ class Answer(NamedTuple):
 
 
 class AnswerError(ValueError):
-    """What the function gave is not what it should give."""
+    """The function returned something of the wrong kind or shape."""
 
 
 class Failure(NamedTuple):
@@ -73,7 +73,7 @@ class BlackBoxModel:
         theta (n_parameters,) -> frequencies in Hz; or with shapes and gradients too.
     n_parameters : int
     batched : bool
-        Whether it takes theta (n_points, n_parameters), and answers with a leading axis.
+        Whether it takes theta (n_points, n_parameters), and returns arrays with a leading axis.
     step : float
         Step of the central differences, relative to the scale of each parameter (its range, where it has one).
     name : str, optional
@@ -115,18 +115,18 @@ class BlackBoxModel:
         self._engine: Engine | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out where it is called, and what failed: a copy is about what fails there."""
+        """Leave out the engine and the failures: a copy records its own."""
         return self.__dict__ | {"reasons": [], "_latest": {}, "_engine": None}
 
     def __repr__(self) -> str:
         return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
 
     def sees(self, sensor: tuple[Any, str]) -> bool:
-        """Say yes to every sensor (place, direction): the function alone knows what its shapes belong to."""
+        """Return True for every sensor (place, direction): only the function knows where its shapes are."""
         return True
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
-        """Return what the function gives at theta (n, n_parameters), None where it fails; see `reasons`."""
+        """Return the function's answers at theta (n, n_parameters), None where it fails; see `reasons`."""
         if self.batched and len(theta) > 1:
             try:
                 answers: list[Answer | None] = list(self._called(theta))
@@ -134,7 +134,7 @@ class BlackBoxModel:
                 return answers
             except KeyboardInterrupt:
                 raise
-            except BaseException:  # which of the points is at fault shows one at a time
+            except BaseException:  # calls with one point at a time show which point is at fault
                 return [answer for point in theta for answer in self.answers(point[None])]
         found: list[Answer | None] = []
         for point, (answer, reason) in zip(theta, self._tried(theta), strict=True):
@@ -146,16 +146,16 @@ class BlackBoxModel:
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[BlackBoxModel]:
-        """Call the function for several theta at once, in the workers of an engine, as long as a block lasts.
+        """Within a with block, call the function at several theta in parallel, in the workers of an engine.
 
-        Answers and failures are those of the calling process, in the same order. Of a theta at which the function
-        takes its process with it, the third time, that is the reason why it failed. A batched function has all
-        theta in one call, and is not spread.
+        Answers and failures are the same as in the calling process, in the same order. A theta that crashes its
+        process three times has failed for that reason. A batched function gets all theta in one call and is not
+        spread.
 
         Parameters
         ----------
         engine : Engine
-            See `fmu.engine`. The function has to travel: one of a module does by its name, others by value.
+            See `fmu.engine`. The function is sent to the workers: one of a module by its name, others by value.
 
         Examples
         --------
@@ -168,7 +168,7 @@ class BlackBoxModel:
             self._engine = before
 
     def tried(self, theta: FloatArray) -> tuple[Answer | None, str]:
-        """Return what the function gives at one theta (n_parameters,), or None and why it failed."""
+        """Return the function's answer at one theta (n_parameters,), or None and why it failed."""
         try:
             return self._called(theta[None])[0], ""
         except KeyboardInterrupt:
@@ -177,7 +177,7 @@ class BlackBoxModel:
             return None, _in_words(error)
 
     def at(self, theta: FloatArray) -> Answer:
-        """Return what the function gives at one theta, shape (n_parameters,).
+        """Return the function's answer at one theta, shape (n_parameters,).
 
         Raises
         ------
@@ -194,7 +194,7 @@ class BlackBoxModel:
             ) from error
 
     def fail(self, theta: FloatArray, reason: str) -> None:
-        """Keep the reason why a theta failed: the first few for good, others until many more have failed."""
+        """Keep the reason why a theta failed: the first few permanently, others until many more have failed."""
         reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} …"
         if len(self.reasons) < MOST_REASONS:
             self.reasons.append(Failure(theta.copy(), reason))
@@ -203,20 +203,20 @@ class BlackBoxModel:
         self._latest[theta.tobytes()] = reason
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why a theta (n_parameters,) failed of late; None if it did not, or very many have since."""
+        """Return why a theta (n_parameters,) failed recently; None if it did not, or very many have since."""
         return self._latest.get(theta.tobytes())
 
     def configuration(self) -> dict[str, Any]:
-        """Return what identifies the model: the function's name, and a hash of the file that it is in."""
+        """Return what identifies the model: the function's name, and a hash of its source file."""
         try:
             with open(inspect.getsourcefile(inspect.unwrap(self.function)) or "", "rb") as file:
                 digest = hashlib.sha256(file.read()).hexdigest()
-        except Exception:  # of a notebook, or no Python function: its attributes may be of any kind
+        except Exception:  # defined in a notebook, or not a Python function: its attributes may be of any kind
             digest = ""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
 
     def _tried(self, theta: FloatArray) -> Iterable[tuple[Answer | None, str]]:
-        """Return `tried` at points (n, n_parameters), one after the other or by the engine."""
+        """Return `tried` at points (n, n_parameters), one after the other or in the engine."""
         if self._engine is None or self.batched or len(theta) < 2:
             return map(self.tried, theta)
         return _spread(self, theta, self._engine)
@@ -229,7 +229,7 @@ class BlackBoxModel:
 
 
 def _spread(model: BlackBoxModel, theta: FloatArray, engine: Engine) -> list[tuple[Answer | None, str]]:
-    """Return `BlackBoxModel.tried` at points (n, n_parameters); a point that kills its workers has failed."""
+    """Return `BlackBoxModel.tried` at points (n, n_parameters); a point that crashes its workers has failed."""
     found: dict[int, tuple[Answer | None, str]] = {}
     while len(found) < len(theta):
         missing = [i for i in range(len(theta)) if i not in found]
@@ -252,7 +252,7 @@ def _try_there(model: BlackBoxModel, theta: FloatArray, _: object) -> tuple[Answ
 
 
 def _in_words(error: BaseException) -> str:
-    """Return an exception in one line; of what is wrong with an answer the text alone, which says it all."""
+    """Return an exception in one line; for an `AnswerError` its text alone."""
     return one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
 
 
@@ -261,23 +261,23 @@ def _name_of(function: Any) -> str:
 
 
 def checked(given: Any, n_parameters: int, n_points: int | None = None) -> list[Answer]:
-    """Return what a function gave as answers, one a point.
+    """Return what a function returned as answers, one per point.
 
     Parameters
     ----------
     given : array_like, mapping or tuple
-        As `fmu.fem.black_box` says.
+        See `fmu.fem.black_box`.
     n_parameters : int
     n_points : int, optional
-        Points of a batched function; without it there is one, and no leading axis.
+        Points of a batched function. If not given, there is one point and no leading axis.
 
     Raises
     ------
     AnswerError
-        If it is not what it should be.
+        If it has the wrong kind or shape.
     """
     if inspect.iscoroutine(given):
-        given.close()  # which keeps Python from complaining that nobody waited for it
+        given.close()  # otherwise Python warns that it was never awaited
         raise AnswerError("must return numbers (got a coroutine: the function must not be async)")
     lead = () if n_points is None else (n_points,)
     parts = _parts(given)
@@ -303,7 +303,7 @@ def checked(given: Any, n_parameters: int, n_points: int | None = None) -> list[
 
 
 def _parts(given: Any) -> list[Any]:
-    """Return frequencies, shapes and gradient, None for what is not there."""
+    """Return frequencies, shapes and gradient, None for what is missing."""
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in _PARTS]
         if unknown or "frequencies" not in given:

@@ -1,7 +1,7 @@
 """Classical reductions of one pair of matrices: Guyan and Craig–Bampton.
 
-Both are Ritz approximations K_r = Tᵀ K T, M_r = Tᵀ M T, so that their frequencies lie above the exact ones. They
-belong to one K and M; for a model that is solved at many theta, `fmu.fem.reduced.basis` is smaller and certified.
+Both are Ritz approximations K_r = Tᵀ K T, M_r = Tᵀ M T, so that their frequencies are above the exact ones. They
+are for one K and M; for a model that is solved at many theta, `fmu.fem.reduced.basis` is smaller and certified.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Reduction:
 
 
 def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
-    """Return static condensation onto the masters (Guyan 1965): the slaves follow as in statics.
+    """Return the static condensation onto the masters (Guyan 1965): the slaves follow as in statics.
 
     T = [I; −K_ss⁻¹ K_sm]. Exact at frequency zero; the error grows with ω² over the lowest eigenvalue of the
     structure with its masters held.
@@ -64,7 +64,7 @@ def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
     Raises
     ------
     ValueError
-        If a master does not exist or stands there twice, or the structure can still move with all masters held.
+        If a master does not exist or is given twice, or the structure can still move with all masters held.
     """
     masters = _index("masters", masters, K.shape[0])
     return _ritz(K, M, _constraint_modes(K, masters), masters)
@@ -73,16 +73,16 @@ def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
 def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reduction:
     """Return the Craig–Bampton reduction (Craig & Bampton 1968).
 
-    The interior (all but the boundary) falls apart into substructures that touch one another only through the
-    boundary. The basis holds the constraint modes of every boundary degree of freedom, and of every substructure
-    the lowest `n_modes` modes of finite frequency with the boundary held.
+    The boundary separates the interior (all other degrees of freedom) into substructures. The basis consists of
+    the constraint mode of every boundary degree of freedom and, for every substructure, the lowest `n_modes`
+    modes of finite frequency with the boundary held.
 
     Parameters
     ----------
     K, M : array_like or sparse, shape (n_dof, n_dof)
     boundary : array_like of int
     n_modes : int
-        Fixed-interface modes kept of each substructure (all, where it has fewer); 0 is `guyan`.
+        Fixed-interface modes to keep for each substructure (all if it has fewer); 0 gives `guyan`.
 
     Returns
     -------
@@ -95,9 +95,9 @@ def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reductio
 
     Notes
     -----
-    When parameters only scale the stiffness of whole substructures, constraint modes and fixed-interface modes
-    stay what they are and the basis can be kept; where a substructure's mass changes as well, or its stiffness
-    unevenly, it must not: see `reusable`.
+    If parameters only scale the stiffness of whole substructures, constraint modes and fixed-interface modes do
+    not change and the basis can be reused. If a substructure's mass changes too, or its stiffness unevenly, it
+    cannot: see `reusable`.
     """
     if n_modes < 0:
         raise ValueError(f"n_modes: must not be negative (got {n_modes})")
@@ -124,7 +124,7 @@ def substructures(K: Any, M: Any, boundary: ArrayLike) -> tuple[IntArray, ...]:
 
 
 def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tuple[bool, ...]:
-    """Tell, for each substructure, whether its Craig–Bampton modes at `theta` are its modes at every theta.
+    """Return, for each substructure, whether its Craig–Bampton modes at `theta` are its modes at every theta.
 
     They are if one coefficient scales the stiffness of its interior and of its connection to the boundary, and no
     parameter changes its interior mass.
@@ -147,11 +147,11 @@ _PIVOT = 1e-13
 
 
 class SingularCondensationError(ValueError):
-    """The structure can still move while the masters are held."""
+    """The structure can still move when the masters are held."""
 
 
 class StaticCondensation:
-    """u = T x, the whole structure following its masters as in statics: T = [I; −K_ss⁻¹ K_sm].
+    """The static response u = T x of the whole structure to its masters: T = [I; −K_ss⁻¹ K_sm].
 
     Parameters
     ----------
@@ -170,8 +170,8 @@ class StaticCondensation:
         self.slaves = np.setdiff1d(np.arange(self.n_dof), masters)
         self._coupling = K[self.slaves][:, masters]
         inner = K[self.slaves][:, self.slaves].tocsc()
-        # of unit diagonal, K_ss has a pivot of the order of rounding where the masters do not hold the structure:
-        # 1e-15 whatever the mesh, against 1e-8 for a beam of 4000 elements that they hold
+        # scaled to a unit diagonal, K_ss has a pivot of the order of rounding if the masters do not hold the
+        # structure: 1e-15 for any mesh, against 1e-8 for a beam of 4000 elements that is held
         size = np.sqrt(np.abs(inner.diagonal()))
         self._unit = (1.0 / np.where(size > 0, size, 1.0))[:, None]
         if len(self.slaves):

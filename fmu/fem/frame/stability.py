@@ -1,4 +1,4 @@
-"""Whether a structure holds together: motions without strain, and what mass they move."""
+"""Whether a structure is stable: its motions without strain, and the mass that they move."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.numbers import listed
 from fmu.types import FloatArray
 
-# Motions that agree to this are the same: those of zero energy are known no better where a structure is soft.
+# Motions that agree to this are the same: in a soft structure, motions of zero energy are no more accurate.
 _SAME = 1e-4
 _SHOWN = 4
 
@@ -47,10 +47,10 @@ class FreeMotions:
 
 
 def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
-    """Return the motions without strain at theta (n_parameters,), where the stiffness is as it is meant to be.
+    """Return the motions without strain at theta (n_parameters,), usually the start.
 
-    Block by block, by the eigenvalues of K scaled to a unit diagonal, which makes metres and radians, stiff and
-    soft parts alike.
+    They are found block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and radians,
+    stiff and soft parts count alike.
 
     Raises
     ------
@@ -87,18 +87,18 @@ def require_stable(
     ----------
     model : SeparableModel
     theta : array_like, shape (n_parameters,)
-        As a rule the start.
+        Usually the start.
     free : bool
-        Whether the structure is free on purpose: then its motions as a rigid body (up to six where the geometry is
-        not known) are no mistake, and only others are.
+        Whether the structure is meant to be free: then its rigid-body motions (up to six if the geometry is not
+        known) are allowed.
     label : callable
-        Gives what to call a node.
+        Returns the name of a node.
 
     Raises
     ------
     ValueError
-        Saying how many motions there are and what moves in them, which motion has negative energy, or where there
-        is no mass.
+        With the number of motions and what moves in them, the motion of negative energy, or the place without
+        mass.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)
@@ -124,7 +124,7 @@ def require_stable(
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:
-    """Raise ValueError if a mass is negative, or there is none at all; degrees of freedom may have none."""
+    """Raise ValueError if a mass is negative or all are zero; single degrees of freedom may have no mass."""
     M = sp.csr_array(model.M(theta))
     if not np.all(np.isfinite(M.data)):
         raise ValueError("the mass matrix must be finite")
@@ -137,7 +137,7 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
 
 
 def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:
-    """Return the motions among those without strain, (n_dof, n), that move no mass."""
+    """Return those of the motions without strain, (n_dof, n), that move no mass."""
     if not motions.shape[1]:
         return motions
     _, scale = unit_diagonal(sp.csr_array(model.K(theta)))
@@ -148,7 +148,7 @@ def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) 
 
 
 def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | None:
-    """Return what of a space of motions moves the whole structure as a rigid body.
+    """Return the rigid-body motions in a space of motions.
 
     Parameters
     ----------
@@ -159,8 +159,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     Returns
     -------
     ndarray, shape (6, r), or None
-        Translation, m, and rotation, rad, about the centre of the nodes; None if the model does not know where its
-        nodes are.
+        Translation, m, and rotation, rad, about the centre of the nodes; None if the model has no geometry.
     """
     named = _rigid_rows(model)
     if named is None:
@@ -168,7 +167,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     moved, held = named
     if not shapes.shape[1]:
         return np.zeros((6, 0))
-    # only what moves no held direction
+    # only motions that leave all held directions at rest
     candidates = np.eye(6) if not len(held) else _null_space(held)
     size = _sizes(model)[:, None]
     W = size * (moved @ candidates)
@@ -209,9 +208,9 @@ def what_moves(
     model : SeparableModel
     shapes : ndarray, shape (n_dof, n)
     label : callable
-        Gives what to call a node.
+        Returns the name of a node.
     rigid : ndarray, shape (6, r), optional
-        Motions as a rigid body, to be left out of the space.
+        Rigid-body motions to leave out of the space.
     """
     size = _sizes(model)[:, None]
     Y = np.linalg.qr(size * shapes)[0]
@@ -222,7 +221,7 @@ def what_moves(
         U, _, _ = np.linalg.svd(Y - Q @ (Q.T @ Y), full_matrices=False)
         Y = U[:, : Y.shape[1] - rigid.shape[1]]
     share = np.sum(Y**2, axis=1)
-    share = np.round(share / share.max(), 3)  # what moves alike stays in the order of the model
+    share = np.round(share / share.max(), 3)  # equal motions stay in the order of the model
     order = np.argsort(-share, kind="stable")
     most = [i for i in order[:_SHOWN].tolist() if share[i] > 0.25]
     names = ", ".join(f"{label(model.dofs[i][0])} {model.dofs[i][1]}" for i in most)
@@ -232,8 +231,8 @@ def what_moves(
 def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     """Return the six rigid-body motions at the degrees of freedom (n_dof, 6), and at the directions held (_, 6).
 
-    Rotations are about the centre, in units of the structure's length. A direction in which no node can move at
-    all is none of the model.
+    Rotations are about the centre, in units of the structure's length. Directions in which no node can move are
+    not part of the model.
     """
     if model.geometry is None:
         return None
@@ -260,7 +259,7 @@ def _length(model: SeparableModel) -> float:
 
 
 def _sizes(model: SeparableModel) -> FloatArray:
-    """Return what makes a rotation as large as the translation that it causes far away, shape (n_dof,)."""
+    """Return scales that make a rotation as large as the translation it causes far away, shape (n_dof,)."""
     length = _length(model)
     return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
 

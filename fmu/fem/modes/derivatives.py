@@ -1,18 +1,20 @@
-"""How mode shapes move with the parameters.
+"""Derivatives of mode shapes with respect to the parameters.
 
 For a simple eigenvalue of K φ = λ M φ with φᵀMφ = 1,
 
     (K − λM) ∂φ − ∂λ Mφ = −(∂K − λ ∂M) φ,      φᵀM ∂φ = −½ φᵀ ∂M φ.
 
-Where all modes are at hand (a reduced model) their sum solves it (Fox & Kapoor 1968); where they are not, or where
-some have no finite λ, as M is singular, the two lines together are one regular system for ∂φ and ∂λ, which Nelson
-(1976, *AIAA Journal* 14, 1201–1205)
-arrives at by fixing one component. Shapes of repeated eigenvalues have no derivative: any rotation of them is as
-good. Between eigenvalues closer than `REPEATED` the rotation is left out; near them it is large, as it truly is:
-the closer two modes are, the faster their shapes turn into each other. For two eigenvalues λ that are δλ apart
-the slopes are of the size λ/δλ, and relatively good to rounding times λ_max/δλ, as are the shapes themselves:
-1e-6 for modes 1e-4 apart while the highest eigenvalue is below about 10⁶ of theirs. A basis that is good to a
-relative error in frequency is good in shapes to that error over the gap.
+There are two ways to solve it. Where all modes are known (a reduced model), ∂φ is a sum over them (Fox & Kapoor
+1968, *AIAA Journal* 6, 2426–2429). Otherwise, or where a singular M leaves some modes without a finite λ, both
+lines form one regular system for ∂φ and ∂λ; Nelson (1976, *AIAA Journal* 14, 1201–1205) solves the same
+equations with one component of ∂φ fixed.
+
+Shapes of repeated eigenvalues have no derivative: any rotation among them gives modes too. Between eigenvalues
+closer than `REPEATED` the rotation is left out. Near them it is large, and correctly so: the closer two modes
+are, the faster their shapes turn into each other. For two eigenvalues λ that are δλ apart the slopes are of the
+size λ/δλ, with a relative error of rounding times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4
+apart, if the highest eigenvalue is below about 10⁶ times theirs. A basis with a relative error ε in frequency
+has an error of ε over the gap in shapes.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ import scipy.sparse.linalg as ssl
 from fmu.types import FloatArray
 
 REPEATED = 1e-9
-"""Two eigenvalues are one if they differ by less than this share of the larger."""
+"""Eigenvalues that differ by less than this share of the larger count as repeated."""
 
 
 def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int) -> FloatArray:
@@ -44,12 +46,14 @@ def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArra
     -------
     ndarray, shape (n, r, count, n_parameters)
     """
+    # ∂φ_i = Σ_k w_k φ_k with w_k = φ_kᵀ(∂K − λ_i ∂M)φ_i / (λ_i − λ_k) for k ≠ i, as the modes are M-orthogonal
     own = lam[:, None, :count, None]
     gap = own - lam[:, :, None, None]
     size = np.maximum(np.abs(own), np.abs(lam[:, :, None, None]))
     apart = np.abs(gap) > REPEATED * size
     weight = np.divide(dK - own * dM, gap, out=np.zeros_like(dK), where=np.broadcast_to(apart, dK.shape))
     i = np.arange(count)
+    # and w_i = −½ φ_iᵀ ∂M φ_i, from φᵀMφ = 1 at every theta
     weight[:, i, i] = -0.5 * dM[:, i, i]
     n, r = lam.shape
     return (phi @ weight.reshape(n, r, -1)).reshape(dK.shape)
@@ -71,10 +75,11 @@ def by_bordered_system(
 
     Notes
     -----
-    NaN where the system is singular: the eigenvalue is repeated.
+    NaN where the system is singular, as for a repeated eigenvalue.
     """
+    # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
+    # system regular. It is scaled to the size of K, so that the factorisation sees one scale.
     M_phi = M @ phi
-    # the border in the size of K, so that the factorisation is of one scale
     scale = np.max(np.abs(K.diagonal())) / np.max(np.abs(M_phi))
     border = (scale * M_phi)[:, None]
     load = np.concatenate([lam * dM_phi - dK_phi, -0.5 * scale * (phi @ dM_phi)[None]])
@@ -105,7 +110,7 @@ def by_bordered_matrices(
     Raises
     ------
     LinAlgError
-        Where a system is singular: the eigenvalue is repeated.
+        If a system is singular, as for a repeated eigenvalue.
     """
     n, r = phi.shape
     M_phi = (M @ phi[..., None])[..., 0]

@@ -1,13 +1,14 @@
-"""The lowest modes of K φ = λ M φ, to the digits that K and M have.
+"""The lowest modes of K φ = λ M φ, as accurate as K and M allow.
 
-A dense solver that makes M the unit matrix errs in every λ by rounding of the highest one, 1e-16 λ_max: where
-stiff joints and fine meshes make λ_max 1e16 times as large as λ_1, that is all of λ_1. Here K is made the unit
-matrix, and the largest μ = 1/λ of M φ = μ K φ are found. They err by rounding of μ_1, that of the lowest mode. M
-may be singular: degrees of freedom without mass have μ = 0, and follow as in statics.
+A dense solver that transforms M to the unit matrix has an error of 1e-16 λ_max in every λ. Stiff joints and fine
+meshes can make λ_max 1e16 times as large as λ_1; nothing of λ_1 is left then. Here K is transformed to the unit
+matrix instead, and the largest μ = 1/λ of M φ = μ K φ are found. Their error is 1e-16 μ_1, relative to the lowest
+mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the others as in statics.
 
 A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, by its
-eigenvalues at a unit diagonal. They have λ = 0 exactly. The elastic modes are M-orthogonal to them, so that with
-P = I − N Nᵀ M, a few degrees of freedom f held that make the structure statically determinate, and φ = P [y; 0],
+eigenvalues at a unit diagonal. They have λ = 0 exactly. The elastic modes are M-orthogonal to them. Let
+P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough others are held to make the
+structure statically determinate. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 
@@ -32,18 +33,18 @@ DENSE_LIMIT = 400
 # A smaller eigenvalue of a matrix scaled to a unit diagonal cannot be distinguished from zero. Rounding in
 # assembled beams stays below 1e-15; a cantilever of 1000 elements has 5e-13.
 ZERO = 2e-14
-# Of the same: further below zero is no rounding, not even of matrices exported with ten digits.
+# Of such a matrix: an eigenvalue further below zero is not rounding, even in matrices exported with ten digits.
 NEGATIVE = 1e-8
 _AT_ONCE = 12
-# Modes above this share of the lowest are taken from the Ritz problem of their own space: the inverse problem errs
-# by rounding of the lowest.
+# Modes with λ above this multiple of the lowest are improved by a Ritz problem of their own: the inverse
+# problem has an error relative to the lowest mode.
 _WIDE = 1e4
-# How far above zero an estimate of the lowest eigenvalue has to be to say that none is zero.
+# An estimate of the lowest eigenvalue must exceed `ZERO` by this factor to rule out that one is zero.
 _CAUTION = 10.0
 
 
 class SingularMassError(ValueError):
-    """The eigenproblem has no solution: of the mass or stiffness matrix, or of the solver."""
+    """The eigenproblem has no solution, because of the mass matrix, the stiffness matrix or the solver."""
 
 
 def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
@@ -57,8 +58,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
     count : int
         How many modes.
     finite : int, optional
-        How many modes have a finite frequency, the rank of M, if that is known; to find it out costs a
-        factorisation of M.
+        How many modes have a finite frequency (the rank of M), if known; otherwise M is factorised to find out.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
 def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the modes of a K with unit diagonal; both matrices are dense or both sparse."""
     factor = _safely_factored(S)
-    if factor is None:
+    if factor is None:  # free, nearly free, or negative for some motion: the lowest eigenvalues tell which
         nu, vectors = lowest(S)
         if nu[0] <= -NEGATIVE:
             return _polished(S, M, _highest(_shifted(S, M), M, count))
@@ -113,6 +113,7 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
     n, r = N.shape
     if count <= r:
         return np.zeros(count), N[:, :count]
+    # pivoted QR picks the r degrees of freedom that determine the rigid-body motion best; the others are f
     free = np.sort(sl.qr(N.T, mode="r", pivoting=True)[1][r:])
     MN = M @ N
 
@@ -122,7 +123,7 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
     factor = _Factor(S[free][:, free])
     X = np.zeros((n, count - r))
     if not sp.issparse(M):
-        rest = M - MN @ MN.T
+        rest = M - MN @ MN.T  # Pᵀ M P, since Nᵀ M N = 1
         X[free] = _highest(factor, rest[np.ix_(free, free)], count - r)
     else:
 
@@ -137,7 +138,7 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
 
 
 class _Factor:
-    """The factors of a definite matrix; LinAlgError if it is none."""
+    """The factors of a positive definite matrix; LinAlgError if it is not definite."""
 
     def __init__(self, matrix: Any) -> None:
         self.L: FloatArray | None = None
@@ -147,18 +148,19 @@ class _Factor:
             self.L, self.solve = L, lambda load: sl.lapack.dpotrs(L, load, lower=1)[0]
             return
         factor = symmetric_factor(matrix)
-        if not np.all(factor.U.diagonal() > 0.0):  # by Sylvester's law of inertia
+        # the signs of the pivots are those of the eigenvalues (Sylvester's law of inertia)
+        if not np.all(factor.U.diagonal() > 0.0):
             raise np.linalg.LinAlgError("the matrix is not positive definite")
         self.solve = factor.solve
 
 
 def _safely_factored(S: Any) -> _Factor | None:
-    """Return the factors of S; None if it is not definite, or may not be but for rounding."""
+    """Return the factors of S; None if it is not definite, or only by rounding."""
     try:
         factor = _Factor(S)
     except (np.linalg.LinAlgError, RuntimeError):
         return None
-    # inverse iteration: its estimate of the lowest eigenvalue is not below it
+    # four steps of inverse iteration: the estimate of the lowest eigenvalue is never below it
     x = np.random.default_rng(0).standard_normal(S.shape[0])
     for _ in range(4):
         x = factor.solve(x / np.linalg.norm(x))
@@ -188,22 +190,24 @@ def _highest(factor: _Factor, M: Any, count: int) -> FloatArray:
     """Return the vectors of the highest μ of M x = μ A x for the factors of A, shape (n, count), highest first."""
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
+    # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
     C, failed = sl.lapack.dsygst(M, factor.L, itype=1, lower=1)
     if failed:
         raise np.linalg.LinAlgError(f"dsygst returned {failed}")
     n = len(C)
     _, Y = sl.eigh(C, lower=True, subset_by_index=[n - count, n - 1], driver="evr", check_finite=False)
-    if Y.shape[1] < count:  # what LAPACK does on overflow, without a word
+    if Y.shape[1] < count:  # LAPACK returns fewer on overflow, without an error
         raise np.linalg.LinAlgError(f"{Y.shape[1]} of {count} eigenvalues found")
     X, _ = sl.lapack.dtrtrs(factor.L, Y, lower=1, trans=1)
     return np.asarray(X[:, ::-1])
 
 
 def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Any, count: int) -> FloatArray:
-    """Return the same by Lanczos iterations of A⁻¹ M, started so that a repeated solve repeats its bits."""
+    """Return the same by Lanczos iterations of A⁻¹ M; the fixed start vector makes results repeatable."""
     n = M.shape[0]
     with_mass = np.flatnonzero(M.diagonal() > 0.0)
-    if len(with_mass) <= DENSE_LIMIT:  # Lanczos would run out of vectors: the flexibility where there is mass
+    if len(with_mass) <= DENSE_LIMIT:
+        # Lanczos could run out of vectors: with M = V E Vᵀ solve the dense problem of √E Vᵀ A⁻¹ V √E
         energy, V = np.linalg.eigh(M[with_mass][:, with_mass].toarray())
         loads = np.zeros((n, len(with_mass)))
         loads[with_mass] = V * np.sqrt(np.maximum(energy, 0.0))
@@ -213,7 +217,7 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Any, count: in
     inverse = ssl.LinearOperator((n, n), matvec=solve, dtype=float)
     start = solve(M @ np.random.default_rng(0).standard_normal(n))
     mu, X = ssl.eigsh(M, count, M, sigma=0.0, OPinv=inverse, v0=start, tol=1e-12)
-    # where M is singular, Lanczos leaves in its vectors what M does not see: one more iteration takes it out
+    # where M is singular, Lanczos vectors may contain motions without mass: one more iteration removes them
     return np.stack([solve(M @ X[:, k]) for k in np.argsort(mu)], axis=1)
 
 
@@ -222,10 +226,10 @@ def _polished(
 ) -> tuple[FloatArray, FloatArray]:
     """Return Rayleigh's quotients and mass-normalised vectors of a space, given lowest mode first.
 
-    Rayleigh's quotient is good to the square of a vector's error. High modes that the lowest ones left inaccurate
-    are the Ritz vectors of their own space.
+    The error of Rayleigh's quotient is the square of the vector's. High modes, which the inverse problem gives
+    less accurately, are replaced by the Ritz vectors of the space that they span.
     """
-    for _ in range(2):
+    for _ in range(2):  # Cholesky–QR in the inner product of M, twice against rounding
         X = elastic(X)
         X = X / np.sqrt(np.sum(X * (M @ X), axis=0))
         X = np.linalg.solve(np.linalg.cholesky(X.T @ (M @ X)), X.T).T
@@ -276,12 +280,12 @@ def scaled(matrix: Any, scale: FloatArray) -> Any:
 
 
 def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues near and below zero of a matrix from `unit_diagonal`, and at least one more.
+    """Return all eigenvalues near and below zero of a matrix from `unit_diagonal`, and at least one above.
 
     Returns
     -------
     eigenvalues : ndarray, shape (m,)
-        Of a large matrix with eigenvalues below −`NEGATIVE`, only one of those.
+        For a large matrix with eigenvalues below −`NEGATIVE`, only one of those.
     vectors : ndarray, shape (n, m), orthonormal
     """
     n = S.shape[0]
@@ -293,7 +297,7 @@ def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
             lam, vectors = sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False)
         return lam, vectors
     unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
-    # pivots tell the signs (Sylvester); Lanczos would not see what lies far below zero
+    # the pivots tell whether an eigenvalue lies below the shift (Sylvester); Lanczos might miss one far below zero
     while np.any((factor := symmetric_factor(S + shift * unit)).U.diagonal() <= 0.0):
         shift *= 10.0
     if shift > NEGATIVE:
@@ -337,7 +341,7 @@ def _is_definite(S: Any) -> bool:
         pivots = symmetric_factor(S).U.diagonal() if sp.issparse(S) else np.diag(np.linalg.cholesky(S)) ** 2
     except (np.linalg.LinAlgError, RuntimeError):
         return False
-    # consistent masses have pivots of at least 1e-3; where one is smaller, its eigenvalues decide
+    # consistent mass matrices have pivots of at least 1e-3; if one is smaller, the eigenvalues decide
     return bool(np.min(pivots) > 1e-6)
 
 

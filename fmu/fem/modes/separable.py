@@ -69,9 +69,9 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
 
 
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j]; whole powers by multiplication, so that a batch changes no bit.
+    """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite where a power does not exist or overflows.
 
-    Not finite, but never an exception, where a power does not exist or overflows.
+    Whole powers are products, so that a result does not depend on the rest of the batch.
     """
     value = np.ones(len(theta))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -104,7 +104,7 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
-    """Return the sparse Σ weights[k] · K_k, with entries that are not finite where it overflows."""
+    """Return the sparse sum Σ weights[k] · K_k; its entries are not finite on overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -113,9 +113,9 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
 
 
 class WeightedSum:
-    """Σ_k w_k K_k of the matrices of `terms` for many weights, the entries that are not zero found once.
+    """The sum Σ_k w_k K_k of the matrices of `terms` for many weights; its sparsity pattern is found once.
 
-    To add sparse arrays takes longer than to solve a small structure.
+    Adding sparse arrays takes longer than solving a small structure.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class WeightedSum:
         ]
 
     def __call__(self, weights: FloatArray) -> Any:
-        """Return the sum for weights of shape (n_terms,), with entries that are not finite where it overflows."""
+        """Return the sum for weights of shape (n_terms,); its entries are not finite on overflow."""
         data = np.zeros(len(self._indices))
         with np.errstate(over="ignore", invalid="ignore"):
             for weight, (where, values) in zip(weights, self._parts, strict=True):
@@ -155,7 +155,7 @@ class WeightedSum:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Where a structure is, for drawings; the mechanics are in the matrices.
+    """Coordinates and elements of a structure, for drawings; the mechanics are in the matrices.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class RigidArm:
-    """A place rigidly joined to a node: a sensor on the skin of a beam, the centre of a mass.
+    """A place rigidly connected to a node, such as a sensor on the skin of a beam or the centre of a mass.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class RigidArm:
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
-        """Return how a motion of the place depends on those of its node, to first order: u + θ × r."""
+        """Return a motion of the place as weights of its node's motions, to first order: u + θ × r."""
         x, y, z = self.offset
         return {direction: 1.0} | {
             "x": {"ry": z, "rz": -y},
@@ -208,19 +208,19 @@ class SeparableModel:
     K_terms, M_terms : sequence of Term
         Stiffness (N/m, N·m/rad, …) and mass terms on the same free degrees of freedom.
     dofs : sequence of tuple (node, direction), optional
-        Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. Without names every
-        one counts as a translation of its own node.
+        Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. Without names each
+        one is the translation x of its own node.
     geometry : Geometry, optional
         For drawings of the structure and its mode shapes.
     arms : mapping of hashable to RigidArm, optional
         Places beside the nodes at which sensors may sit, by name.
     ties : mapping of tuple to tuple, optional
-        Further names (node, direction) of degrees of freedom: of what moves as one of `dofs`.
+        Further names (node, direction) of degrees of freedom: those tied to one of `dofs`.
 
     Attributes
     ----------
     names : tuple of str or None
-        The parameters, where they were named; see `from_terms`.
+        The parameters, if they were named; see `from_terms`.
 
     Raises
     ------
@@ -267,7 +267,7 @@ class SeparableModel:
         Parameters
         ----------
         parameters : sequence of str
-            In the order of theta; an `UpdatingProblem` of the model wants the same.
+            In the order of theta; the parameters of an `UpdatingProblem` must have the same names.
         stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
             A matrix alone is constant; with a name it is multiplied by that parameter; with powers by name, by
             their product.
@@ -351,13 +351,13 @@ class SeparableModel:
             ) from None
 
     def observation(self, sensors: Sequence[tuple[Any, str]]) -> Any:
-        """Return what sensors see of a motion of the degrees of freedom.
+        """Return the matrix that maps a motion of the degrees of freedom to the sensor readings.
 
         Parameters
         ----------
         sensors : sequence of (place, direction)
-            A place is a node or one of `arms`. A direction is that of a degree of freedom, with a minus before it
-            if the sensor counts the other way: ``"z"``, ``"-z"``.
+            A place is a node or one of `arms`. A direction is that of a degree of freedom, with a leading minus
+            sign for a sensor of reversed polarity: ``"z"``, ``"-z"``.
 
         Returns
         -------

@@ -1,6 +1,6 @@
-"""Why a model gave no frequencies at a parameter vector, in words of structural dynamics.
+"""Why a model gave no frequencies at a parameter vector, in terms of structural dynamics.
 
-Solvers say NaN and go on, and spend no time on reasons: a theta that failed is looked at again, alone.
+Solvers return NaN on failure and spend no time on the reason. A theta that failed is solved again here, alone.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ NOT_FINITE = "frequencies are not finite"
 
 
 def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
-    """Say why a paired model has no finite frequencies at a theta; None where it has them.
+    """Return why a paired model has no finite frequencies at a theta; None if it has them.
 
     Parameters
     ----------
     model : ModalModel
-        A function of the user's own is not called again: it may be slow, or fail another way.
+        A user's function is not called again: it may be slow, or fail in another way.
     theta : ndarray, shape (n_parameters,)
-        Where it failed a moment ago.
+        Where it has just failed.
     """
     if model.black_box is not None:
         return model.black_box.reason_at(theta)
@@ -46,7 +46,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Look at the full model: a reduced one that fails leaves the theta to it."""
+    """Return what is wrong with the full model, which answers where a reduced one fails."""
     structure = model.structure
     for b, count in model.rule.counts(model.full).items():
         block: Any = model.full.blocks[b]
@@ -58,7 +58,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return what is wrong with a block, and at which degree of freedom if it is at one."""
+    """Return what is wrong with a block, and the degree of freedom concerned if there is one."""
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):
@@ -78,7 +78,7 @@ def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int
         ), None
     if not np.all(np.isfinite(lam)):
         return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
-    # beside the largest of those solved for, as in frequency_hz
+    # relative to the largest of those solved for, as in frequency_hz
     if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
         return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
     return None

@@ -25,7 +25,7 @@ class PairedBlackBox(ModalModel):
     ----------
     black_box : BlackBoxModel
     answer : Answer
-        What the function gives at the start: it tells what the function can give.
+        What the function returns at the start: it shows what the function can give.
     pairing : {"shape", "index"}
         ``"shape"``: by MAC, one to one, where shapes are measured and the function gives them; otherwise, and with
         ``"index"``, by number.
@@ -110,8 +110,8 @@ class PairedBlackBox(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
 
-        The function's own gradient, or central differences: the perturbations of eq. (15) of the paper, of the
-        frequencies themselves. At a bound, or where the function fails on one side, they are one-sided.
+        The function's own gradient, or central differences of the frequencies with the perturbations of eq. (15)
+        of the paper. At a bound, or where the function fails on one side, they are one-sided.
         """
         frequencies, gradient, _ = self._paired(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -124,7 +124,7 @@ class PairedBlackBox(ModalModel):
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.
 
-        Those of shapes are central differences, as are those of frequencies that the function does not give.
+        Slopes of shapes are central differences, and so are those of frequencies without a gradient.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class PairedBlackBox(ModalModel):
 
         def nearby(points: FloatArray, of: IntArray) -> FloatArray:
             f, _, s = self._paired(points)
-            # shapes have either sign: that of the point between
+            # shapes have either sign: take that of the central point
             s = s * np.where(np.sum(s * shapes[of], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
             return np.concatenate([f[:, None], s], axis=1).reshape(len(points), -1)
 
@@ -158,7 +158,7 @@ class PairedBlackBox(ModalModel):
     def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none.
 
-        Where it answered before, it is not called again.
+        The function is not called again where it has answered before.
         """
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         rows = np.full((n, m * (1 + p + s)), np.nan)
@@ -177,7 +177,7 @@ class PairedBlackBox(ModalModel):
         return f, df.reshape(n, m, p), phi.reshape(n, s, m)
 
     def _take(self, theta: FloatArray, answer: Answer, row: FloatArray) -> None:
-        """Put an answer at one theta into a row, and into the memory; leave it if no mode answers."""
+        """Write an answer at one theta into a row and into the memory; nothing if a mode is missing."""
         try:
             columns = self._columns(answer)
         except AnswerError as error:
@@ -192,7 +192,7 @@ class PairedBlackBox(ModalModel):
         self._memory.keep(theta, row.copy())
 
     def _columns(self, answer: Answer) -> IntArray:
-        """Return which of the modes given answers to each measured one; AnswerError if one of them is no mode."""
+        """Return the column of the mode that answers to each measured one; AnswerError if one is missing."""
         given = len(answer.frequencies)
         if self.reference is None:
             if max(self.numbers) > given:

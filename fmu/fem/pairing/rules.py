@@ -259,7 +259,7 @@ class _ShapeSolve:
             values[b], shapes[b] = self.model.blocks[b].modes(theta, self.pairing.n_candidates(self.model, b))
         block, rank, column = self.pairing.assigned(self.observed, shapes)
         merged = np.concatenate(list(values.values()), axis=1)
-        # a block that failed must not leave its references to the others
+        # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
         lam = np.take_along_axis(merged, column, axis=1)
         if not gradient:
@@ -291,17 +291,17 @@ def reference_modes(
 ) -> ShapePairing:
     """Return the pairing with elastic modes of a reference model that the sensors can see.
 
-    Where no shapes were measured, a mode that moves none of the sensors cannot have been measured either;
-    of the others the lowest `n_modes` are taken, in ascending order, or the `counterparts`.
+    Without measured shapes, a mode that moves none of the sensors cannot have been measured. The lowest `n_modes`
+    of the others are taken, in ascending order, or the `counterparts`.
 
     Parameters
     ----------
     model : BlockModel
         Unreduced.
     theta : ndarray, shape (n_parameters,)
-        The reference: as a rule the model before updating.
+        The reference: usually the model before updating.
     sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
-        What the sensors see, and the coordinates at which the shapes will be compared.
+        The sensors, and the coordinates at which the shapes will be compared.
     n_modes : int
         How many modes were measured.
     counterparts : tuple of int, optional
@@ -347,8 +347,8 @@ def assign(mac: FloatArray) -> IntArray:
 
     Notes
     -----
-    Where every reference has its own best candidate, that is the optimum; the assignment solver is called only
-    for the rows in conflict.
+    If every reference has a best candidate of its own, these are the optimum. The assignment solver is called only
+    for rows where two references share one.
     """
     best = np.argmax(mac, axis=2)
     ordered = np.sort(best, axis=1)
@@ -363,12 +363,12 @@ def assign(mac: FloatArray) -> IntArray:
 def _visible_modes(
     model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, count: int
 ) -> tuple[FloatArray, IntArray]:
-    """Return shapes (n, q) at `rows` and ranks (n,) in their blocks, of the elastic modes that the sensors see."""
+    """Return shapes (n, q) at `rows` and ranks (n,) in their blocks of the elastic modes that the sensors see."""
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
     shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
     compared, seen = shapes @ rows.T, shapes @ sensors.T
-    # mass-normalised shapes are of one size: a mode that moves little beside all others moves by rounding
+    # mass-normalised shapes have similar sizes: one that is tiny at the sensors moves there by rounding alone
     elastic = ~is_rigid(spectrum.eigenvalues[0])
     visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
     return compared[elastic & visible], spectrum.rank[0][elastic & visible]

@@ -1,4 +1,4 @@
-"""The parametric reduced basis: one fixed basis that serves every theta of a box.
+"""The parametric reduced basis: one fixed basis for every theta of a box.
 
 K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta of a box lie close to a space of
 few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition in the inner product
@@ -25,11 +25,12 @@ from fmu.fem.modes.modal import Block, CoefficientMap, Mapped
 from fmu.fem.modes.separable import Term
 from fmu.types import FloatArray
 
-# A term that touches few of more degrees of freedom than this is projected by its own rows alone.
+# In a block of more degrees of freedom than the first, a term with less than this share of non-empty rows is
+# projected by those rows alone.
 _LARGE, _FEW = 2000, 0.125
 # From this size on, the few lowest modes of a reduced matrix are cheaper than all of them.
 _PARTIAL = 128
-# Of the highest ν: what is smaller belongs to no mode of finite frequency.
+# An eigenvalue ν below this share of the highest belongs to no mode of finite frequency.
 _FINITE = 1e-14
 
 
@@ -56,7 +57,7 @@ class ReducedBlock(Block):
     definite for a free structure too.
 
     Every step is done theta by theta inside NumPy's loops, elementwise or in one small LAPACK or BLAS call a
-    theta, so that a result does not depend, in any bit, on what else is in the batch.
+    theta, so that no bit of a result depends on the rest of the batch.
     """
 
     is_reduced = True
@@ -71,7 +72,7 @@ class ReducedBlock(Block):
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is another view of the same numbers."""
+        """Leave out views of the same numbers."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -195,7 +196,7 @@ def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
 
 
 def _projected(matrix: Any, basis: FloatArray) -> FloatArray:
-    """Return Vᵀ K V; of a large K by the rows that are not empty, where they are few."""
+    """Return Vᵀ K V; for a large K with few non-empty rows by these alone."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
         return np.asarray(basis.T @ (matrix @ basis))
@@ -204,7 +205,7 @@ def _projected(matrix: Any, basis: FloatArray) -> FloatArray:
 
 def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     """Return Σ_k weights[:, k] · matrices[k], shape (n, r, r)."""
-    # einsum without `optimize` adds term by term: a batch changes no bit
+    # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
     return np.einsum("nk,kij->nij", weights, matrices)
 
 
@@ -216,6 +217,7 @@ def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _inverted(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return λ (n, r) and M-normalised shapes (n, r, r), where M may be singular; NaN beyond its rank."""
+    # K + s M is definite for a free structure too, and s of the size of λ keeps the digits of both matrices
     shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])
     C, inverse = _whitened(M, K + shift[:, None, None] * M)
     nu, y = np.linalg.eigh(C)
@@ -241,7 +243,7 @@ def _values(A: FloatArray) -> tuple[FloatArray]:
 
 
 def _row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
-    """Apply a batched solver; where one matrix makes it fail, the others must not suffer: those rows give NaN."""
+    """Apply a batched solver; if it fails, solve one matrix at a time, with NaN for those that fail."""
     try:
         return tuple(solve(*matrices))
     except np.linalg.LinAlgError:

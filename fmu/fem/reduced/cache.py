@@ -1,8 +1,8 @@
 """Trained reduced bases on disk, under a hash of what they were trained for.
 
-A file that is missing, torn, tampered with or of another version is as good as none: the basis is trained again.
-The cache lies in the user's cache directory, or where the environment variable ``FMU_CACHE_DIR`` says; if that
-variable is empty, nothing is cached.
+If a file is missing, damaged or of another version, the basis is trained again. The cache is in the user's cache
+directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``; if that variable is empty,
+nothing is cached.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def load_basis(key: Any) -> dict[str, FloatArray] | None:
 
 
 def store_basis(key: Any, state: dict[str, FloatArray]) -> None:
-    """Store `state` for `key`, atomically; a cache that cannot be written is passed over."""
+    """Store `state` for `key`, atomically; nothing happens if the cache cannot be written."""
     path = _path(key)
     if path is None:
         return

@@ -20,25 +20,26 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.progress.phases import phase, solved
 from fmu.types import FloatArray, IntArray
 
-# Directions of the snapshots weaker than this, relative to the strongest, are rounding: the Gram matrix squares.
+# Directions with less energy than this share of the strongest are rounding: the Gram matrix squares the shapes.
 _SNAPSHOT_RANK = 1e-14
-# More shapes than this, of more degrees of freedom than that, are compressed by and by.
+# More shapes than the first, of more degrees of freedom than the second, are compressed in batches.
 MANY_SHAPES, LARGE = 4096, 2000
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
 EXACT_LIMIT = 20
-# The lowest over the highest λ of a basis that is kept whole: a solver then leaves nine digits.
+# The lowest λ of a basis that is kept whole is at least this share of the highest: a solver then keeps nine
+# digits.
 _HIGHEST = 1e-7
 _ROUNDS = 12
-# From this round on a basis is made twice as good at the points it knows: with many parameters fresh ones always
-# lie a little further out, and the same miss would repeat itself round after round.
+# From this round on the tolerance at the known points is halved: with many parameters, fresh points always lie a
+# little further out, and the same small miss would recur in every round.
 _CAREFUL_ROUND = 3
 _MOST_VECTORS = 1000
-# Points that make a task: few enough to keep many workers busy, whose number must not matter.
+# Points per task: few enough to keep many workers busy. Results must not depend on the number of workers.
 _CHUNK = 4
 
 
 def affordable(n_dof: int) -> int:
-    """Return how many vectors the basis of a block of `n_dof` degrees of freedom may have and still pay.
+    """Return the largest useful number of basis vectors for a block of `n_dof` degrees of freedom.
 
     A reduced solve takes about 60 ns · r², more from r = 1000 on, and a sparse full one about 30 µs a degree of
     freedom (results/scale.md): at 12 √n the first is a third of the second. Dense blocks, up to
@@ -77,7 +78,10 @@ class Snapshots:
         return np.concatenate([np.max(part.frequency_error(block), axis=1) for part in self.parts(AT_ONCE)])
 
     def frequency_error(self, block: ReducedBlock) -> FloatArray:
-        """Return |f_reduced − f| / f, shape (n, m); for a rigid-body mode 0 or infinity: is it one there too."""
+        """Return |f_reduced − f| / f, shape (n, m).
+
+        For a rigid-body mode 0 if it is one in the reduced model too, else infinity.
+        """
         exact, reduced = self.eigenvalues, block.eigenvalues(self.theta, self.eigenvalues.shape[1])
         top = exact[:, -1:]
         rigid = is_rigid(exact)
@@ -88,7 +92,7 @@ class Snapshots:
 
 @dataclass(frozen=True)
 class Trained:
-    """A reduced model with the pairing to use on it and the box it is good for.
+    """A reduced model, the pairing to use with it, and the box that it was trained for.
 
     Attributes
     ----------
@@ -121,7 +125,7 @@ class Training:
     n_sobol : int
         Points of the Sobol sequence, beside corners and faces; fresh sets are half as large.
     engine : Engine, optional
-        Solves the full model at several points at once. What comes out does not depend on it.
+        Solves the full model at several points at once. The result does not depend on it.
     """
 
     def __init__(
@@ -148,9 +152,9 @@ class Training:
     def run(self) -> Trained:
         """Train until a fresh set of points, corners and faces among them, is within the tolerance.
 
-        The points that turned out badly join the snapshots before the next round, and the others with them while
-        they are few. It ends without success after the last round, or where the basis would be larger than
-        `affordable`: then it is cut there.
+        Fresh points outside the tolerance join the snapshots before the next round; so do the others while the
+        snapshots are few. Training ends without success after the last round, or when the basis would be larger
+        than `affordable`; it is then cut to that size.
         """
         self.snapshots = self._solved(box_points(self.lower, self.upper, self.n_sobol, seed=0))
         self.confirmed = False
@@ -167,7 +171,7 @@ class Training:
         return self._trained()
 
     def refined(self, theta: FloatArray) -> Trained:
-        """Train on, with more points (n, n_parameters) and a tolerance three times as tight."""
+        """Continue with more points (n, n_parameters) and a third of the tolerance."""
         self._add(self._solved(theta))
         self.tolerance /= 3.0
         self._compress()
@@ -219,13 +223,13 @@ class Training:
         return self.rule.needed(self.full, eigenvalues, {b: s.shapes for b, s in snapshots.items()})
 
     def _compress(self, share: float = 1.0) -> None:
-        """Make the basis as small as the `share` of the tolerance allows at the points that are known."""
+        """Find the smallest basis with errors within `share` of the tolerance at all known points."""
         self.fixed, self.n_trained = self._needed(self.snapshots)
         tolerance = share * self.tolerance
         self.basis = {b: self._compressed(b, needed, tolerance) for b, needed in self.n_trained.items()}
 
     def is_cut(self) -> bool:
-        """Say whether a basis has as many vectors as pay: then more points cannot make it better."""
+        """Say whether a basis has reached its largest useful size: more points cannot improve it."""
         return any(len(v) > DENSE_LIMIT and v.shape[1] >= affordable(len(v)) for v in self.basis.values())
 
     def _compressed(self, b: int, needed: int, tolerance: float) -> FloatArray:
@@ -233,7 +237,7 @@ class Training:
         centre = 0.5 * (self.lower + self.upper)
         if block.n_modes == block.size <= EXACT_LIMIT:
             lam, shapes = block.modes(centre[None], block.size)
-            # with modes so high the reduced solver would leave the low ones few digits
+            # all modes of the block, unless the highest are so high that the low ones would lose their digits
             if not lam[0, -1] * _HIGHEST > lam[0, lam[0] > 0.0].min(initial=np.inf):
                 return shapes[0]
         wanted = self.snapshots[b].lowest(needed)
@@ -320,16 +324,16 @@ def proper_orthogonal_basis(block: FullBlock, snapshots: Snapshots, centre: Floa
 
     Notes
     -----
-    Each shape is weighted by 1/ω. What a truncated basis leaves out is made of high modes, of some frequency Ω,
-    and raises an eigenvalue by Ω²‖e‖²/ω² of itself: with the weight an error of the same size counts the same in
-    every relative frequency.
+    Each shape is weighted by 1/ω. The error e of a truncated basis consists of high modes, of some frequency Ω,
+    and raises an eigenvalue by the relative amount Ω²‖e‖²/ω². With the weight, errors of the same size have the
+    same effect on every relative frequency.
     """
     M = weighted_sum(block.M_terms, coefficients(block.M_terms, centre[None])[0])
     lam = snapshots.eigenvalues
     if block.n_modes < block.size:
         M = M + weighted_sum(block.K_terms, coefficients(block.K_terms, centre[None])[0]) / np.max(lam)
     floor = 1e-6 * lam[:, -1:]
-    # without any stiffness every vector is a mode, and none worth a place
+    # without any stiffness every vector is a mode, and none is worth a place in the basis
     weight = np.divide(1.0, np.sqrt(np.maximum(lam, floor)), out=np.zeros_like(lam), where=floor > 0.0)
     many = lam.size > MANY_SHAPES and block.size > LARGE
     X = _merged(M, snapshots.shapes, weight) if many else _columns(snapshots.shapes, weight)
@@ -356,10 +360,10 @@ def _columns(shapes: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _merged(M: Any, shapes: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return fewer columns with the same POD, but for what is weaker than `_SNAPSHOT_RANK`.
+    """Return fewer columns with the same POD, up to directions weaker than `_SNAPSHOT_RANK`.
 
-    A part of the shapes at a time, with the scaled directions of those before it (Himpel, Leibner & Rave 2018,
-    *Hierarchical approximate proper orthogonal decomposition*, SIAM J. Sci. Comput. 40, A3267).
+    Each batch of shapes is compressed together with the scaled directions of those before it (Himpel, Leibner &
+    Rave 2018, *Hierarchical approximate proper orthogonal decomposition*, SIAM J. Sci. Comput. 40, A3267).
     """
     at_once = max(1, MANY_SHAPES // (2 * shapes.shape[2]))
     X = np.empty((shapes.shape[1], 0))
