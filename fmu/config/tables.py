@@ -12,6 +12,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
 from pydantic import (
@@ -113,6 +114,7 @@ class TomlTable(BaseModel):
 class Declared(TomlTable):
     """A table whose keys are the arguments of a constructor, or of one of several; see `declared`."""
 
+    model_config = ConfigDict(use_attribute_docstrings=False)  # there is no source to look for them
     makes: ClassVar[tuple[Maker, ...]] = ()
     tag: ClassVar[str] = ""
     is_complete: ClassVar[bool] = True
@@ -261,11 +263,13 @@ def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Tab
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
+@cache
 def required(make: Maker) -> set[str]:
     """Return the names of the arguments that a constructor cannot do without."""
     return {key for key, (_, default) in arguments(make).items() if default is inspect.Parameter.empty}
 
 
+@cache
 def arguments(make: Maker) -> dict[str, tuple[Any, Any]]:
     """Return annotation and default of each argument."""
     function: Any = make.__init__ if inspect.isclass(make) else make
