@@ -44,22 +44,10 @@ def loading(monkeypatch, problem, load=KeptProblem.load):
     monkeypatch.setattr(KeptProblem, "load", replaced)
 
 
-FOUND = {}
-
-
-def commands_in(folder, patch, problem, search=fmu.analysis.maxima.search.find_map):
-    """Return what runs a command there; the built-in problem is loaded once, and searched once for its maxima."""
-
-    def remembered(searched, starts=None, seed=1):
-        if searched is not problem:
-            return search(searched, starts, seed)
-        if (starts, seed) not in FOUND:
-            FOUND[starts, seed] = search(problem, starts, seed)
-        return FOUND[starts, seed]
-
+def commands_in(folder, patch, problem):
+    """Return what runs a command there; the built-in problem is loaded once for all tests."""
     patch.chdir(folder)
     loading(patch, problem)
-    patch.setattr(fmu.analysis.maxima.search, "find_map", remembered)
     patch.setattr("fmu.analysis.estimate.estimates", lambda *_: [])  # told only where a machine is slow
     return lambda *args: CliRunner().invoke(cli.main, list(map(str, args)), prog_name="fmu")
 

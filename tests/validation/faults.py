@@ -348,8 +348,8 @@ IN_THE_VERDICT = (
     Fault(
         "E-BFMI: upside down",
         "fmu/analysis/convergence/effective.py",
-        "return np.sum(np.diff(energy, axis=1) ** 2, axis=1) / spread",
-        "return spread / np.sum(np.diff(energy, axis=1) ** 2, axis=1)",
+        'return np.asarray(_arviz("bfmi", energy))',
+        'return 1.0 / np.asarray(_arviz("bfmi", energy))',
         ("tests/analysis/test_movement.py", *DIAGNOSTICS),
     ),
 )

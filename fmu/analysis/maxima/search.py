@@ -50,9 +50,9 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     ----------
     problem : UpdatingProblem
     starts : int, optional
-            Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer are faster but may miss a
+        Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer are faster but may miss a
         maximum. 256 by default, or 16 if the model has no derivatives.
-        seed : int
+    seed : int
         Of the starts, and of the importance sampling.
 
     Returns
