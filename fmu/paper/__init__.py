@@ -1,4 +1,7 @@
-"""The paper repeated: both experiments, every sampler, tables and figures beside the published ones."""
+"""The paper repeated: both experiments, every sampler, tables and figures beside the published ones.
+
+Reading order: published, plan, experiment, convergence, findings, page, summary, errata, vector_beta, run.
+"""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
     ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
     ``needed_solves``: model solves, warm-up counted, after which the long run passed for converged at every length
-    looked at, missing if it never did; ``paper_solves``: what the paper's protocol took; ``paper_needed_solves``:
+    examined, missing if it never did; ``paper_solves``: what the paper's protocol took; ``paper_needed_solves``:
     what the paper's settings would take, at the pace they have in the posterior, for the effective sample size
     that the verdict asks for, missing where no run tells where the posterior is; ``paper_error``: how far
     its means lie from the reference (the largest over the parameters, in posterior sd); ``published_error``:

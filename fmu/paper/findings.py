@@ -46,7 +46,7 @@ class Findings:
         Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), and beside
         them the physical ``modes`` paired there.
     reasons, warnings : mapping of str to tuple of str
-        By sampler, why the long run has not converged, and what speaks against the model.
+        By sampler, why the long run has not converged, and the warnings about the model.
     places : mapping of str to mapping of str to float
         Share of each long run's draws at which each combination of physical modes is paired.
     agreement : tuple

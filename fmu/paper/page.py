@@ -37,7 +37,7 @@ def experiment_page(findings: Findings) -> str:
 def _how_to_read(findings: Findings) -> str:
     tables = f"Tables {findings.published.parameter_table} and {findings.published.frequency_table}"
     by_shape = (
-        " The paper pairs by number; recomputed with shapes, its fourth frequency is another one."
+        " The paper pairs by number; paired by shape, its fourth frequency is that of another mode."
         if findings.pairing == "shape"
         else ""
     )
@@ -135,8 +135,8 @@ def _long(findings: Findings, sampler: str) -> str:
 
 
 WOULD_NEED = (
-    "*Would need*: solves that the paper's settings take for an effective sample size of 400, at the pace of "
-    "chains that start in the posterior, a rough estimate where they mix slowly; the way there is not in it."
+    "*Would need*: a rough estimate of the solves that the paper's settings take to an effective sample size of "
+    "400, from chains that start in the posterior."
 )
 _REACHED = ("sampler", "converged", "R-hat", "bulk ESS", "tail ESS", "mcse/sd", "moved", "divergences")
 _COST = (
@@ -171,13 +171,13 @@ def reached_and_cost(findings: Findings) -> str:
         if reasons
     ]
     return (
-        "The long runs; of every statistic the worst parameter's.\n\n"
+        "The long runs. Each statistic is that of the worst parameter.\n\n"
         + markdown_table(_REACHED, reached, words=(0, 1))
         + ("\n" if failed else "")
         + "".join(failed)
-        + "\nWhat they cost, all chains and the warm-up counted, and the paper's protocol beside them. An "
-        "exact gradient is one solve. *To converge*: after how many solves the long run passed for converged, "
-        f"and did at every greater length looked at; {MISSING} if it never did, and an ESS then means nothing. "
+        + "\nCost of the long runs, all chains and the warm-up included, beside that of the paper's protocol. An "
+        "exact gradient counts as one solve. *To converge*: number of solves from which on the long run passes "
+        f"for converged at every length examined; {MISSING} if it never does, and its ESS is then meaningless. "
         f"{WOULD_NEED} *Off*: distance of the worst parameter's mean from the reference, in posterior standard "
         f"deviations. Reference: {findings.origin}.\n\n" + markdown_table(_COST, cost)
     )
@@ -213,14 +213,14 @@ def maxima(findings: Findings) -> str:
         "At each maximum, and in brackets mean and sd of the part of the posterior around it (importance "
         "sampling, no chain). *Lower*: in log-probability than number 1.\n\n"
         + markdown_table(
-            [*header, "lower", "share of the probability", "modes paired", "climbs"], rows, words=(0, -2)
+            [*header, "lower", "share of the probability", "modes paired", "starts"], rows, words=(0, -2)
         )
     )
     if len(findings.separate_maxima) > 1:
         text += f"\n{SEPARATED}"
         if findings.never_visited:
             text += f"Never near number 1: {', '.join(TITLES[s] for s in findings.never_visited)}. "
-        text += "A test that looks at chains alone cannot see a mode that no chain has visited.\n"
+        text += "A test of the chains alone cannot show a mode that no chain has visited.\n"
     return text
 
 
@@ -229,8 +229,8 @@ def fit(findings: Findings) -> str:
     for name in ("hmc", "emcee", "mh", "slice"):
         if findings.is_converged(name):
             listed = "".join(f"- {warning}.\n" for warning in findings.warnings[name])
-            return listed or "Nothing speaks against it.\n"
-    return "No converged run to tell from.\n"
+            return listed or "No warnings.\n"
+    return "No run has converged.\n"
 
 
 def places(findings: Findings) -> str:
@@ -242,7 +242,7 @@ def places(findings: Findings) -> str:
         for name, parts in findings.places.items()
     ]
     return (
-        "\nWhich modes are compared with the measured ones, along the long runs (W: weak plane, S: strong "
+        "\nComputed modes paired with the measured ones in the long runs (W: weak plane, S: strong "
         "plane, "
         "T: torsion, A: axial):\n\n" + markdown_table(("sampler", "share of the draws"), rows, words=(0, 1))
     )
@@ -267,8 +267,8 @@ def settings(findings: Findings) -> str:
             )
         )
     return (
-        "Steps are chains (ensembles) × (warm-up + kept). Settings are in scaled units (the bounds at 0 and "
-        "1); those that are null were learnt in warm-up. Frequency and log-probability: the largest error of "
+        "Steps are chains (ensembles) × (warm-up + draws). Settings are in scaled units (the bounds at 0 and "
+        "1); null settings were tuned in warm-up. Frequency and log-probability: the largest error of "
         "the reduced model, relative and absolute, against the full one at draws of the run; far below the "
         "maximum, where the paper's protocol starts, only the frequency matters.\n\n"
         + markdown_table(

@@ -26,7 +26,7 @@ N_SAMPLES = 1000
 
 @dataclass(frozen=True)
 class Printed:
-    """A number as it stands on the page: ``digits × 10**exponent``.
+    """A number as printed: ``digits × 10**exponent``.
 
     Attributes
     ----------

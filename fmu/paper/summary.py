@@ -13,9 +13,9 @@ from fmu.report.plots import TITLES
 from fmu.tables import markdown_table
 
 FILES = {
-    "errata.md": "what in the paper is not so, from its tables and the model",
+    "errata.md": "errors in the paper, found from its tables and the model",
     "recomputed.md, recomputed.csv": "the forty published frequencies, recomputed",
-    "vector-beta.md, .csv, .png": "β as a vector, which the paper proposes and does not try",
+    "vector-beta.md, .csv, .png": "β as a vector, which the paper proposes but does not test",
     "*/tables.md": "one experiment with one pairing: the paper's tables beside ours, convergence, cost, maxima",
     "*/parameters.csv, */frequencies.csv, */comparison.csv, */maxima.csv": "the same numbers, SI units, in full",
     "*/trace-*.png, */corner-*.png, */frequencies-*.png": "paths, posterior and frequency errors of each sampler",
@@ -44,7 +44,7 @@ def summary_page(
         "Both experiments of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in "
         "Bayesian Finite Element Model Updating*, repeated. Written by `fmu paper`; every number is computed.\n",
         f"- {recomputed[0]} of {recomputed[1]} published frequencies come out of one model "
-        "([recomputed.md](recomputed.md)); where the paper errs, [errata.md](errata.md) says how.\n"
+        "([recomputed.md](recomputed.md)); [errata.md](errata.md) lists the errors of the paper.\n"
         + "".join(f"- [{f.name}]({f.name}/tables.md): {_in_a_line(f)}\n" for f in everything),
         "## Posterior means\n",
     ]

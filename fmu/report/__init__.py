@@ -1,1 +1,5 @@
-"""What people look at: figures, tables and pages."""
+"""Reports: HTML pages, figures, and exports of the updated model.
+
+Reading order: run (a trace with its verdict), document (the parts of a page), sections, plots, pages,
+check_page, export.
+"""

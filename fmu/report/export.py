@@ -126,7 +126,7 @@ def export(
 
 
 def _chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return the trace to take: of the sampler asked for, else of the first that converged, else the first."""
+    """Return the trace of the given sampler, else of the first that converged, else the first."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")

@@ -151,7 +151,7 @@ def test_runs_of_a_few_draws_are_not_called_converged(result, findings):
     page = experiment_page(findings)
     assert page.count("**no**") == page.count("has not converged:\n") == len(SAMPLERS)
     assert "| yes |" not in page
-    assert "No converged run to tell from" in page
+    assert "No run has converged." in page
     assert "No sampler converged" in page
 
 

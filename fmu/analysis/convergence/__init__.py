@@ -1,4 +1,4 @@
-"""Has the run converged: R-hat, effective sample size, verdict and remedy.
+"""Whether a run has converged: R-hat, effective sample size, verdict and remedy.
 
 Reading order: effective, diagnostics, remedies, diagnosis.
 """

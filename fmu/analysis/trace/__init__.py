@@ -1,4 +1,4 @@
-"""From a run's result to an ArviZ trace, with what is needed to understand it later.
+"""Traces in the format of ArviZ: how they are made from a run, read, saved and identified.
 
 Reading order: conversion, reading, provenance, modal_states, failure_ledger.
 """
