@@ -39,7 +39,7 @@ def exact_posterior():
         ),
         pytest.param("slice", samplers.Slice(), 2000, marks=pytest.mark.validate),
         ("hmc", samplers.HamiltonianMonteCarlo(step_size=0.1, n_steps=6), 1000),
-        ("emcee", samplers.Ensemble(walkers=12), 500),
+        pytest.param("emcee", samplers.Ensemble(walkers=12), 500, marks=pytest.mark.validate),
     ],
 )
 def test_posterior_of_a_linear_model(problem, name, settings, draws):

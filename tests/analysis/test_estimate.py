@@ -19,7 +19,7 @@ def problem():
     return fmu.UpdatingProblem(fmu.BlackBoxModel(frequencies, 2), fmu.ModalData([4.0, 9.0], sd_hz=0.3), parameters)
 
 
-@pytest.mark.parametrize("name", ["mh", "slice", "emcee"])
+@pytest.mark.parametrize("name", [pytest.param("mh", marks=pytest.mark.validate), "slice", "emcee"])
 def test_solves_within_a_factor_of_two(problem, name, monkeypatch):
     monkeypatch.setattr("fmu.analysis.estimate._timed", lambda work: 1.0)
     (said,) = [part for part in estimates(problem, ORDERS | {"samplers": [name]}, 16, 1) if part.name == name]

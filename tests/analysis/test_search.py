@@ -171,6 +171,7 @@ def test_section_by_number_has_its_mass_in_a(section_maxima):
     np.testing.assert_allclose(section_maxima[0].mean, [3.910e-9, 7.485e-9, 8.995e-4, 5.149e-4], rtol=1e-3)
 
 
+@pytest.mark.validate
 def test_moments_around_a_maximum_are_those_of_sampling(section, section_maxima):
     start = np.repeat(section_maxima[0].theta[None], 4, axis=0)
     trace = fmu.sample(section, "hmc", draws=250, warmup=200, init=start, seed=2)

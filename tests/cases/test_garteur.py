@@ -121,6 +121,7 @@ def test_updating_brings_all_ten_within_one_per_cent(problem, best):
     assert np.all(best < problem.upper)
 
 
+@pytest.mark.validate
 def test_tail_torsion_is_the_highest_mode(best, problem):
     """Were it below five-node bending, no parameters would explain the frequencies."""
     other = case()

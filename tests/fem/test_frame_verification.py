@@ -106,7 +106,7 @@ def exact(name):
     return frequencies(exact_members(points, members), 7, [points[k] for k in feet])
 
 
-@pytest.mark.parametrize("name", ["portal", "L"])
+@pytest.mark.parametrize("name", [pytest.param("portal", marks=pytest.mark.validate), "L"])
 def test_frames_against_exact_dynamic_stiffness(name):
     """Rayleigh–Ritz comes from above; cubics converge with h⁴, the linear bar and shaft with h²."""
     points, members, feet = {"portal": PORTAL, "L": L_SHAPE}[name]
