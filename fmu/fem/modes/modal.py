@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -373,12 +372,13 @@ class FixedModes:
     """
 
     def __init__(self, model: BlockModel, block: Sequence[int], rank: Sequence[int]) -> None:
-        self.block, self.rank = np.array(block), np.array(rank)
+        # as rows (1, m), to be repeated for each theta
+        self._labels = np.array(block)[None], np.array(rank)[None]
         self._parts: list[tuple[Block, int, Any]] = []
         columns = []
-        for b in np.unique(self.block):
-            columns.append(np.flatnonzero(self.block == b))
-            ranks = self.rank[columns[-1]]
+        for b in np.unique(block):
+            columns.append(np.flatnonzero(self._labels[0][0] == b))
+            ranks = self._labels[1][0, columns[-1]]
             self._parts.append((model.blocks[b], int(ranks.max()) + 1, _as_slice(ranks)))
         self._order = np.argsort(np.concatenate(columns))
 
@@ -397,8 +397,8 @@ class FixedModes:
 
     def located(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, dict[int, Any]]:
         """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m); nothing is solved."""
-        n = len(theta)
-        return self.block[None].repeat(n, axis=0), self.rank[None].repeat(n, axis=0), {}
+        block, rank = self._labels
+        return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
 
     def _joined(self, parts: list[FloatArray]) -> FloatArray:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]
@@ -411,16 +411,13 @@ def _as_slice(indices: IntArray) -> Any:
     return slice(first, first + len(indices)) if consecutive else indices
 
 
-def single_thread() -> AbstractContextManager[None]:
-    """Return a context in which BLAS uses one thread: many small eigenproblems are slower with more.
+class _OneThread:
+    """A context in which BLAS uses one thread: many small eigenproblems are slower with more.
 
     The process has its own setting back afterwards. Where there is one thread already nothing is touched:
     threadpoolctl's own context takes as long as a reduced eigenproblem.
     """
-    return _OneThread()
 
-
-class _OneThread:
     def __enter__(self) -> None:
         self._limited = [(blas, n) for blas in _libraries() if (n := blas.num_threads) not in (None, 1)]
         for blas, _ in self._limited:
@@ -429,6 +426,9 @@ class _OneThread:
     def __exit__(self, *exception: object) -> None:
         for blas, n in self._limited:
             blas.set_num_threads(n)
+
+
+single_thread = _OneThread
 
 
 @cache
