@@ -185,6 +185,8 @@ class Runs:
         groups: dict[str, int] = {}
 
         def step(phase: str, done: int, total: int, info: Mapping[str, str | int | float]) -> None:
+            if phase not in ("warmup", "draws"):  # what is computed from the draws counts no steps
+                return
             if phase == "warmup":
                 before["draws"] = total
             group = str(info.get("group", "1/1"))
