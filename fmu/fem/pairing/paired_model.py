@@ -172,7 +172,7 @@ class GivenModel(ModalModel):
         return describe() if callable(describe) else f"{type(self.given).__module__}.{self.name}"
 
 
-def as_modal_model(given: Any) -> ModalModel:
+def as_modal_model(given: FrequencyMap) -> ModalModel:
     """Return a model that is paired already as a `ModalModel`: itself, or a user's own wrapped."""
     return given if isinstance(given, ModalModel) else GivenModel(given)
 
