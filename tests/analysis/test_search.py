@@ -8,7 +8,7 @@ from scipy.integrate import simpson
 
 import fmu
 from fmu.analysis.maxima.mode_weights import LocalQuadratic, mode_weights
-from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.maxima.results import Maxima, theta_in_words
 from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map, hessian_at
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
@@ -206,7 +206,8 @@ def test_words(section, section_maxima):
     html = section_maxima._repr_html_()
     assert html.startswith("<table")
     assert "3.904e-9" in html
-    assert section_maxima.words_of_theta(section_maxima[0].theta).startswith("Ix1 = 3.904e-9 m⁴, Ix2 = 7.5e-9 m⁴")
+    words = theta_in_words(section_maxima.names, section_maxima[0].theta, section_maxima.units)
+    assert words.startswith("Ix1 = 3.904e-9 m⁴, Ix2 = 7.5e-9 m⁴")
 
 
 def test_low_frequencies_of_several_maxima_differ_in_the_table(section_maxima):
