@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from fmu.fem.modes.modal import RIGID
 from fmu.fem.modes.separable import Term, coefficients
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.fem.reduced.basis import ReducedBlock
 from fmu.numbers import share, significant
 from fmu.posterior.protocol import Problem
 from fmu.types import FloatArray
@@ -176,6 +175,6 @@ def _reduced(model: PairedStructure, owners: NDArray[np.int64], theta: FloatArra
     highest = {}
     for b in set(owners.tolist()):
         block = model.reduced.blocks[b]
-        if isinstance(block, ReducedBlock) and not block.massless:
+        if block.is_reduced and not block.massless:
             highest[b] = float(np.max(block.eigenvalues(theta[None], block.size)))
     return np.array([highest.get(b, 0.0) for b in owners.tolist()])
