@@ -28,7 +28,8 @@ def local_cluster():
     return start
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def dask_processes(local_cluster):
+    """Two idle processes take some per cent of a core: they end with the tests of this folder."""
     with local_cluster(2) as cluster:
         yield cluster
