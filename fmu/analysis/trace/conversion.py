@@ -204,8 +204,8 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
         if hasattr(density, name)
     }
     coordinates: dict[str, Any] = {"parameter": list(names)}
-    likelihood = getattr(density, "likelihood", None)
-    if likelihood is not None and likelihood.beta is not None:
+    likelihood: Any = getattr(density, "likelihood", None)  # a user's density may have anything under that name
+    if getattr(likelihood, "beta", None) is not None:
         variables["beta"] = ("mode", np.asarray(likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
         if likelihood.error is not None and likelihood.error.covariance_hz2 is not None:
