@@ -210,9 +210,9 @@ class FrequencyTerm(ErrorTerm):
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
-        name = "frequency" if self.kind == "absolute" else f"{self.kind} frequency"
-        size = {"beta": self.beta.tolist()} if self.is_known else {"spread": self.spread.as_dict()}
-        return {"error": name, **size}
+        if self.kind == "absolute" and self.is_known:
+            return {"error": "frequency", "beta": self.beta.tolist()}
+        return {"error": f"{self.kind} frequency", "spread": self.spread.as_dict()}
 
     def _errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
         """Return ε, in Hz but for eigenvalues, and ∂ε/∂f."""

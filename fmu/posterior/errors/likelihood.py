@@ -186,6 +186,8 @@ class ModalLikelihood(Likelihood):
 
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings in plain Python types."""
+        if self.error is not None:
+            return self.error.as_dict()
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
