@@ -1,4 +1,4 @@
-"""The package is a house of floors: imports go down only, nothing imports in a circle, and no room is crowded."""
+"""The package is layered: imports go down only, there are no import circles, and no folder is crowded."""
 
 import ast
 import importlib
