@@ -1,4 +1,4 @@
-"""Which kernels of OpenBLAS the numerical tests are run with, one a line, as OPENBLAS_CORETYPE names them.
+"""Which kernels of OpenBLAS the numerical tests are run with, one per line, as OPENBLAS_CORETYPE names them.
 
 Those of AVX-512 are illegal instructions on most processors. And OpenBLAS 0.3.34 on AMD's Zen 4 and 5 takes block
 sizes for AVX-512 even where other kernels are forced, and then crashes in large products with Haswell's (issues

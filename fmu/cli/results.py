@@ -44,10 +44,10 @@ def report(directory: Path) -> None:
 @_DIRECTORY
 @click.option("--sampler", help="Sampler whose draws are used.  [default: the first that converged]")
 @click.option("--at", type=click.Choice(("mean", "map")), default="mean", show_default=True,
-              help="Posterior mean, or highest maximum found.")  # fmt: skip
+              help="Values to export: the posterior mean, or the highest maximum found.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: DIRECTORY/export]")
 @click.option("--model", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-              help="Problem file, if the files it refers to have moved.")  # fmt: skip
+              help="Problem file to use instead of the saved copy, if files it refers to have moved.")  # fmt: skip
 def export(directory: Path, sampler: str | None, at: str, out: Path | None, model: Path | None) -> None:
     """Write the updated model of the run in DIRECTORY.
 

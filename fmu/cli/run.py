@@ -53,8 +53,8 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
 @_option("--groups", _FROM_1, "Number of independent groups of chains, each with its own adaptation, for several "
          "workers. The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
 @_option("--seed", _FROM_0, "Seed of the random numbers.")
-@_option("--starts", _FROM_1, "Optimiser starts for the MAP search before sampling. Fewer are faster but may miss "
-         "a maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
+@_option("--starts", _FROM_1, "Optimiser starts for the MAP search before sampling. Fewer starts are faster but "
+         "may miss a maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
 @_option("--init", click.Choice(INITS), "Where the chains start: around the maxima, in proportion to their "
          "probability; at draws from the prior; or at the start values.")  # fmt: skip
 @_option("--until-ess", click.FloatRange(min=0, min_open=True), "Sample until the run has converged and every "
@@ -146,7 +146,7 @@ def _stopped(directory: Path, where: str = "") -> int:
 
 
 def _asked(context: click.Context, case: str | None, pairing: str | None, orders: dict[str, Any]) -> KeptProblem:
-    """Return the problem and the options of a new run; an error if they do not go together."""
+    """Return the problem and the options of a new run; an error if they conflict."""
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)

@@ -38,8 +38,8 @@ _CLEAR = "\033[H\033[2J"
 def watch(directory: Path, follow: bool, every: float, is_json: bool) -> None:
     """Show the progress of a run.
 
-    DIRECTORY is the output directory of fmu run, or the checkpoint of a call of fmu.sample. Only the files saved
-    there are read; the run is not disturbed.
+    DIRECTORY is the output directory of fmu run, or the checkpoint directory of an fmu.sample call. Only the
+    files saved there are read; the run is not disturbed.
     """
     from fmu.runs.status import RUNNING, RunReader
 

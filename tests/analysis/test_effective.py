@@ -115,7 +115,7 @@ def test_walkers_that_alternate_have_a_positive_ess_of_at_most_n_log_n(ar1):
 def test_walkers_in_separate_modes_count_as_correlated(ar1):
     x = ar1(np.random.default_rng(12), (4, 1000, 8), 0.2)
     x[:, :, ::2] += 10.0  # neighbours in different modes
-    assert effective.ess_bulk(flat(x), 8) < 2 * 4 * 8  # about one a walker
+    assert effective.ess_bulk(flat(x), 8) < 2 * 4 * 8  # about one per walker
     assert effective.ess_bulk(flat(x - x.mean(axis=1, keepdims=True)), 8) > 10_000
 
 

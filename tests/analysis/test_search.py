@@ -193,7 +193,7 @@ def test_table(section_maxima):
 
 
 def test_words(section, section_maxima):
-    """A column a maximum, beside the model before updating and the measurement."""
+    """A column per maximum, beside the model before updating and the measurement."""
     words = section_maxima.side_by_side(most=2)
     assert list(words.columns) == ["unit", "before", "maximum 1", "maximum 2", "measured"]
     assert words.loc["log-probability", "maximum 2"] == "-107.9"

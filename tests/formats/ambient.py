@@ -20,7 +20,7 @@ def stiffness_matrix(k):
 
 
 def exact_modes():
-    """Return frequencies in Hz (3,) and shapes (3, 3), a column a mode."""
+    """Return frequencies in Hz (3,) and shapes (3, 3), a column per mode."""
     values, shapes = eigh(stiffness_matrix(STIFFNESS), MASS)
     return np.sqrt(values) / (2 * np.pi), shapes
 

@@ -104,7 +104,7 @@ def test_frequencies_alone(tmp_path):
                 "line 4, column sd: must be a positive number (got 'x')",
                 "line 2, column number: must be a whole number from 1 (got '0')",
                 "line 4, column number: must be a whole number from 1 (got '1.5')",
-                "line 4, column mode: must be a name of its own (got 'a')",
+                "line 4, column mode: must be a name that no other mode has (got 'a')",
             ],
         ),
     ],
@@ -124,12 +124,12 @@ def test_wrong_frequencies(tmp_path, text, mistakes):
     ("text", "mistakes"),
     [
         ("place,first\ntip,1\n", ["column direction: is missing", "column second: is missing"]),
-        ("place,direction,first,second,third\ntip,z,1,2,3\n", ["column third: is no mode"]),
+        ("place,direction,first,second,third\ntip,z,1,2,3\n", ["column third: is not a measured mode"]),
         (
             "place,direction,first,second\n,up,1,\ntip,-rx,inf,2\n",
             [
                 "line 2, column place: must not be empty",
-                "line 2, column direction: must be x, y, z, rx, ry or rz, or that with a minus before it "
+                "line 2, column direction: must be x, y, z, rx, ry or rz, with or without a leading minus "
                 "(got 'up')",
                 "line 2, column second: must be a number (got '')",
                 "line 3, column first: must be a number (got 'inf')",

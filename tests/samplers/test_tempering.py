@@ -253,7 +253,7 @@ def test_bad_settings_are_refused():
         ({"kernel": "nuts"}, "kernel: must be one of slice, mh, hmc"),
         ({"kernel": fmu.Ensemble()}, "kernel: must be one of"),
         ({"kernel": fmu.HamiltonianMonteCarlo(gradient="central-difference")}, "kernel.gradient: must be exact"),
-        ({"kernel": (fmu.Slice(), fmu.Slice())}, "kernel: must be one a temperature above 0"),
+        ({"kernel": (fmu.Slice(), fmu.Slice())}, "kernel: must be one per temperature above 0"),
         ({"temperatures": [0.1, 1.0]}, "temperatures: must be distinct inverse temperatures from 0 to 1"),
         ({"temperatures": [0.0, 0.5, 0.5, 1.0]}, "temperatures: must be distinct"),
         ({"temperatures": [0.0, 1.0], "rungs": 3}, "rungs: must be the number of temperatures"),

@@ -27,7 +27,7 @@ def parse(file: BinaryIO) -> Any:
     Returns
     -------
     scipy.sparse.csc_array, shape (n_rows, n_columns)
-        Of a symmetric kind (``RSA``), which the file has one triangle of, with both.
+        A symmetric matrix (``RSA``), stored in the file as one triangle, is returned with both.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def _lines(file: BinaryIO, count: int) -> Iterator[str]:
     for i in range(count):
         line = file.readline(LONGEST_LINE + 1)
         if len(line) > LONGEST_LINE or b"\0" in line:
-            raise ValueError("it is no text of lines of 80 characters")
+            raise ValueError("it is not text with lines of 80 characters")
         if not line:
             raise ValueError(f"it is cut short (it lacks {count - i} lines)")
         yield line.decode("latin-1").rstrip("\r\n")

@@ -109,12 +109,12 @@ def text_blocks(file: BinaryIO) -> Iterator[str]:
     Raises
     ------
     ValueError
-        If the file is no text, or has a line longer than a block.
+        If the file is not text, or has a line longer than a block.
     """
     rest = file.read(3).removeprefix(b"\xef\xbb\xbf") if file.tell() == 0 else b""
     while block := file.read(BLOCK):
         if b"\0" in block:
-            raise ValueError("it is no text in ASCII or UTF-8: it has NUL bytes, as UTF-16 and binary files have")
+            raise ValueError("it is not ASCII or UTF-8 text: it has NUL bytes, as UTF-16 and binary files have")
         block = rest + block
         end = block.rfind(b"\n") + 1
         rest = block[end:]
@@ -146,7 +146,7 @@ def tables(
     Raises
     ------
     ValueError
-        If the file is no text, a word is no number, or a row has not as many numbers as the first.
+        If the file is not text, a word is not a number, or the rows do not all have the same number of values.
     """
     columns, idle = 0, 0
     for text in text_blocks(file):

@@ -60,7 +60,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
     FileNotFoundError
         If there is no such file.
     ModesError
-        With every mistake, its line and its column.
+        Lists every mistake with its line and column.
     """
     header, rows = _table(path)
     found = [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
@@ -76,7 +76,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
     labels = [row.values["mode"] for row in rows]
     first = {label: i for i, label in reversed(list(enumerate(labels)))}
     found += [
-        f"line {row.line}, column mode: must be a name of its own (got {shown(label)})"
+        f"line {row.line}, column mode: must be a name that no other mode has (got {shown(label)})"
         for i, (row, label) in enumerate(zip(rows, labels, strict=True))
         if not label or first[label] < i
     ]
@@ -86,26 +86,27 @@ def read_frequencies(path: Path) -> MeasuredModes:
 
 
 def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
-    """Return sensors and shapes of a table, its columns in the order of `labels`; without frequencies.
+    """Return the sensors and shapes in a table, with the modes in the order of `labels`; no frequencies.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        With every mistake, its line and its column.
+        Lists every mistake with its line and column.
     """
     header, rows = _table(path)
     found = [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
-    found += [f"column {name}: is no mode" for name in header if name not in ("place", "direction", *labels)]
+    known = ("place", "direction", *labels)
+    found += [f"column {name}: is not a measured mode" for name in header if name not in known]
     _refuse(path, found)
     for row in rows:
         if not row.values["place"]:
             found.append(f"line {row.line}, column place: must not be empty")
         if not _DIRECTION.fullmatch(row.values["direction"]):
             found.append(
-                f"line {row.line}, column direction: must be x, y, z, rx, ry or rz, or that with a minus before "
-                f"it (got {shown(row.values['direction'])})"
+                f"line {row.line}, column direction: must be x, y, z, rx, ry or rz, with or without a leading "
+                f"minus (got {shown(row.values['direction'])})"
             )
     shapes = [[_number(row, label, found) for label in labels] for row in rows]
     _refuse(path, found)
@@ -125,13 +126,13 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
     FileNotFoundError
         If there is no such file.
     ModesError
-        With every mistake, its line and its column.
+        Lists every mistake with its line and column.
     """
     header, rows = _table(path)
     found: list[str] = []
     labels = tuple(name for name in header if name != _TEST)
     if not labels:
-        found.append("must have a column a mode, with its name")
+        found.append("must have a column per mode, with its name")
     if "" in labels:
         found.append("every column must have a name, that of its mode")
     _refuse(path, found)

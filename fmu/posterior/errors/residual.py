@@ -29,22 +29,23 @@ class ModalResidual(Likelihood):
     data : ModalData
         With sensors and shapes.
     reference : ndarray, shape (n_parameters,)
-        θ_ref, usually the model before updating.
+        θ_ref, usually the parameters before updating.
     beta : float or array_like, shape (n_modes,)
         Dimensionless: the residual is a force relative to the reference's elastic force.
 
     Raises
     ------
     ValueError
-        If no shapes were measured, a sensor is not at a degree of freedom of its own, a β is not positive and
-        finite, or the model can move with its sensors fixed.
+        If no shapes were measured, a sensor is not a degree of freedom or is given twice, a β is not positive
+        and finite, or the model can move with its sensors fixed.
 
     Notes
     -----
     This is a *pseudo*-likelihood: ε mixes data and model and is not the error of any measured quantity, and the
-    density grows as K and M both shrink, where they can. The fixed scale makes modes of different frequency
-    comparable and β dimensionless; it does not cure this. No evidence may be computed from it. It needs no pairing
-    of modes and no eigenproblem, but one factorisation of the unmeasured part at each theta.
+    density grows as K and M both shrink, if the parameters allow it. The fixed scale makes modes of different
+    frequency comparable and β dimensionless; it does not cure this. No evidence may be computed
+    from it. It needs no pairing of modes and no eigenproblem, but one factorisation of the unmeasured part at
+    each theta.
     """
 
     terms_name = "residual"
@@ -135,5 +136,5 @@ class ModalResidual(Likelihood):
 def _masters(rows: Any) -> NDArray[np.intp]:
     """Return the degrees of freedom that the sensors are at, shape (n_sensors,)."""
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
-        raise ValueError("sensors: to condense onto they must be degrees of freedom, without arms or signs")
+        raise ValueError("sensors: for the modal residual they must be degrees of freedom, without arms or signs")
     return np.asarray(rows.indices, dtype=np.intp)

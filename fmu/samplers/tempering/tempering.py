@@ -91,7 +91,7 @@ class Tempering(Sampler):
         whole_number("swap_every", self.swap_every, 1)
         several = isinstance(self.kernel, tuple)
         if several and (self.temperatures is None or len(self.kernel) != len(self.temperatures) - 1):
-            raise ValueError(f"kernel: must be one a temperature above 0 (got {len(self.kernel)})")
+            raise ValueError(f"kernel: must be one per temperature above 0 (got {len(self.kernel)})")
         kinds = {type(kernel) for kernel in self._kernels(1)}
         if len(kinds) != 1 or not kinds <= set(_KERNELS.values()):
             raise ValueError(
