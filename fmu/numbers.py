@@ -147,7 +147,8 @@ def _digits(value: float) -> int:
 def share(part: float, digits: int = 2) -> str:
     """Format a share of a whole in per cent: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    To `digits` significant digits of the share, or one less of its complement; never with a power of ten.
+    With `digits` significant digits, or as many decimals as show `digits` - 1 digits of its complement; never with
+    a power of ten.
     """
     if not math.isfinite(part):
         return MISSING

@@ -22,7 +22,7 @@ def data_frame(content: Any, name: str, index: Any) -> pd.DataFrame:
     ----------
     content : mapping of str to array_like, or list of mapping
     name : str
-        Of the index.
+        Name of the index.
     index : sequence or ndarray
         An entry for each row.
     """

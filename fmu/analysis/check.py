@@ -60,7 +60,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row a parameter: unit, start, bounds (SI units), prior in words, what it changes if known."""
+    """Return one row per parameter: unit, start, bounds (SI units), prior in words, what it changes if known."""
     structure = problem.model.structure
     rows = []
     for j, parameter in enumerate(problem.parameters):
@@ -166,11 +166,11 @@ class Check:
     Attributes
     ----------
     name : str
-        Of the problem.
+        Name of the problem.
     model : tuple of str
         The model in words, a sentence each.
     parameters : pandas.DataFrame
-        One row a parameter, SI units: ``unit``, ``start``, ``lower``, ``upper``, ``prior``, ``changes``.
+        One row per parameter, SI units: ``unit``, ``start``, ``lower``, ``upper``, ``prior``, ``changes``.
     modes : InitialModes
         Computed modes at the start beside the measured ones.
     gradient : GradientCheck
@@ -305,7 +305,7 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
     draws : int
         Draws from the prior at which the model is solved, at least 2.
     seed : int
-        Of these draws, and of the points at which the gradient is checked.
+        Seed of these draws, and of the points at which the gradient is checked.
 
     Returns
     -------
@@ -315,7 +315,7 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
     Raises
     ------
     ValueError
-        If `problem` is no updating problem, `draws` is less than 2, or the model has no frequencies at the start.
+        If `problem` is not an updating problem, `draws` is less than 2, or the model fails at the start values.
     """
     if not is_searchable(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")

@@ -99,7 +99,7 @@ def _seconds_of_one(problem: UpdatingProblem) -> float:
 
 
 def _timed(work: Callable[[], object]) -> float:
-    """Return the time of the second of two calls, since the first may load modules; s."""
+    """Return the time of a call in seconds; a short call is timed twice, since the first may load modules."""
     took = 0.0
     for _ in range(2):
         began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The evidence of a model, with its error and what it rests on."""
+"""The evidence of a model, with its error and how it was computed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Evidence:
     between : float
         Standard error from the chains' own estimates, NaN for a single chain.
     table : pandas.DataFrame
-        One row a rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (of draws at
+        One row per rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (of draws at
         which the model did not fail), ``rhat`` of it and ``ess`` of its mean, ``rejection`` of swaps with the
         next rung, and ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
     """
@@ -107,7 +107,7 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
     Parameters
     ----------
     trace : xarray.DataTree
-        Of `fmu.sample(problem, "tempering")` or with settings of `fmu.Tempering`.
+        A trace of `fmu.sample(problem, "tempering")`, or one sampled with settings of `fmu.Tempering`.
     method : {"stepping-stone", "thermodynamic"}
         The product of the ratios of evidences from rung to rung, each an average over the lower one (Xie et al.
         2011); or the integral of the mean log-likelihood over the inverse temperature, by the trapezium rule with
@@ -254,7 +254,7 @@ def found_evidences(
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Of one problem.
+        Traces of one problem, by sampler.
     verdicts : mapping of str to Diagnosis
         On each of them.
     maxima : Maxima or None

@@ -31,9 +31,9 @@ class GradientCheck:
     Attributes
     ----------
     names : tuple of str
-        Of the parameters.
+        Names of the parameters.
     points : tuple of str
-        Of the points.
+        Descriptions of the points.
     theta : ndarray, shape (n, ndim), SI units
     exact, difference : ndarray, shape (n, ndim)
         ∂log P/∂u with u = (θ − offset)/scale; the differences with the step that agrees best.
@@ -86,7 +86,7 @@ class GradientCheck:
         )
 
     def table(self) -> pd.DataFrame:
-        """Return one row a point and parameter: ``exact``, ``difference``, ``relative_error``."""
+        """Return one row per point and parameter: ``exact``, ``difference``, ``relative_error``."""
         import pandas as pd
 
         index = pd.MultiIndex.from_product([self.points, self.names], names=["point", "parameter"])

@@ -60,9 +60,9 @@ class Identifiability:
     Attributes
     ----------
     names, units : tuple of str
-        Of the parameters.
+        Names and units of the parameters.
     labels : tuple of str
-        Of the rows of `sensitivity`: the measured modes, or what was measured of each.
+        Labels of the rows of `sensitivity`: the measured modes, or their frequencies and shape components.
     theta : ndarray, shape (ndim,), SI units
         Where the model is linearised.
     prior_sd : ndarray, shape (ndim,), SI units
@@ -115,7 +115,7 @@ class Identifiability:
         return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
 
     def table(self) -> pd.DataFrame:
-        """Return one row a direction: ``singular_value``, ``remaining_sd`` and the component of each parameter."""
+        """Return one row per direction: ``singular_value``, ``remaining_sd``, and each parameter's component."""
         s = self.singular_values
         names = distinct(["singular_value", "remaining_sd", *self.names])
         columns = dict(zip(names, (s, 1.0 / np.sqrt(1.0 + s**2), *self.directions.T), strict=True))
@@ -254,7 +254,7 @@ def contraction(trace: xr.DataTree) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a parameter, SI units: ``prior_sd``, ``posterior_sd`` and ``contraction``, 1 − the ratio of the
+        One row per parameter, SI units: ``prior_sd``, ``posterior_sd`` and ``contraction``, 1 − the ratio of the
         variances (Betancourt 2018, "Towards a principled Bayesian workflow"): near 1 the data determine the
         parameter, near 0 they carry no information on it.
 

@@ -30,7 +30,7 @@ class Uninformed(NamedTuple):
     Attributes
     ----------
     direction : ndarray, shape (ndim,)
-        Of unit length, in prior standard deviations.
+        A unit vector, in prior standard deviations.
     names : tuple of str
         The parameters that make it up, in the order of theta.
     words : str
@@ -156,17 +156,17 @@ _NAMED, _ALONE = 0.25, 0.9
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the data determine, by the draws of a run: parameter by parameter, and along directions.
+    """What the data determine, judged from the draws of a run: parameter by parameter, and along directions.
 
     Attributes
     ----------
     names : tuple of str
     remaining_sd : ndarray, shape (ndim,)
-        Posterior over prior standard deviation, of the `normal_scores`.
+        Ratio of posterior to prior standard deviation of the `normal_scores`.
     basis : tuple of str
         What determines each parameter: ``"data"``, ``"prior"`` or ``"combination"``.
     uninformed : tuple of (Uninformed, float)
-        The uninformed directions, with the part of the prior standard deviation that the draws keep.
+        The uninformed directions, each with the ratio of posterior to prior standard deviation.
     """
 
     names: tuple[str, ...]

@@ -44,7 +44,7 @@ class ComputedMode:
     Attributes
     ----------
     number : int or None
-        In the sorted spectrum, from 1; None if the model gives paired frequencies only.
+        Number in the sorted spectrum, from 1; None if the model gives paired frequencies only.
     frequency_hz : float
     measured : int or None
         The measured mode (from 0) that it is paired with.
@@ -152,12 +152,12 @@ class InitialModes:
     Attributes
     ----------
     labels : tuple of str
-        Of the measured modes.
+        Labels of the measured modes.
     measured_hz : ndarray, shape (n_modes,)
     modes : tuple of ComputedMode
         Ascending, up to two beyond the last paired one.
     mac : ndarray, shape (n_modes, n_computed), or None
-        Of measured with computed shapes at the sensors; None if no shapes were measured.
+        MAC between measured and computed shapes at the sensors; None if no shapes were measured.
     doubts : tuple of str
         Warnings on the pairing, a sentence each.
     notes : tuple of str
@@ -185,7 +185,7 @@ class InitialModes:
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def table(self) -> pd.DataFrame:
-        """Return one row a computed mode: number, Hz, its measured mode, error in %, MAC, energy, seen or not."""
+        """Return one row per computed mode: number, Hz, measured mode, error in %, MAC, energy, seen or not."""
         import pandas as pd
 
         rows = []
@@ -340,7 +340,7 @@ _MANY = 3
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
-    """Return a table of text, one row a computed mode, with dashes where nothing applies.
+    """Return a table of text, one row per computed mode, with dashes where nothing applies.
 
     Three or more modes in a row that move no sensor share a row.
     """

@@ -43,7 +43,7 @@ class PairingChanges:
     Attributes
     ----------
     labels : tuple of str
-        Of the measured modes.
+        Labels of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
         Share of all draws in which two measured modes are in the reverse order, compared with before updating.
     rule : {"shape", "index", "soft"} or None
@@ -72,7 +72,7 @@ class PairingChanges:
     gap: FloatArray
 
     def table(self) -> pd.DataFrame:
-        """Return one row a measured mode: shares of draws, and the nearest other mode's distance, in per cent."""
+        """Return one row per measured mode: shares of draws, and the distance to the nearest other mode, in %."""
         return data_frame(
             {
                 "swapped_percent": 100.0 * self.swapped.max(axis=1, initial=0.0),
@@ -146,7 +146,7 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     Parameters
     ----------
     trace : xarray.DataTree
-        Of an updating problem.
+        Trace of an updating problem.
 
     Returns
     -------
@@ -250,7 +250,7 @@ def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray
     structure : PairedStructure
     theta : ndarray, shape (n, n_parameters)
     block, rank : ndarray of int, shape (n, n_modes)
-        Of the modes.
+        Blocks and ranks of the modes.
     """
     found = by_parts("pairing", structure.candidates, theta)
     hz = frequency_hz(np.concatenate([eigenvalues for eigenvalues, _, _ in found]))

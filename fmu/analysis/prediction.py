@@ -92,7 +92,7 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     Returns
     -------
     pandas.DataFrame
-        One row a mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
+        One row per mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
         (``eti90_lb``, ``eti90_ub``) of the model's frequency, without measurement noise; ``noisy_sd`` and the
         interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with noise; these are missing for
         the modal residual, which has no measurement noise. If the measured frequency is the mean of repeated
@@ -156,7 +156,7 @@ def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a mode: ``elpd``, the log-density of its measured frequency under the posterior of the other modes;
+        One row per mode: ``elpd``, the log-density of its measured frequency given the posterior of the others;
         ``pareto_k``, the shape of the tail of the importance weights; and ``reliable``, whether k is low enough
         (below 0.7, less for few draws). If the others do not determine a mode, which is usual with as many
         parameters as modes, the estimate is not reliable, and an upper bound at best. NaN and not reliable if

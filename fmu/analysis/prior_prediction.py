@@ -32,7 +32,7 @@ class PriorPrediction:
     labels : tuple of str
     measured : ndarray, shape (n_modes,)
     frequencies : ndarray, shape (n, n_modes)
-        Of the model at the draws at which it did not fail.
+        Frequencies of the model at the draws where it did not fail.
     noise_sd : ndarray, shape (n_modes,)
         Standard deviation of the measurement error; NaN if the error model has none.
     failed : int
@@ -101,7 +101,7 @@ class PriorPrediction:
         return said
 
     def table(self) -> pd.DataFrame:
-        """Return one row a mode: ``measured``, ``mean``, ``sd``, the interval's ends, Hz, and ``distance``."""
+        """Return one row per mode: ``measured``, ``mean``, ``sd``, the interval's ends, Hz, and ``distance``."""
         lower, upper = self.interval
         columns = {
             "measured": self.measured,

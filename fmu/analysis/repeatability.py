@@ -32,7 +32,7 @@ class Repeatability:
     Attributes
     ----------
     labels : tuple of str
-        Of the modes.
+        Labels of the modes.
     n : ndarray, shape (n_modes,)
         Number of tests that found each mode.
     autocorrelation : ndarray, shape (n_modes,)
@@ -123,7 +123,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     tests : array_like, shape (n_tests, n_modes), Hz
         NaN where a test missed a mode.
     labels : tuple of str
-        Of the modes.
+        Labels of the modes.
     """
     values = np.array(RepeatedTests(tests).frequencies_hz)
     present = ~np.isnan(values)

@@ -58,7 +58,7 @@ def load(
     Raises
     ------
     ConfigurationError
-        With every mistake in the file, its place, the rule and the value received; a ValueError.
+        Lists every mistake in the file with its place, the rule and the value received; a ValueError.
     FileNotFoundError
         If there is no such file.
     """

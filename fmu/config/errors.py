@@ -103,7 +103,7 @@ def vanishing(
     models : sequence of ErrorModel
     data : ModalData
     n_parameters : int
-        Of the structure.
+        Number of parameters of the structure.
     """
     counts, bounded = dict.fromkeys(noise, 0), set()
     for model in models:

@@ -72,7 +72,7 @@ def kept(directory: Path, model: Path | None = None) -> KeptProblem:
     Parameters
     ----------
     directory : Path
-        Of the run.
+        Directory of the run.
     model : Path, optional
         The problem file to use instead, if the saved one is missing or the files that it refers to have moved.
 

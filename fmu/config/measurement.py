@@ -53,7 +53,7 @@ _IN_A_FILE: dict[Any, Any] = {
     Sensors: None,
     Sensors | None: None,
 }
-"""TOML types of a reader's arguments. Sensors are no key of its table: they have one in ``[measurement]``."""
+"""TOML types of a reader's arguments. Sensors are not a key of its table, but of ``[measurement]``."""
 
 
 def _of_reader(key: str, read: Callable[..., Any]) -> Any:

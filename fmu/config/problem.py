@@ -85,7 +85,7 @@ class ProblemFile(TomlTable):
         Raises
         ------
         ConfigurationError
-            With every mistake, if there is one.
+            Lists every mistake, if there is one.
         """
         parameters, found = built("parameters", self.parameters)
         found += self.model.mistakes(self.parameters)

@@ -164,14 +164,14 @@ def declared(
     Parameters
     ----------
     name : str
-        Of the table in the schema; the value of `tag`.
+        Name of the table in the schema; the value of `tag`.
     *makes : callable
         A class or a function with annotations and a docstring. Of several, the file gives the arguments of one.
     tag : str
         A further key, which says what kind of table it is.
     in_a_file : callable, optional
-        What stands in a file for an annotation that is no type of TOML, such as the name of another table; None
-        for an argument that is no key.
+        Returns what a file has in place of an annotation that is not a TOML type, such as the name of another
+        table; None for an argument that is not a key.
     renamed : mapping of str to str, optional
         See `Of`.
     """
@@ -230,7 +230,7 @@ class Of:
     Parameters
     ----------
     name : str
-        Of the table in the schema.
+        Name of the table in the schema.
     *makes : callable
         See `declared`.
     **renamed : str

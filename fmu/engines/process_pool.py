@@ -62,7 +62,7 @@ class WorkerProcess:
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return what it has sent; ``("died", how)`` if it is dead, ``("nothing", None)`` if it is working."""
+        """Return the next message; ``("died", how)`` if the process died, ``("nothing", None)`` if it is busy."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()

@@ -108,14 +108,14 @@ class RemoteEngine(Engine):
 
 
 class Shared:
-    """What all tasks need. It is unpickled when a task first asks for it, so an error then is the task's error."""
+    """Data for all tasks, unpickled when a task first asks for it, so that an error counts as that task's."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
         self._value: Any = None
 
     def __call__(self) -> Any:
-        """Return it."""
+        """Return the data."""
         if self._packed is not None:
             self._value = cloudpickle.loads(self._packed)
             self._packed = None

@@ -203,7 +203,7 @@ class BlackBoxModel:
         self._latest[theta.tobytes()] = reason
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why a theta (n_parameters,) failed recently; None if it did not, or very many have since."""
+        """Return why a theta (n_parameters,) failed; None if it did not, or many later failures displaced it."""
         return self._latest.get(theta.tobytes())
 
     def configuration(self) -> dict[str, Any]:

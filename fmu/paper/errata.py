@@ -34,7 +34,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row a frequency: ``table``, ``column``, ``mode``; ``printed_hz``, and ``meant_hz``, different if
+        One row per frequency: ``table``, ``column``, ``mode``; ``printed_hz``, and ``meant_hz``, different if
         another cell exposes a misprint; ``model_hz``; ``difference_hz`` of the model from what was meant, and
         its ``tolerance_hz``; ``within``; ``remark``.
     """

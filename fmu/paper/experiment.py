@@ -79,7 +79,7 @@ class Result:
     comparison : DataFrame
         `fmu.compare` of the long runs, with those verdicts.
     needed : mapping of str to Needed
-        Of the long runs.
+        Length needed by each long run to converge.
     curves : mapping of str to tuple of Curve
         Running errors by sampler: of the long run and, if there is one, of the paper's protocol.
     places : mapping of str to mapping of str to float
@@ -204,7 +204,7 @@ def posterior_mean(trace: xr.DataTree) -> FloatArray:
 
 
 def parameter_table(result: Result) -> pd.DataFrame:
-    """Return the paper's parameter table (1 or 3) beside ours, one row a parameter, SI units.
+    """Return the paper's parameter table (1 or 3) beside ours, one row per parameter, SI units.
 
     Columns: ``unit``; ``published_*``; ``maximum`` (of the posterior); ``paper_*``, the means under the paper's
     protocol; ``long_*_mean``, ``_sd``, ``_mcse`` and the ends of the interval, of the long runs; the same of the
@@ -227,12 +227,12 @@ def parameter_table(result: Result) -> pd.DataFrame:
 
 
 def frequency_table(result: Result) -> pd.DataFrame:
-    """Return the paper's frequency table (2 or 4) beside ours, one row a measured mode.
+    """Return the paper's frequency table (2 or 4) beside ours, one row per measured mode.
 
     Frequencies in Hz (``*_hz``) and errors |f − f_m|/f_m in % (``*_error``): ``published_*`` as printed;
     ``recomputed_*`` from the published parameters, with this experiment's pairing; ``maximum_*`` at the highest
     maximum of the posterior; ``paper_*`` and ``long_*`` of the model at our posterior mean. ``long_*_predictive``
-    with its interval is the posterior predictive distribution of a new measurement, eq. (10).
+    and its interval are the posterior predictive distribution of a new measurement, eq. (10).
     """
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}
@@ -259,7 +259,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return `fmu.compare` of the long runs with what the paper's protocol cost beside it, one row a sampler.
+    """Return `fmu.compare` of the long runs with what the paper's protocol cost beside it, one row per sampler.
 
     ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
     ``needed_solves``: model solves, warm-up counted, after which the long run passed for converged at every length

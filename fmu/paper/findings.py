@@ -52,9 +52,9 @@ class Findings:
     agreement : tuple
         See `fmu.paper.experiment.agreement`.
     origin : str
-        Of the reference.
+        Origin of the reference.
     settings : mapping of str to str
-        Of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
+        Settings of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
     learnt : mapping of str to str
         What each warm-up tuned of the settings that were not given, as JSON, by the same keys.
     lengths : mapping of str to tuple of int

@@ -53,9 +53,9 @@ class Plan:
     pace : mapping of str to Length
         Runs with the paper's settings from draws of the posterior: for the cost of an effective draw.
     long : mapping of str to Length
-        The long runs, one a sampler, from draws of the prior.
+        The long runs, one per sampler, from draws of the prior.
     weighted : tuple of (case, pairing)
-        Of the experiments, those repeated by HMC with a β for every mode.
+        The experiments that are repeated by HMC with a separate β for every mode.
     starts : int
         Optimiser starts of the search for maxima.
     box_points : int
@@ -127,7 +127,7 @@ class Runs:
     ----------
     problem : UpdatingProblem
     maxima : Maxima
-        Of the problem; stored in every trace.
+        Maxima of the problem; stored in every trace.
     seed : int
         The same for every run.
     phase : str

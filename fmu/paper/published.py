@@ -33,7 +33,7 @@ class Printed:
     digits : str
         The mantissa with the decimals that were printed, trailing zeros included.
     exponent : int
-        Of the power of ten printed behind it.
+        Exponent of the power of ten printed after the mantissa.
     """
 
     digits: str

@@ -54,7 +54,7 @@ def run_paper(
     out : path-like
         Directory of the results. Only files that an earlier run wrote there are replaced or removed.
     progress : callable, optional
-        Called as ``progress(phase, done, total, info)``, one phase an experiment, and one a run with a vector β.
+        Called as ``progress(phase, done, total, info)``, one phase per experiment and per run with a vector β.
     plan : Plan, optional
         Lengths of the runs.
     workers : int, optional

@@ -75,7 +75,7 @@ def _in_a_line(findings: Findings) -> str:
 
 
 def _means(findings: Findings) -> str:
-    """Return one row a source and one column a parameter, in the paper's units."""
+    """Return one row per source and one column per parameter, in the paper's units."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
 

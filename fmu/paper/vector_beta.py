@@ -46,14 +46,14 @@ class VectorBeta:
     ----------
     case, pairing : str
     modes : DataFrame
-        One row a measured mode. Frequencies in Hz (``*_hz``) and errors |f − f_m|/f_m in % (``*_error``):
+        One row per measured mode. Frequencies in Hz (``*_hz``) and errors |f − f_m|/f_m in % (``*_error``):
         ``measured``, ``initial``, ``published`` (the paper's HMC column), and of the model at the posterior mean
         with the ``scalar`` and the ``vector`` β; the standard deviation of the frequency error that each β stands
         for (``*_sigma_hz``).
     parameters : DataFrame
-        One row a parameter, SI units: ``unit``, and the posterior mean and sd with either β.
+        One row per parameter, SI units: ``unit``, and the posterior mean and sd with either β.
     runs : DataFrame
-        One row a β (`SCALAR`, `VECTOR`): ``converged``, ``rhat``, ``ess`` (bulk, the worst parameter's).
+        One row per β (`SCALAR`, `VECTOR`): ``converged``, ``rhat``, ``ess`` (bulk, the worst parameter's).
     reasons : mapping of str to tuple of str
         By β, why the run has not converged.
     """
@@ -213,7 +213,7 @@ def _parameters(study: VectorBeta) -> str:
 
 
 def plot_vector_beta(studies: Sequence[VectorBeta], figure: Figure | None = None) -> Figure:
-    """Draw the error of every mode with the scalar and with the vector β, one frame an experiment."""
+    """Draw the error of every mode with the scalar and with the vector β, one panel per experiment."""
     figure = figure or new_figure(3.4 * len(studies) + 0.6, 4.2)
     frames = figure.subplots(1, len(studies), sharey=True, squeeze=False)[0]
     looks = {

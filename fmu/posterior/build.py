@@ -44,13 +44,13 @@ def paired_model(
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The last are paired already.
+        A `ModalModel` is paired already.
     data : ModalData
     parameters : sequence of Parameter
         The model's.
     pairing : {"shape", "index", "soft"}
     softness : float
-        Of the last.
+        Softness of the soft pairing.
 
     Raises
     ------
@@ -114,17 +114,17 @@ def likelihood_of(
     error : str, ErrorModel or sequence of ErrorModel
         See `fmu.posterior.problem.UpdatingProblem`.
     beta : float or array_like, optional
-        Of the errors that have a name.
+        β of the errors that are given by name.
     model, paired : ModalModel
-        As given, and paired with the data.
+        The model as given, and paired with the data.
     data : ModalData
     parameters : sequence of Parameter
-        The model's.
+        Parameters of the model.
 
     Raises
     ------
     ValueError
-        If the error model is unknown or does not fit the data or the model, or `beta` is not wanted.
+        If the error model is unknown or does not fit the data or the model, or `beta` does not apply.
     """
     if isinstance(error, str) and error not in ERRORS:
         raise ValueError(f"error: must be one of {ERRORS}, or error models (got {error!r})")

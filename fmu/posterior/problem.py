@@ -346,7 +346,7 @@ class UpdatingProblem:
         return self._recorded(self.likelihood.terms(points), points)
 
     def _recorded(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Return `terms` with -inf in place of what is not finite, after noting where that happened."""
+        """Return `terms` with -inf in place of non-finite values, after recording the points that failed."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

@@ -163,7 +163,7 @@ def _sizes(terms: Sequence[Term], theta: FloatArray) -> Any:
 
 
 def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
-    """Return Σ_j (|A|_ij φ_i φ_j)² of every degree of freedom i and mode, shape (n_dof, n_modes)."""
+    """Return Σ_j (|A|_ij φ_i φ_j)² for every degree of freedom i and mode, shape (n_dof, n_modes)."""
     squares = sp.csr_array((sizes.data**2, sizes.indices, sizes.indptr), shape=sizes.shape)
     return np.asarray(shapes**2 * (squares @ shapes**2))
 

@@ -119,7 +119,7 @@ class JSONLines:
     Parameters
     ----------
     stream : text stream
-        Of a command whose standard output holds tables: the standard error.
+        Standard error, for a command that prints tables on standard output.
     """
 
     def __init__(self, stream: TextIO) -> None:

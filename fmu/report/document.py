@@ -200,7 +200,7 @@ def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
     Parameters
     ----------
     axes : Axes or ndarray of Axes
-        Of one figure.
+        The axes of one figure.
     key : str
         A prefix of its ids, unique on the page.
     alt : str

@@ -147,12 +147,12 @@ def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[
 
 
 def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[str]) -> Path:
-    """Write the pages of traces in memory.
+    """Write the report pages of traces that are in memory.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Of several samplers on one problem, by the names of their pages.
+        Traces of several samplers on one problem, keyed by page name.
     directory : path-like
         Made if it does not exist. Files of the same name are replaced.
 

@@ -67,7 +67,7 @@ class KeptGroup(NamedTuple):
     ----------
     state : SavedState
     phase : {"warmup", "draws"}
-        Of the last step.
+        Phase of the last step.
     at : float
         When it was saved, in seconds since 1970.
     accept : float
@@ -148,7 +148,7 @@ class GroupReader:
     Parameters
     ----------
     directory : Path
-        Of the group.
+        Directory of the group.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -229,7 +229,7 @@ def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Pr
 
 
 def of_trace(path: Path) -> Progress:
-    """Return what the trace of a finished sampler says.
+    """Return the progress of a finished sampler, from its trace.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class SamplerReading:
     groups : tuple of Progress
         Empty if there is only one group, or the sampler has finished.
     verdict : str
-        Of a finished sampler, if the run has finished.
+        Verdict on a finished sampler; empty until the whole run has finished.
     """
 
     name: str
@@ -84,7 +84,7 @@ class RunReader:
     Parameters
     ----------
     directory : Path
-        Of ``fmu run``, or the checkpoint of `fmu.sample`.
+        Output directory of ``fmu run``, or the checkpoint of `fmu.sample`.
     """
 
     def __init__(self, directory: Path) -> None:

@@ -58,7 +58,7 @@ class Store:
     settings : Checkpoint
     identity : Identity
     names, units : sequence of str
-        Of the parameters.
+        Names and units of the parameters.
 
     Raises
     ------

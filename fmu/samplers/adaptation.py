@@ -143,7 +143,7 @@ class Learner:
     Attributes
     ----------
     covariance : ndarray, shape (ndim, ndim), or None
-        Of the last window; None before the first one has closed.
+        Covariance from the last window; None before the first one has closed.
     """
 
     def __init__(self, schedule: Schedule, ndim: int) -> None:
@@ -241,12 +241,12 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
 
 
 def keeping_up(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
-    """Return which chains are where most of them are, shape (chains,).
+    """Return which chains have reached the region where most chains are, shape (chains,).
 
     This is judged by their (average) log-density, which scatters by only √(ndim/2) within one mode. A chain far
-    below is on its way or trapped; one far above has found a spike, or a mode that the others have yet to find. In
-    both cases the others cannot use what it learns. If `acceptance` is given, a chain must also accept about as
-    often as the others.
+    below is still approaching or trapped; one far above has found a spike, or a mode that the others have yet to
+    find. In both cases the others cannot use what it learns. If `acceptance` is given, a chain must also
+    accept about as often as the others.
     """
     near = np.abs(log_prob - _level(log_prob)) <= allowance
     if acceptance is None:

@@ -60,7 +60,7 @@ class Info:
         What only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ... They are
         recorded for every draw.
     parts : Info, optional
-        Of a kernel that runs other kernels: the diagnostics of their steps. They are for its tuner, and not
+        For a kernel that runs other kernels, the diagnostics of their steps. They are for its tuner, and not
         recorded.
     """
 
@@ -85,9 +85,9 @@ class Kernel(Protocol):
 
 
 class Sampler(ABC):
-    """Settings of one algorithm: the base of the dataclasses of settings.
+    """Settings of one sampler: the base class of all dataclasses of settings.
 
-    A sampler that `registry` lists by name says the rest about itself in these class attributes.
+    A sampler that `registry` lists by name also sets these class attributes.
 
     Attributes
     ----------
@@ -96,10 +96,10 @@ class Sampler(ABC):
     title, colour : str
         For figures and reports.
     cost : tuple of three float
-        Means over the shipped cases, per step of a chain or walker: evaluations in warm-up, evaluations after it,
+        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after it,
         and distinct draws.
     takes_gradients : bool
-        Whether an evaluation is one of the gradient.
+        Whether each evaluation includes the gradient.
     learns_together : bool
         Whether all chains must be in one group.
     walkers : int

@@ -261,7 +261,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     Returns
     -------
     pandas.DataFrame
-        One row a sampler:
+        One row per sampler:
 
         - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
         - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if one is NaN;

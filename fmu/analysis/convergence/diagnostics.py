@@ -56,7 +56,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its
+        One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its
         probability in per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler),
         ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile) and ``mcse_mean``. NaN if a quantity is
         undefined: R-hat of one chain, everything for a constant. ``attrs["units"]`` maps parameters to units.
@@ -64,7 +64,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     Raises
     ------
     ValueError
-        If `ci_prob` does not lie between 0 and 1, or `trace` is no trace.
+        If `ci_prob` does not lie between 0 and 1, or `trace` is not a trace.
     """
     check_trace(trace)
     lower, upper = interval_columns(ci_prob)
@@ -98,11 +98,11 @@ def interval_columns(ci_prob: float) -> tuple[str, str]:
 
 
 def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
-    """Return R-hat over the walkers of an ensemble, the worst ensemble's, shape (ndim,).
+    """Return R-hat over the walkers of an ensemble, for the worst ensemble, shape (ndim,).
 
     Walkers are not independent chains, and a run of few autocorrelation times gives false alarms; but walkers that
-    stay in separate modes show here, and not in R-hat over ensembles. Each ensemble is judged by itself, because a
-    single trapped walker among all walkers of a run would carry too little weight.
+    stay in separate modes show up here, and not in R-hat over ensembles. Each ensemble is judged by itself,
+    because a single trapped walker among all walkers of a run would carry too little weight.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -121,7 +121,7 @@ def convergence_failures(trace: xr.DataTree, table: pd.DataFrame | None = None) 
     """Return why a run has not converged; an empty list if all tests pass.
 
     The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
-    below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 a chain (Vehtari et al. 2021);
+    below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
     standard errors of the means below a tenth of the posterior sd. At most one Hamiltonian trajectory in a
     thousand diverges, and E-BFMI of every chain is at least 0.3. For an ensemble sampler, whose ensembles are
     the chains: at least four ensembles; a run of at least 50 autocorrelation times; and R-hat over walkers below

@@ -198,7 +198,7 @@ MOST_STEPS = 20_000
 def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
     """Return the worst R-hat and bulk effective sample size over the parameters of a run under way.
 
-    Both are defined as in `fmu.summary`, and are equal to it up to 2000 draws a chain.
+    Both are defined as in `fmu.summary`, and are equal to it up to 2000 draws per chain.
 
     Parameters
     ----------
@@ -215,11 +215,11 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
 
     Notes
     -----
-    For longer runs R-hat is computed from every k-th draw, 2000 a chain; this changes it by less than its own
+    For longer runs R-hat is computed from every k-th draw, 2000 per chain; this changes it by less than its own
     error. The ESS is that of the mean of all draws, from batch means: batching, unlike thinning, does not change
     the variance of the mean. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps
-    a chain every k-th step is taken; the ESS of nearly independent draws is then a lower bound, about 20 000 a
-    chain.
+    per chain every k-th step is taken; the ESS of nearly independent draws is then a lower bound, about 20 000
+    per chain.
     """
     if draws.ndim == 4:
         draws, walkers = draws.reshape(len(draws), -1, draws.shape[3]), draws.shape[2]

@@ -47,7 +47,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     required : float
         Bulk and tail ESS that every parameter must have.
     lengths : ndarray, shape (ndim,), optional
-        Of ensembles, the run's length in autocorrelation times.
+        For ensembles: the length of the run in autocorrelation times.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def draws_to_come(
     required : float
         Bulk and tail ESS that every parameter must have.
     lengths, walker_rhat : ndarray, shape (ndim,), or None
-        Of ensembles, the run's length in autocorrelation times, and R-hat over walkers.
+        For ensembles: the length of the run in autocorrelation times, and R-hat over walkers.
     """
     growth = growth_needed(table, required, lengths)
     ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
@@ -142,7 +142,7 @@ def for_too_few_draws(
     required : float
         Bulk and tail ESS that every parameter must have.
     lengths, walker_rhat : ndarray, shape (ndim,), optional
-        Of ensembles, the run's length in autocorrelation times, and R-hat over walkers.
+        For ensembles: the length of the run in autocorrelation times, and R-hat over walkers.
     """
     if len(trace["posterior"]["chain"]) < 2:
         return ""  # another message already asks for more chains

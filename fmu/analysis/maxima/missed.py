@@ -78,7 +78,7 @@ def _peaks(maxima: Maxima) -> FloatArray:
 
 
 def _reach(theta: FloatArray) -> float:
-    """Return by how much log P of a Gaussian falls to the rim: half of the χ² quantile."""
+    """Return the drop of log P from the peak of a Gaussian to its ellipsoid: half of the χ² quantile."""
     return float(gammaincinv(0.5 * theta.shape[1], NEARBY))
 
 
@@ -206,7 +206,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
 
 
 def _each_path(nearest: IntArray) -> IntArray:
-    """Return one row a chain, or a walker of an ensemble."""
+    """Return one row per chain, or a walker of an ensemble."""
     return nearest.swapaxes(1, 2).reshape(-1, nearest.shape[1])
 
 
@@ -263,7 +263,7 @@ def missed_places(
 
 
 class _Paths:
-    """Draws of a run, thinned, a row a chain or walker: position (paths, steps, ndim), log_prob (paths, steps)."""
+    """Thinned draws, one row per chain or walker: position (paths, steps, ndim), log_prob (paths, steps)."""
 
     def __init__(self, trace: xr.DataTree) -> None:
         walkers = walkers_of(trace)

@@ -67,13 +67,13 @@ class PosteriorMaximum:
     at_bound : ndarray of int, shape (ndim,)
         −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere.
     gradient : ndarray, shape (ndim,)
-        Of the log-probability; not zero if a bound is active.
+        Gradient of the log-probability; not zero if a bound is active.
     hessian : ndarray, shape (ndim, ndim)
         −∇² log P or an approximation.
     curvature : str
         Source of the Hessian: ``"differences"`` of the exact gradient, or ``"Gauss-Newton"``.
     mean, sd : ndarray, shape (ndim,)
-        Of the part of the posterior that belongs to this maximum.
+        Mean and standard deviation of the part of the posterior that belongs to this maximum.
     log_mass : float
         Logarithm of that part's integral ∫ P(D|θ) P(θ) dθ.
     effective_draws : float
@@ -105,9 +105,9 @@ class Maxima:
     ----------
     maxima : tuple of PosteriorMaximum
     names, units : tuple of str
-        Of the parameters.
+        Names and units of the parameters.
     labels : tuple of str
-        Of the measured modes.
+        Labels of the measured modes.
     lower, upper, start : ndarray, shape (ndim,)
         The bounds, and the model before updating.
     measured, before : ndarray, shape (n_modes,)
@@ -153,7 +153,7 @@ class Maxima:
         return configuration_hash({name: [getattr(m, name) for m in self.maxima] for name in what})
 
     def table(self) -> pd.DataFrame:
-        """Return one row a maximum, SI units.
+        """Return one row per maximum, SI units.
 
         Columns ``log_prob``, ``share``, ``starts``, ``at_bounds`` (words); each parameter; its posterior mean and
         standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.

@@ -50,10 +50,10 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     ----------
     problem : UpdatingProblem
     starts : int, optional
-        Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer are faster but may miss a
+        Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
         maximum. 256 by default, or 16 if the model has no derivatives.
     seed : int
-        Of the starts, and of the importance sampling.
+        Seed of the starts and of the importance sampling.
 
     Returns
     -------

@@ -73,7 +73,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
         Walkers of an ensemble, 1 for samplers whose chain is a single point. The walkers of every ensemble are in
         proportion to the shares.
     seed : int
-        Of the run.
+        Seed of the run.
 
     Returns
     -------

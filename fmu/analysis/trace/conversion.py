@@ -66,7 +66,7 @@ def to_trace(
         (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
         ``model_frequency`` without it, Hz; of repeated tests ``frequency`` is the mean of as many new tests, and
         ``one_more_test`` a single one), ``prior`` (draws from the prior inside the bounds), ``observed_data``
-        (``frequency``, and ``tests``, a row a test, where it is their mean) and ``constant_data`` (``lower``,
+        (``frequency``, and ``tests``, a row per test, where it is their mean) and ``constant_data`` (``lower``,
         ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel
         tempering ``tempering``
         (`tempering_group`). The attributes say how the draws came about.
@@ -125,7 +125,7 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
 
 
 def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read a trace that `save_trace` wrote into memory.
+    """Read a trace written by `save_trace` into memory.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def units_of(density: LogDensity) -> tuple[str, ...]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a generator of the run's seed tree that shares no stream with the chains, tasks 0, 1, ..."""
+    """Return a random generator from the run's seed tree, independent of those of the chains (tasks 0, 1, ...)."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
 

@@ -23,7 +23,7 @@ class FailedSolves(NamedTuple):
     task : int
         The group of chains, from 0.
     phase : str
-        Of the run: "start", "warmup" or "draws".
+        Phase of the run: "start", "warmup" or "draws".
     step : int
         Steps of the phase at the end of the part.
     failures : sequence of Failure
@@ -46,7 +46,7 @@ def failures_csv(
 
     Parameters
     ----------
-    names, units : sequence of str, one a parameter
+    names, units : sequence of str, one per parameter
     parts : iterable of FailedSolves
     header : bool
         False to append to a file.
@@ -54,7 +54,7 @@ def failures_csv(
     Returns
     -------
     str
-        One row a failed theta, in the order of `parts`: ``task``, ``phase`` and ``step`` as in `FailedSolves`; the
+        One row per failed theta, ordered as `parts`: ``task``, ``phase`` and ``step`` as in `FailedSolves`; the
         parameters in SI units, as ``E [Pa]``; ``reason``. Failures without a recorded theta are counted in a row
         without parameters.
     """

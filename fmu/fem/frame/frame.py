@@ -236,7 +236,7 @@ class Numbering:
         return {_name(i): _name(j) for i, j in zip(tied.tolist(), self.owner[tied].tolist(), strict=True)}
 
     def restricted(self, matrix: Any) -> Any:
-        """Return the matrix (6 n_nodes, 6 n_nodes) on the free degrees of freedom, those tied added up."""
+        """Return a matrix (6 n_nodes, 6 n_nodes) reduced to the free degrees of freedom, with tied ones merged."""
         n = len(self.owner)
         if np.any(self.owner != np.arange(n)):
             T = sp.csr_array((np.ones(n), (np.arange(n), self.owner)), shape=(n, n))

@@ -54,7 +54,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
     ----------
     K, M : sparse arrays, shape (n_dof, n_dof)
         Symmetric; M positive semidefinite: degrees of freedom may have no mass. K may be singular (a free
-        structure): its motions without strain have λ = 0 exactly.
+        structure): its rigid-body modes and mechanisms have λ = 0 exactly.
     count : int
         How many modes.
     finite : int, optional

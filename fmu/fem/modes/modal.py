@@ -350,7 +350,7 @@ class BlockModel:
     def shapes(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
         """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
 
-        For full blocks; zero in the blocks that a mode does not move.
+        For full blocks only. A shape is zero in every block but its own.
         """
         block, rank = modes.block[0], modes.rank[0]
         shapes = np.zeros((sum(len(of.dofs) for of in self.blocks), len(block)))
@@ -368,7 +368,7 @@ class FixedModes:
     ----------
     model : BlockModel
     block, rank : sequence of int
-        Of each mode: its block, and its number (from 0) within it.
+        For each mode, its block and its number (from 0) within that block.
     """
 
     def __init__(self, model: BlockModel, block: Sequence[int], rank: Sequence[int]) -> None:

@@ -35,7 +35,7 @@ class Term:
     Raises
     ------
     ValueError
-        If the matrix is no real matrix.
+        If the matrix is not a real matrix.
     """
 
     matrix: Any
@@ -182,7 +182,7 @@ class RigidArm:
     Attributes
     ----------
     node : hashable
-        Of the model's degrees of freedom.
+        The node that it is connected to, as named in the model's degrees of freedom.
     offset : tuple of float, length 3, m
         From the node to the place, global axes.
     """

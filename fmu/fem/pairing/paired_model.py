@@ -136,7 +136,7 @@ class ModalModel:
 
 
 class GivenModel(ModalModel):
-    """A user's own `FrequencyMap` as a `ModalModel`: what it does not say has its default."""
+    """A user's own `FrequencyMap` as a `ModalModel`; anything that it does not define takes its default."""
 
     def __init__(self, given: Any) -> None:
         self.given = given
@@ -151,7 +151,7 @@ class GivenModel(ModalModel):
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """What the user's model says of where it failed."""
+        """The failures that the user's model has recorded."""
         return getattr(self.given, "reasons", ())
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -163,7 +163,7 @@ class GivenModel(ModalModel):
         return self.given.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return what the user's model says that sensors see."""
+        """Return the user's prediction at the sensors."""
         return self.given.observed(theta, gradient)
 
     def configuration(self) -> Any:
@@ -173,7 +173,7 @@ class GivenModel(ModalModel):
 
 
 def as_modal_model(given: FrequencyMap) -> ModalModel:
-    """Return a model that is paired already as a `ModalModel`: itself, or a user's own wrapped."""
+    """Return a model that is already paired as a `ModalModel`; a user's own model is wrapped."""
     return given if isinstance(given, ModalModel) else GivenModel(given)
 
 

@@ -74,7 +74,7 @@ class Candidates:
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
-    """Return a dataclass of arrays (n, …) with those of `other` in the rows given; None stays None."""
+    """Return a dataclass of arrays (n, …) whose given rows are replaced by those of `other`; None remains None."""
     replaced = {}
     for field in fields(batch):
         mine = getattr(batch, field.name)
@@ -86,7 +86,7 @@ def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: 
 
 
 def joined[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
-    """Return dataclasses of arrays (n, …) one below the other; None stays None."""
+    """Return batches, dataclasses of arrays (n, …), joined along the first axis; None remains None."""
     columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
     return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
 

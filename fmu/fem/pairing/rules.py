@@ -123,7 +123,7 @@ class ShapePairing:
     Attributes
     ----------
     rows : scipy.sparse.csr_array, shape (q, n_dof)
-        The coordinates at which shapes are compared, one a row:
+        The coordinates at which shapes are compared, one per row:
         `fmu.fem.modes.separable.SeparableModel.observation`.
     shapes : ndarray, shape (q, n_modes)
         Reference shapes there: measured ones, or those of the model before updating.

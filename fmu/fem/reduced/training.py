@@ -383,10 +383,10 @@ def _strongest(energy: FloatArray) -> IntArray:
 def smallest_basis(
     reduced: ReducedBlock, acceptable: Callable[[ReducedBlock], bool], smallest: int
 ) -> ReducedBlock:
-    """Return `reduced` by the fewest leading vectors of its basis that are acceptable, or as it is if none are.
+    """Return `reduced` truncated to the fewest leading basis vectors that are acceptable, or unchanged.
 
     By bisection: in nested spaces the reduced eigenvalues fall monotonically towards the exact ones (Courant and
-    Fischer), so that what is acceptable stays so as vectors are added.
+    Fischer), so a basis that is acceptable remains acceptable when vectors are added.
     """
     low, high = max(smallest, reduced.n_trained) - 1, reduced.size
     while high - low > 1:

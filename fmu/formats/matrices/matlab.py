@@ -136,7 +136,7 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
 
 
 def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Yield type and bytes of each part of a matrix; with `cut`, of the complete ones only."""
+    """Yield the type and the bytes of each part of a matrix; with `cut`, a truncated last part is left out."""
     at = 0
     while at + 8 <= len(body):
         kind, size = np.frombuffer(body, f"{order}u4", 2, at).tolist()

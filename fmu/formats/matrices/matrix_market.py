@@ -115,7 +115,7 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
 
 
 def _stored(rows: int, columns: int, sign: float) -> int:
-    """Return how many values the array layout has: of a symmetric matrix, those of its lower triangle."""
+    """Return the number of values in the array format, which has only the lower triangle of a symmetric matrix."""
     if not sign:
         return rows * columns
     if rows != columns:

@@ -3,7 +3,7 @@
 pyOMA_2 is not needed to read its results: they are recognised by their attributes, ``Fn`` (n_modes,), Hz;
 ``Phi`` (n_channels, n_modes), complex; and, of subspace identification run with ``calc_unc=True``, ``Fn_std``
 (n_modes,), Hz: the standard deviations that follow from the scatter of the record's parts (Döhler & Mevel
-2013, Mechanical Systems and Signal Processing 38, 346). pyOMA_2 1.4's own descriptions say "covariance" of it.
+2013, Mechanical Systems and Signal Processing 38, 346). The documentation of pyOMA_2 1.4 calls them "covariance".
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def pyoma_modes(
     result : object
         After ``mpe``: ``setup["name"].result``; or anything with its attributes, or a mapping of their names.
     sensors : sequence of (place, direction)
-        Of each channel, in order; a channel that counts the other way has a minus before its direction.
+        Sensor of each channel, in order; a minus before the direction reverses the sign of a channel.
     modes : sequence of int, optional
         Which modes of the result, from 1; all if not given.
     least_mpc : float
@@ -57,7 +57,7 @@ def pyoma_modes(
 
     Notes
     -----
-    Of several setups merged after the identification, ``Fn_std`` is the scatter between setups and not the
+    If several setups were merged after the identification, ``Fn_std`` is the scatter between setups and not the
     uncertainty of their mean: it is left out. So are the standard deviations of the shapes.
     """
     source = type(result).__name__
@@ -147,7 +147,7 @@ def load_pyoma(path: Path) -> dict[str, Any]:
     FileNotFoundError
         If there is no such file.
     ModesError
-        If it is no such file.
+        If it is not a file of pyOMA_2 results.
     """
     from fmu.formats.matrices.limits import RefusedError
     from fmu.formats.matrices.numpy_files import zipped

@@ -132,9 +132,9 @@ def write_uff(
     shapes : array_like, shape (n_sensors, n_modes)
     sensors : sequence of (place, direction)
     numbers : sequence of int
-        Of the modes.
+        Numbers of the modes.
     nodes : mapping of node number to place, optional
-        As in `read_uff`; needed where a place is no number.
+        As in `read_uff`; needed where a place is not a number.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def datasets(path: Path) -> list[dict[str, Any]]:
     ImportError
         If pyuff is not installed.
     ModesError
-        If the file is no universal file, or too large, or datasets are not as their headers say.
+        If the file is not a universal file, is too large, or has datasets that do not match their headers.
     """
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:

@@ -176,12 +176,12 @@ class ModalData:
         frequencies : path-like
             Columns ``mode``, ``frequency`` (Hz) and, if known, ``number`` and ``sd`` (Hz).
         shapes : path-like, optional
-            Columns ``place``, ``direction``, and one a mode with its name; see `fmu.formats.modes.csv`.
+            Columns ``place``, ``direction``, and one per mode with its name; see `fmu.formats.modes.csv`.
 
         Raises
         ------
         ValueError
-            With every mistake, its line and its column.
+            Lists every mistake with its line and column.
         FileNotFoundError
             If there is no such file.
         """
@@ -239,7 +239,7 @@ class ModalData:
         result : object
             ``setup["name"].result`` after ``mpe``; run with ``calc_unc=True`` it has standard deviations.
         sensors : sequence of (place, direction)
-            Of each channel, in order.
+            Sensor of each channel, in order.
         modes : sequence of int, optional
             Which modes of the result, from 1; all if not given.
         least_mpc : float
@@ -263,7 +263,7 @@ class ModalData:
         path : path-like
             An existing file is replaced.
         nodes : mapping of node number to place, optional
-            Needed where a place is no number.
+            Needed where a place is not a number.
 
         Raises
         ------
@@ -284,7 +284,8 @@ class ModalData:
         ----------
         modes : MeasuredModes
         **options
-            What else the class takes, as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace those of the modes.
+            Further arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace those of
+            `modes`.
         """
         own = {} if "covariance_hz2" not in options else {"sd_hz": None}
         return cls(**(vars(modes) | own | options))

@@ -118,16 +118,16 @@ class BetaFrequencyErrors:
 class FrequencyTerm(ErrorTerm):
     """Independent Gaussian errors of frequencies: term i is log N(ε_i; 0, V_i), with ε of `FrequencyErrors`.
 
-    Where all deviations are known it is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), eqs. (4) and (5) with F = 1.
+    If all deviations are known, it is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), eqs. (4) and (5) with F = 1.
 
     Parameters
     ----------
     kind : {"absolute", "relative", "eigenvalue"}
     measured : ndarray, shape (n_modes,), Hz
     spread : Spread
-        Variances V, in Hz² but for eigenvalues.
+        Variances V of ε, in the squared unit of ε.
     beta : ndarray, shape (n_modes,), optional
-        1/(2V), where it is given instead of the deviations.
+        1/(2V), if given instead of the deviations.
     """
 
     of_frequencies = is_least_squares = True
@@ -143,7 +143,7 @@ class FrequencyTerm(ErrorTerm):
 
     @classmethod
     def of_beta(cls, measured: FloatArray, beta: ArrayLike = 1.0) -> FrequencyTerm:
-        """Return absolute errors with the paper's β, a number or one a mode, 1/Hz².
+        """Return absolute errors with the paper's β, a number or one per mode, 1/Hz².
 
         Raises
         ------
@@ -159,7 +159,7 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(1.0 / np.sqrt(2.0 * self.beta))
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the terms, shape (n, n_modes), for frequencies of that shape in Hz; deviations must be known."""
+        """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape; deviations must be known."""
         assert self._rows is not None  # narrowed for the type checker
         normaliser, beta = self._rows
         with np.errstate(over="ignore"):
@@ -293,7 +293,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return Evaluated(terms, -z) if gradient else Evaluated(terms)
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the terms, shape (n, n_modes), for frequencies of that shape in Hz."""
+        """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape."""
         with np.errstate(over="ignore", invalid="ignore"):
             z = _times(self._inverse_root, frequencies - self.measured)
             return np.asarray(self._normaliser - 0.5 * z**2)
@@ -302,7 +302,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         """Return the log-density of each measured frequency given all the other measured ones, (…, n_modes).
 
         With g = Σ⁻¹ε and c_i = (Σ⁻¹)_ii it is N(g_i/c_i; 0, 1/c_i) (Bürkner, Gabry & Vehtari 2021, Computational
-        Statistics 36, 1243, eq. 12), which leave-one-out cross-validation needs. These do not sum to the joint.
+        Statistics 36, 1243, eq. 12), which leave-one-out cross-validation needs. Their sum is not the joint
+        log-density.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             g = _times(self._inverse_root.T, _times(self._inverse_root, frequencies - self.measured))

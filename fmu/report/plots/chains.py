@@ -48,7 +48,7 @@ _MAX_POINTS = 1500
 def plot_traces(
     traces: Mapping[str, xr.DataTree], published: ArrayLike | None = None, figure: Figure | None = None
 ) -> NDArray[Any]:
-    """Draw the paths of the chains, one row a parameter and one column a trace, warm-up shaded.
+    """Draw the paths of the chains, one row per parameter and one column per trace, warm-up shaded.
 
     For an ensemble, one walker is shown. The axes fit the retained draws; the warm-up may leave them. Dashed lines
     are bounds.
@@ -127,7 +127,7 @@ _LAGS = 100
 
 
 def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
-    """Draw ArviZ's rank plots, one row a parameter: chains of one distribution stay near zero.
+    """Draw ArviZ's rank plots, one row per parameter: chains of one distribution stay near zero.
 
     Drawn is the difference between the distribution of a chain's ranks among all draws and the uniform one. The
     p-value is that of a multi-chain test of uniformity; if it is below 1 %, the deviating ranks are marked. The
@@ -137,7 +137,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     Parameters
     ----------
     trace : xarray.DataTree
-        Of at least two chains.
+        Must have at least two chains.
     figure : Figure, optional
 
     Returns
@@ -188,7 +188,7 @@ def _independent(trace: xr.DataTree) -> float:
 
 
 def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
-    """Draw the autocorrelation of each chain, one row a parameter, out to a hundred steps.
+    """Draw the autocorrelation of each chain, one row per parameter, out to a hundred steps.
 
     For an ensemble, the average over its walkers about their common mean, as in its effective sample size.
 
@@ -261,7 +261,7 @@ _FLOOR = 1e-3
 def plot_running_means(
     trace: xr.DataTree, table: pd.DataFrame | None = None, figure: Figure | None = None
 ) -> NDArray[Any]:
-    """Draw the mean of each chain's first draws, one row a parameter.
+    """Draw the mean of each chain's first draws, one row per parameter.
 
     The band is the mean of all draws with twice its standard error.
 

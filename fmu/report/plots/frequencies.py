@@ -69,7 +69,7 @@ def plot_frequency_errors(
     series : sequence of Frequencies
         Side by side within each mode, in this order.
     labels : sequence of str
-        Of the modes.
+        Labels of the modes.
     figure : Figure, optional
 
     Returns
@@ -217,7 +217,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
 
 
 def _turned(labels: Sequence[str], width: float) -> dict[str, Any]:
-    """Return the rotation of tick labels that do not fit side by side below axes of a given width in inches."""
+    """Return the options that rotate tick labels which do not fit side by side in a width in inches."""
     if max(map(len, labels)) * _LETTER <= width / len(labels):
         return {}
     return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

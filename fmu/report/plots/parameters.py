@@ -56,7 +56,7 @@ def plot_parameter_updates(
     published : mapping of str to array_like, shape (ndim,), optional
         Values to compare the trace of the same label with, SI units.
     maximum : array_like, shape (ndim,), optional
-        Of the posterior, SI units.
+        Maximum of the posterior, SI units.
     summaries : mapping of str to pandas.DataFrame, optional
         ``fmu.summary(trace)`` of each, if already computed.
     figure : Figure, optional

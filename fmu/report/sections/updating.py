@@ -125,7 +125,7 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
-    """Return a column a maximum, beside start, posterior mean and measurement."""
+    """Return a column per maximum, beside start, posterior mean and measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(f"maximum {k}" for k in range(1, len(best) + 1))
     nothing = (MISSING,) * 2

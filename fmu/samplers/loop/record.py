@@ -42,7 +42,7 @@ class RunResult:
     settings : dict
         Its settings, as JSON-able data.
     seed, chains, draws, warmup_draws, walkers : int
-        `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws a step.
+        `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws per step.
     groups : int
         Number of groups that the chains were divided into.
     init : str
@@ -126,7 +126,7 @@ class Record:
         return Steps(self._position[chains, rows], {name: x[chains, rows] for name, x in self._stats.items()})
 
     def draws(self, stop: int) -> Draws:
-        """Return all steps before `stop`, the walkers of each one after another."""
+        """Return the draws of all steps before `stop` in order: all walkers of a step, then those of the next."""
         steps = self.steps(0, stop)
         length = stop * self._walkers
         stats = {name: x.reshape(self._chains, length, *x.shape[3:]) for name, x in steps.stats.items()}
