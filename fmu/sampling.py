@@ -327,7 +327,7 @@ def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> in
 
     if until_ess is None:
         if max_draws is not None:
-            raise ValueError(f"max_draws: needs until_ess, without which draws is the number (got {max_draws!r})")
+            raise ValueError(f"max_draws: needs until_ess, as draws is the number without it (got {max_draws!r})")
         return draws
     positive_number("until_ess", until_ess)
     return GROWTH_LIMIT * draws if max_draws is None else whole_number("max_draws", max_draws, draws)

@@ -168,7 +168,7 @@ class MatricesTable(TomlTable):
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
-            raise BrokenError([Mistake("model.stiffness", f"must have a diagonal below {typed(HELD)} somewhere")])
+            raise BrokenError([Mistake("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")])
         return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free]
 
     def _check(self, read: Sequence[Labelled], are_named: bool) -> None:

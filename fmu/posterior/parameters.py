@@ -52,7 +52,7 @@ class Parameter:
     def __post_init__(self) -> None:
         require_name(self.name)
         if not self.unit.isprintable():
-            raise ValueError(f"{self.name}.unit: must have printable characters alone (got {self.unit!r})")
+            raise ValueError(f"{self.name}.unit: must have only printable characters (got {self.unit!r})")
         if not self.lower < self.upper:
             raise ValueError(f"{self.name}.upper: must exceed lower {typed(self.lower)} (got {typed(self.upper)})")
         low, high = self.prior.support
@@ -100,7 +100,7 @@ def require_name(name: str) -> None:
     elif name in DIMENSIONS or name in (".", ".."):
         rule = f"must not be {', '.join(map(repr, DIMENSIONS))}, '.' or '..', which mean something else in a trace"
     elif not name.isprintable() or name != name.strip():
-        rule = "must have printable characters alone, and no space at its ends"
+        rule = "must have only printable characters, and no space at its ends"
     else:
         return
     raise ValueError(f"name: {rule} (got {name!r})")

@@ -298,7 +298,7 @@ class UpdatingProblem:
         return self._failed.take()
 
     def configuration(self) -> dict[str, Any]:
-        """Return what defines the posterior, in plain Python types."""
+        """Return the data that define the posterior, in plain Python types."""
         other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
         return other | {
             "name": self.name,

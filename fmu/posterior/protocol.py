@@ -45,5 +45,5 @@ class Problem(Protocol):
         ...
 
     def configuration(self) -> dict[str, Any]:
-        """Return what defines the posterior."""
+        """Return the data that define the posterior."""
         ...

@@ -150,9 +150,9 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
                 node, direction = structure.dofs[dof]
                 stiffness = significant(structure.K(theta).diagonal()[dof])
                 raise ValueError(
-                    "rounding: the stiffness must be within 1e14 of that of its neighbours, and no mode below "
-                    f"3e-5 of the frequency of those measured (got {stiffness} at node {node} {direction}, beside "
-                    "which a soft part is lost); where a part is meant to be rigid, make it 1e3 to 1e6 "
+                    "rounding: stiffnesses of neighbours must differ by less than 1e14, and no mode may be below "
+                    f"3e-5 of the measured frequencies (got {stiffness} at node {node} {direction}, where "
+                    "a soft part is lost in rounding); to make a part rigid, make it 1e3 to 1e6 "
                     "times as stiff as its neighbours, or tie its ends"
                 )
 

@@ -153,13 +153,14 @@ def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dic
     sizes = " + ".join(map(str, structure.reduced_sizes))
     missed = []
     if not frequency <= tolerance.frequency:
-        missed.append(f"its frequencies by up to {_off(frequency, tolerance.frequency)}")
+        missed.append(f"its frequencies are off by up to {_off(frequency, tolerance.frequency)}")
     if not log_prob <= tolerance.log_prob:
-        missed.append(f"its log-probability by up to {_off(log_prob, tolerance.log_prob)}")
+        missed.append(f"its log-probability is off by up to {_off(log_prob, tolerance.log_prob)}")
     warnings.warn(
-        f"reduction: with a basis of {sizes} vectors the reduced model is off, {' and '.join(missed)}; take a "
-        f"looser tolerance, as reduction={typed(_looser(tolerance, frequency))}, narrower bounds or priors, or "
-        "reduction=False, the full model",
+        f"reduction: with a basis of {sizes} vectors the reduced model misses its tolerance: "
+        f"{' and '.join(missed)}; "
+        f"choose a looser tolerance, such as reduction={typed(_looser(tolerance, frequency))}, narrower bounds or "
+        "priors, or reduction=False, the full model",
         ReductionWarning,
         skip_file_prefixes=(str(Path(__file__).parents[1]),),  # the line of the user
     )

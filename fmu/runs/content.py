@@ -125,7 +125,7 @@ def packed_state(state: SavedState) -> bytes:
         arrays["outline"] = np.frombuffer(json.dumps(outline).encode(), dtype=np.uint8)
     except TypeError as error:
         raise ValueError(
-            f"sampler: its state must be arrays, numbers and texts to be kept on disk ({error})"
+            f"sampler: its state must be arrays, numbers and strings to be saved ({error})"
         ) from error
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]

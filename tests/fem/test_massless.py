@@ -161,7 +161,7 @@ def test_what_has_neither_mass_nor_stiffness_is_named():
         matrix[turns, :], matrix[:, turns] = 0.0, 0.0
         loose.append(replace(term, matrix=matrix.tocsr()))
     hinged = SeparableModel(loose, model.M_terms, model.dofs, model.geometry)
-    message = r"what has neither stiffness nor mass can move \(3 ry moves most\)$"
+    message = r"degrees of freedom with neither stiffness nor mass can move \(3 ry moves most\)$"
     for free in (False, True):
         with pytest.raises(ValueError, match=message):
             require_stable(hinged, START, free=free)

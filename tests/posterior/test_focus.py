@@ -297,7 +297,9 @@ def test_training_ends_where_no_basis_is_good_enough(bases, monkeypatch):
     monkeypatch.setattr(Training, "refined", lambda self, theta: rounds.append(theta) or refined(self, theta))
     promise(monkeypatch, 1e-6, 1e-300)
     monkeypatch.setattr(focus, "on_a_jump", lambda structure, theta, tolerance: np.zeros(len(theta), dtype=bool))
-    with pytest.warns(ReductionWarning, match=r"^reduction: with a basis of \d+ vectors .* log-probability by up"):
+    with pytest.warns(
+        ReductionWarning, match=r"^reduction: with a basis of \d+ vectors .* log-probability is off"
+    ):
         assert np.isfinite(two_chains().log_prob([1.0, 1.1]))
     assert 3 <= len(rounds) < 10
 
@@ -353,7 +355,7 @@ def test_what_training_did_not_reach_is_said_again_when_it_comes_from_the_cache(
     """As if more than eight vectors would not pay."""
     monkeypatch.setattr(training, "affordable", lambda n_dof: 8)
     monkeypatch.setattr(training, "DENSE_LIMIT", 10)
-    words = r"^reduction: with a basis of 8 .*frequencies by up to \S+ \(asked for: 1e-06\).*reduction=0\.0"
+    words = r"^reduction: with a basis of 8 .*are off by up to \S+ \(asked for: 1e-06\).*reduction=0\.0"
     with pytest.warns(ReductionWarning, match=words) as said:
         first = cases.load("cantilever-young")
     with pytest.warns(ReductionWarning) as again:

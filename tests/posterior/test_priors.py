@@ -363,7 +363,7 @@ BROKEN = [
     (lambda: ScaledBeta.from_mean(3.0, 1.0, 0.0, 2.0), r"mean: must lie between low 0 and high 2 \(got 3\)"),
     (
         lambda: ScaledBeta.from_mean(1.0, 1.0, 0.0, 2.0),
-        r"sd: must be below 1, the most that a beta with this mean has \(got 1\)",
+        r"sd: must be below 1, the limit for a beta with this mean \(got 1\)",
     ),
     (lambda: ScipyPrior("normal"), NO_SCIPY + r" \(got 'normal'\)"),
     (lambda: ScipyPrior(stats.norm), NO_SCIPY + r" \(got .*\)"),

@@ -190,7 +190,7 @@ class TestGoingOn:
     def test_other_density(self, half):
         density = CorrelatedGaussian()
         density.mean = density.mean + 0.01
-        with pytest.raises(ValueError, match=r"checkpoint: must be of the same posterior .where a chain is"):
+        with pytest.raises(ValueError, match=r"checkpoint: must be of the same posterior .at the position"):
             ran(half, density=density)
 
 

@@ -218,7 +218,5 @@ def test_plain_values(value):
 
 @pytest.mark.parametrize("thing", [object(), {1, 2}, b"bytes", 1j, np.array([None, {}])], ids=range(5))
 def test_what_is_not_plain_is_not_written(thing):
-    with pytest.raises(
-        ValueError, match="sampler: its state must be arrays, numbers and texts to be kept on disk"
-    ):
+    with pytest.raises(ValueError, match="sampler: its state must be arrays, numbers and strings to be saved"):
         through_a_file(with_tuner({"deep": {"thing": thing}}))

@@ -187,7 +187,7 @@ class PointMass:
     name: str = ""
 
     def value(self, direction: str) -> float:
-        """Return what resists acceleration in one of `DIRECTIONS`: the mass, or an inertia."""
+        """Return the mass or the moment of inertia that resists acceleration in one of `DIRECTIONS`."""
         return self.inertia[DIRECTIONS.index(direction) - 3] if direction.startswith("r") else self.mass
 
 

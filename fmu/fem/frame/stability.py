@@ -104,11 +104,11 @@ def require_stable(
     motions = free_motions(model, theta)
     if motions.negative.shape[1]:
         moving = what_moves(model, motions.negative, label)
-        raise ValueError(f"the stiffness matrix must not be negative for any motion (it is where {moving})")
+        raise ValueError(f"the stiffness matrix must be positive semidefinite (it is not where {moving})")
     loose = _without_mass(model, theta, motions.shapes)
     if loose.shape[1]:
         raise ValueError(
-            "the structure is a mechanism: what has neither stiffness nor mass can move "
+            "the structure is a mechanism: degrees of freedom with neither stiffness nor mass can move "
             f"({what_moves(model, loose, label)})"
         )
     rigid = np.zeros((6, 0)) if motions.rigid is None else motions.rigid
@@ -133,7 +133,7 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
     _, negative = _lowest_motions(model, M)
     if negative.shape[1]:
         moving = what_moves(model, negative, label)
-        raise ValueError(f"the mass matrix must not be negative for any motion (it is where {moving})")
+        raise ValueError(f"the mass matrix must be positive semidefinite (it is not where {moving})")
 
 
 def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:

@@ -56,7 +56,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
         Symmetric; M positive semidefinite: degrees of freedom may have no mass. K may be singular (a free
         structure): its rigid-body modes and mechanisms have λ = 0 exactly.
     count : int
-        How many modes.
+        Number of modes.
     finite : int, optional
         How many modes have a finite frequency (the rank of M), if known; otherwise M is factorised to find out.
 
@@ -175,7 +175,7 @@ def _shifted(S: Any, M: Any) -> _Factor:
             return _Factor(S + start * 10.0**power * M)
         except (np.linalg.LinAlgError, RuntimeError):
             continue
-    raise SingularMassError("K is not positive definite for the motions that M gives no mass")
+    raise SingularMassError("K is not positive definite for the motions without mass")
 
 
 def _mass_normalised(M: Any, N: FloatArray) -> FloatArray:

@@ -42,7 +42,7 @@ class MatrixFormat:
     Attributes
     ----------
     suffixes : tuple of str
-        How names of such files end, in lower case.
+        Suffixes of the file names, in lower case.
     read : callable
         ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise anything; the
         text of a `RefusedError` is shown as it stands.
@@ -135,13 +135,13 @@ def tables(
     Parameters
     ----------
     file : binary file
-        From where it stands.
+        Read from its current position.
     comments : str or None
-        What begins a comment.
+        The character that begins a comment.
     delimiter : str, optional
-        Between numbers; blanks if not given.
+        Separator between numbers; blanks if not given.
     cleaned : callable, optional
-        What to make of each part of the text first.
+        A function applied to each part of the text first.
 
     Raises
     ------

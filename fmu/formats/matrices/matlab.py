@@ -71,7 +71,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
     file.seek(126)
     order = {b"IM": "<", b"MI": ">"}.get(file.read(2))
     if order is None:
-        raise ValueError("it is of no version from 5 to 7.3")
+        raise ValueError("it is not of a version from 5 to 7.3")
     found = dict(_variables(file, n_bytes, order))
     matrices = [name for name, one in found.items() if max(one.shape) > 1] or list(found)
     one = found[chosen(matrices if variable is None else list(found), variable)]
@@ -85,7 +85,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
     parts = [_numbers(*part, order) for part in islice(_parts(body, order), 3, 6)]
     if one.kind & 0xFF == _SPARSE:
         if len(parts) < 2 or len(parts[1]) != columns + 1:
-            raise ValueError("a sparse matrix must have its row indices and a pointer a column")
+            raise ValueError("a sparse matrix must have row indices, and one pointer per column")
         ir, jc, values = parts[0], parts[1].astype(np.int64), parts[2] if len(parts) > 2 else np.zeros(0)
         n = int(jc[-1])
         return sp.csc_array((values[:n].astype(float), ir[:n], jc), shape=(rows, columns))

@@ -104,7 +104,7 @@ class ScaledBeta(InvertedPrior):
         m, largest = (mean - low) / (high - low), np.sqrt((mean - low) * (high - mean))
         if not sd < largest:
             raise ValueError(
-                f"sd: must be below {significant(largest, 6)}, the most that a beta with this mean has "
+                f"sd: must be below {significant(largest, 6)}, the limit for a beta with this mean "
                 f"(got {typed(sd)})"
             )
         total = (largest / sd) ** 2 - 1.0

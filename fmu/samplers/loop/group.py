@@ -86,7 +86,7 @@ class GroupState:
         return cls(**{**tree, "state": None if state is None else State(**state)})
 
     def tree(self) -> Tree:
-        """Return the group as arrays, numbers and texts by name."""
+        """Return the group as arrays, numbers and strings by name."""
         return {**vars(self), "state": None if self.state is None else vars(self.state)}
 
 

@@ -420,8 +420,8 @@ def _check_same(context: RunContext, group: GroupState) -> None:
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
         was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)
         raise ValueError(
-            f"checkpoint: must be of the same posterior (where a chain is, its log-probability was "
-            f"{was}, and is {is_now})"
+            f"checkpoint: must be of the same posterior (at the position of a chain the log-probability "
+            f"was {was}, and is now {is_now})"
         )
 
 
