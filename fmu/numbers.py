@@ -224,7 +224,7 @@ def _infinite(value: float) -> str:
 
 
 def _power(text: str) -> str:
-    """Write a power of ten without its plus and its zeros in front."""
+    """Write a power of ten without a plus sign and leading zeros."""
     mantissa, e, exponent = text.partition("e")
     return _signed(f"{mantissa}e{int(exponent)}" if e else mantissa)
 

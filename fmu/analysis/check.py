@@ -244,7 +244,7 @@ class Check:
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
     def _blocks(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
-        """Return what is shown below the model: titles, sentences, and tables as text."""
+        """Return the sections below the model: titles, sentences, and tables as text."""
         blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             ("Modes at the start", self.modes.notes, self.mode_table()),

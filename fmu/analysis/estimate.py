@@ -33,7 +33,7 @@ class Estimate(NamedTuple):
 
 
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
-    """Return what the parts of a run will cost: each sampler, and every other part of more than a second.
+    """Return the estimated cost of the parts of a run: each sampler, and every other part of more than a second.
 
     Empty if the whole run takes less than a second.
 

@@ -220,7 +220,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return what `with_identifiability` stored, by the name of the state; empty if there is nothing."""
+    """Return the results that `with_identifiability` stored, by name of the state; empty if there is nothing."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()

@@ -195,7 +195,7 @@ class Information:
 
 
 def information(trace: xr.DataTree) -> Information | None:
-    """Return what the data determine, by the draws and by the linearised model stored in the trace.
+    """Return what the data determine, from the draws and the linearised model stored in the trace.
 
     A direction is uninformed if the draws keep 90 % of the prior standard deviation along it, in normal scores;
     or if the model linearised at the highest maximum leaves it to the prior (`left_to_prior`) and the draws keep

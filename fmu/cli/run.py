@@ -203,7 +203,7 @@ def _begun(
 
 
 def _with_sampler(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Return what was asked for; if no sampler was named, add the default one for this problem and save that."""
+    """Return the request; if no sampler was named, add the default one for this problem and save it."""
     if asked.orders["samplers"]:
         return asked
     asked = replace(asked, orders={**asked.orders, "samplers": [default_sampler(problem)]})

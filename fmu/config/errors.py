@@ -28,7 +28,7 @@ _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
 def _in_a_file(annotation: Any) -> Any:
-    """Return what stands in a file for an argument of an error model: numbers for an array, a name for a noise."""
+    """Return the type that an error model's argument has in a file: numbers for an array, a name for a noise."""
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
     if not is_array and Parameter not in parts:

@@ -77,7 +77,7 @@ def kind_of(value: Any) -> str | None:
 
 
 def by_kind(words: str) -> Discriminator:
-    """Return what picks the type of a value by its kind; `words` say which kinds there are."""
+    """Return a discriminator that picks the type of a value by its kind; `words` lists the kinds."""
     return Discriminator(kind_of, custom_error_type="kind", custom_error_message=f"must be {words}")
 
 
@@ -89,7 +89,7 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 
 
 def one_length(what: str) -> AfterValidator:
-    """Return what refuses rows that differ in length: each has a value per mode, sensor or the like."""
+    """Return a validator that refuses rows of different lengths: each has a value per mode, sensor or the like."""
 
     def checked(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
@@ -132,7 +132,7 @@ class Declared(TomlTable):
         return {self.renamed.get(key, key): getattr(self, key) for key in keys}
 
     def build(self, **others: Any) -> Any:
-        """Return what the constructor makes of the arguments in the file, and of `others` in their place.
+        """Return the object built from the arguments in the file, with `others` in place of some of them.
 
         Raises
         ------
@@ -168,7 +168,7 @@ def declared(
     *makes : callable
         A class or a function with annotations and a docstring. Of several, the file gives the arguments of one.
     tag : str
-        A further key, which says what kind of table it is.
+        A further key, which gives the kind of the table.
     in_a_file : callable, optional
         Returns what a file has in place of an annotation that is not a TOML type, such as the name of another
         table; None for an argument that is not a key.
@@ -285,7 +285,7 @@ def _ways(makes: tuple[Maker, ...]) -> str:
 
 
 def _descriptions(make: Maker) -> dict[str, str]:
-    """Return what the docstring says of each argument, in its section of attributes or parameters."""
+    """Return the description of each argument in the docstring, from its section of attributes or parameters."""
     text = inspect.getdoc(make) or ""
     section = re.search(r"(?:Attributes|Parameters)\n-+\n(.*?)(?:\n\n|\Z)", text, re.DOTALL)
     entries = re.findall(r"^([\w, ]+?) : .*\n((?:    .*\n?)*)", section[1] if section else "", re.MULTILINE)

@@ -207,7 +207,7 @@ class BlackBoxModel:
         return self._latest.get(theta.tobytes())
 
     def configuration(self) -> dict[str, Any]:
-        """Return what identifies the model: the function's name, and a hash of its source file."""
+        """Return the data that identify the model: the function's name, and a hash of its source file."""
         try:
             with open(inspect.getsourcefile(inspect.unwrap(self.function)) or "", "rb") as file:
                 digest = hashlib.sha256(file.read()).hexdigest()
@@ -261,7 +261,7 @@ def _name_of(function: Any) -> str:
 
 
 def checked(given: Any, n_parameters: int, n_points: int | None = None) -> list[Answer]:
-    """Return what a function returned as answers, one per point.
+    """Return the result of a function as a list of answers, one per point.
 
     Parameters
     ----------

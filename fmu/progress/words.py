@@ -28,7 +28,7 @@ def bar_name(phase: str, info: Info) -> str:
 
 
 def in_words(info: Info, brief: bool = False) -> str:
-    """Return what stands beside a bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
+    """Return the text beside a progress bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
 
     Rates come last; if `brief`, without saying of what: ``5.3k/s``.
     """
@@ -57,7 +57,7 @@ def number(value: float) -> str:
 
 
 def as_json(value: Any) -> str:
-    """Return a value as JSON: NumPy's numbers as numbers, null for what is not finite, other objects as text."""
+    """Return a value as JSON: NumPy's numbers as numbers, non-finite values as null, other objects as text."""
     return json.dumps(_plain(value))
 
 

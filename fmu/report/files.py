@@ -85,7 +85,7 @@ class OutputDirectory:
         self._write(set(names))
 
     def _stands(self, name: str) -> bool:
-        """Say whether something is in the way: a file of that name, or a file in place of a directory."""
+        """Return whether something is in the way: a file of that name, or a file in place of a directory."""
         path = self.root / name
         above = [parent for parent in path.parents if self.root in parent.parents]
         return os.path.lexists(path) or any(os.path.lexists(p) and not p.is_dir() for p in above)

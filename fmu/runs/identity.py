@@ -79,7 +79,7 @@ class Identity:
 
 @cache
 def arithmetic() -> str:
-    """Return what the last bits of results depend on, besides versions: the BLAS, and the kind of CPU."""
+    """Return the kind of CPU and the BLAS, on which the last bits of results depend besides the versions."""
     from threadpoolctl import threadpool_info
 
     blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")

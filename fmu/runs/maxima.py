@@ -25,7 +25,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: Any) -> None:
 
 
 def kept_maxima(directory: str | os.PathLike[str], problem: Any = None) -> Maxima | None:
-    """Return what `keep_maxima` wrote; None if it is missing, damaged, or not of the problem, if one is given."""
+    """Return the saved maxima; None if they are missing, damaged, or not of the problem, if one is given."""
     import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import maxima_of

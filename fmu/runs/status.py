@@ -148,7 +148,7 @@ class RunReader:
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _asked(self, where: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
-        """Return what was asked for and which samplers have finished, as far as that can be read."""
+        """Return the options of the run and the samplers that have finished, as far as they can be read."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
@@ -186,7 +186,7 @@ class RunReader:
         return found
 
     def _trace(self, path: Path) -> Progress:
-        """Return what a trace says; nothing if it cannot be read."""
+        """Return the progress of a finished sampler, from its trace; empty if that cannot be read."""
         try:
             key = (path, path.stat().st_mtime_ns)
             if key not in self._traces:

@@ -183,7 +183,7 @@ class Learner:
         return np.asarray(np.mean(value[keeping_up(self._log_prob, LAG + self.ndim)]))
 
     def state(self) -> Tree:
-        """Return what was learnt so far, as plain data."""
+        """Return the state of the learner as plain data."""
         return {
             "step": self.step,
             "covariance": self.covariance,

@@ -111,7 +111,7 @@ class HamiltonianMonteCarlo(Sampler):
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
-        """Return what learns these settings in `steps` steps of warm-up, None if nothing is to be learnt."""
+        """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""
         return HamiltonianTuner(self, density, chains, steps) if self.step_size is None else None
 
 
@@ -155,7 +155,7 @@ class HamiltonianTuner:
         )
 
     def state(self) -> Tree:
-        """Return what was learnt so far, as plain data."""
+        """Return the state of the tuner as plain data."""
         return {"learner": self.learner.state(), "averaging": vars(self.averaging)}
 
     def restore(self, state: Tree) -> None:

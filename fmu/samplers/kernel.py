@@ -123,7 +123,7 @@ class Sampler(ABC):
         """Return the kernel that samples `density` with these settings; ValueError if they do not fit it."""
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return what learns better settings in `steps` steps of warm-up, None if there is nothing to learn."""
+        """Return a tuner that learns better settings in `steps` warm-up steps; None if none is needed."""
         return None
 
 
@@ -147,7 +147,7 @@ class Tuner(Protocol):
         ...
 
     def state(self) -> Tree:
-        """Return what was learnt so far, as plain data."""
+        """Return the state of the tuner as plain data."""
         ...
 
     def restore(self, state: Tree) -> None:

@@ -178,7 +178,7 @@ class MetropolisHastings(Sampler):
         return MetropolisKernel(Target(density), self.proposal or RandomWalk(START_SCALE))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
-        """Return what learns the random walk in `steps` steps of warm-up, None if nothing is to be learnt."""
+        """Return a tuner that learns the random walk in `steps` warm-up steps; None if none is needed."""
         if self.proposal is not None:
             return None
         return MetropolisTuner(self, density, steps)
@@ -269,7 +269,7 @@ class MetropolisTuner:
         return self._settings(averaged)
 
     def state(self) -> Tree:
-        """Return what was learnt so far, as plain data."""
+        """Return the state of the tuner as plain data."""
         return {"search": self.search.state(), "log_scale": self.log_scale, "count": self.count, "sum": self.sum}
 
     def restore(self, state: Tree) -> None:

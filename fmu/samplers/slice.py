@@ -80,7 +80,7 @@ class Slice(Sampler):
         return SliceKernel(Target(density), self, width, axes)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> SliceTuner | None:
-        """Return what learns these settings in `steps` steps of warm-up, None if nothing is to be learnt."""
+        """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""
         return SliceTuner(self, density, steps) if self.width is None else None
 
 
@@ -232,7 +232,7 @@ class SliceTuner:
         return self.settings
 
     def state(self) -> Tree:
-        """Return what was learnt so far, as plain data."""
+        """Return the state of the tuner as plain data."""
         return self.learner.state()
 
     def restore(self, state: Tree) -> None:

@@ -183,7 +183,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
-    """Return what is wrong with the Hamiltonian trajectories; an empty list for samplers without them."""
+    """Return the faults of the Hamiltonian trajectories; an empty list for samplers without them."""
     failures = []
     if has(trace, "sample_stats", "diverging"):
         diverging = array_of(trace, "sample_stats", "diverging")

@@ -41,7 +41,7 @@ def _plain(value: Any) -> Any:
 def described(
     density: LogDensity, sampler: str, settings: Mapping[str, Any], run: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return what determines draws: the problem, the sampler with its settings, and the arguments of the run."""
+    """Return the inputs that determine the draws: problem, sampler with settings, and arguments of the run."""
     describe = getattr(density, "configuration", None)
     problem = (
         describe()

@@ -46,7 +46,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Return what is wrong with the full model, which answers where a reduced one fails."""
+    """Return why the full model fails; it is used where a reduced one fails."""
     structure = model.structure
     for b, count in model.rule.counts(model.full).items():
         block: Any = model.full.blocks[b]
@@ -58,7 +58,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return what is wrong with a block, and the degree of freedom concerned if there is one."""
+    """Return why a block fails, and the degree of freedom concerned if there is one."""
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):

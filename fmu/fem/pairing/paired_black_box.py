@@ -132,7 +132,7 @@ class PairedBlackBox(ModalModel):
             If the function gives no shapes.
         """
         if self._n_sensors is None:
-            raise ValueError("model.function: must give shapes where they have errors (it gives none)")
+            raise ValueError("model.function: must return shapes, as shapes have errors (it gives none)")
         frequencies, slopes, shapes = self._paired(theta)
         if not gradient:
             return ModalPrediction(frequencies, shapes)
@@ -152,7 +152,7 @@ class PairedBlackBox(ModalModel):
         )
 
     def configuration(self) -> dict[str, Any]:
-        """Return what identifies the model, in plain Python types."""
+        """Return the data that identify the model, in plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
     def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -257,7 +257,7 @@ class Memory:
         return len(self._rows)
 
     def row(self, theta: FloatArray) -> FloatArray | None:
-        """Return what is known at a theta (n_parameters,), None if nothing is."""
+        """Return the stored answer at a theta (n_parameters,); None if there is none."""
         return self._rows.get(theta.tobytes())
 
     def keep(self, theta: FloatArray, row: FloatArray) -> None:

@@ -131,7 +131,7 @@ class ModalModel:
         return self.observed(theta)
 
     def configuration(self) -> Any:
-        """Return what identifies the model, in plain Python types."""
+        """Return the data that identify the model, in plain Python types."""
         raise NotImplementedError
 
 
@@ -455,7 +455,7 @@ class PairedStructure(ModalModel):
         return digest.hexdigest()
 
     def configuration(self) -> dict[str, Any]:
-        """Return what identifies the model, in plain Python types."""
+        """Return the data that identify the model, in plain Python types."""
         return {
             "structure": repr(self.structure),
             "pairing": type(self.rule).__name__,

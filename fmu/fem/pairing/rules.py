@@ -93,7 +93,7 @@ class IndexPairing:
         return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
 
     def identity(self) -> tuple[bytes, tuple[Any, ...]]:
-        """Return what identifies the rule beside its name: bytes, and sparse matrices."""
+        """Return the data besides its name that identify the rule: bytes, and sparse matrices."""
         return repr(self).encode(), ()
 
 
@@ -218,7 +218,7 @@ class ShapePairing:
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
     def identity(self) -> tuple[bytes, tuple[Any, ...]]:
-        """Return what identifies the rule beside its name: bytes, and sparse matrices."""
+        """Return the data besides its name that identify the rule: bytes, and sparse matrices."""
         return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
 
 

@@ -26,7 +26,7 @@ _VERSION = 4
 
 
 def load_basis(key: Any) -> dict[str, FloatArray] | None:
-    """Return what `store_basis` stored for `key` (JSON-able), or None."""
+    """Return the basis that `store_basis` stored for `key` (JSON-able), or None."""
     path = _path(key)
     if path is None:
         return None

@@ -259,7 +259,7 @@ def datasets(path: Path) -> list[dict[str, Any]]:
 
 
 def _wrong(one: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with a dataset that pyuff read: it accepts any number of values."""
+    """Return the faults of a dataset that pyuff read, since pyuff accepts any number of values."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"

@@ -116,7 +116,7 @@ class Tempering(Sampler):
         return TemperingKernel(parts, t, bound, self.swap_every)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
-        """Return what learns ladder and kernels in `steps` steps of warm-up, None if nothing is to be learnt."""
+        """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if none is needed."""
         learns = not isinstance(self.kernel, tuple) and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 
@@ -158,7 +158,7 @@ class LadderTuner:
         return replace(self.sampler, kernel=kernel, temperatures=self.temperatures, rungs=len(self.temperatures))
 
     def state(self) -> Tree:
-        """Return what was learnt so far, as plain data."""
+        """Return the state of the tuner as plain data."""
         return {
             "lengths": self.lengths,
             "temperatures": self.temperatures,
