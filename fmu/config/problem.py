@@ -74,7 +74,7 @@ class ProblemFile(TomlTable):
         Parameters
         ----------
         source : str
-            What to call the file in the error.
+            Name of the file in the error message.
         folder : Path
             Where files that it names are.
         pairing, beta : optional

@@ -71,7 +71,7 @@ class Engine(Protocol):
         work : callable
             A function of a module.
         shared : object
-            What all tasks need. A worker receives it once, and again only if it is a different object.
+            Data that all tasks need. A worker receives it once, and again only if it is a different object.
         tasks : sequence
             The first task of every sequence, none of them None.
         follow : callable, optional

@@ -77,7 +77,7 @@ class BlackBoxModel:
     step : float
         Step of the central differences, relative to the scale of each parameter (its range, where it has one).
     name : str, optional
-        What to call it where a problem is described.
+        Name used where a problem is described.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ def summary_page(
     ----------
     everything : sequence of Findings
     recomputed : tuple of int
-        How many published frequencies came out, and of how many.
+        Number of published frequencies that were reproduced, and their total number.
     seed : int
     versions : mapping of str to str
     """

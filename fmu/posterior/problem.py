@@ -43,7 +43,7 @@ class UpdatingProblem:
         weights exp(MAC/τ), so that the log-probability does not jump where modes veer; its price is in
         `fmu.posterior.errors.mixture`.
     softness : float
-        τ, for ``"soft"`` alone.
+        τ, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual; 1 by
         default, as in the paper. It must not be given if `data` have standard deviations or a covariance.
@@ -133,7 +133,7 @@ class UpdatingProblem:
     ) -> UpdatingProblem:
         """Return a problem in which a certified reduced model replaces a SeparableModel inside the bounds.
 
-        It is trained here, or read from the cache (`fmu.posterior.train_reduced`). Other models stay as they are.
+        It is trained here, or read from the cache (`fmu.posterior.train_reduced`). Other models are unchanged.
 
         Parameters
         ----------

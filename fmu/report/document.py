@@ -170,7 +170,7 @@ class Page:
     lead : str
         One line below it.
     verdicts : tuple of Verdict
-        What comes first.
+        Verdicts at the top of the page.
     sections : tuple of PageSection
     others : tuple of Link
         The other pages of the report.

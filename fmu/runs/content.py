@@ -54,7 +54,7 @@ class SavedState(NamedTuple):
     configuration : str
         Hash of what determines the draws.
     arithmetic : str
-        What the last bits of the draws depend on.
+        Processor and BLAS, on which the last bits of the draws depend.
     group_state : GroupState
     elapsed_s : mapping of str to float
         Time that each phase of the run has taken.

@@ -66,7 +66,7 @@ class RunReading:
     phase : str
         The phase under way if it is not one of a sampler, such as ``certificate 32/64``; empty if there is none.
     notes : tuple of str
-        What could not be read, in words.
+        Messages about files that could not be read.
     """
 
     directory: Path

@@ -23,7 +23,7 @@ Tree = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class State:
-    """What the next step of a kernel needs, as arrays alone, so that it can be kept in a file.
+    """What the next step of a kernel needs, as arrays only, so that it can be kept in a file.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class State:
     gradient : ndarray or None
         Gradient of the log-density at `position`, for the kernels that use it.
     extra : mapping of str to ndarray
-        What only some kernels need.
+        Data that only some kernels need.
     """
 
     position: FloatArray
@@ -57,8 +57,8 @@ class Info:
         Gradients that the step took. An exact gradient is one solve too; a central-difference gradient is
         ``2 ndim`` solves.
     extra : mapping of str to ndarray
-        What only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ... They are
-        recorded for every draw.
+        Values that only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ... They
+        are recorded for every draw.
     parts : Info, optional
         For a kernel that runs other kernels, the diagnostics of their steps. They are for its tuner, and not
         recorded.

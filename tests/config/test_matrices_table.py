@@ -147,12 +147,12 @@ BROKEN = [
     (
         M,
         'file = "lower.npz"',
-        "model.mass.0.file: must be symmetric (row 1, column 2 differs by 500); it holds its low",
+        "model.mass.0.file: must be symmetric (row 1, column 2 differs by 500); it holds only its low",
     ),
     (
         M,
         'file = "lower.npz"\ntriangle = "upper"',
-        "model.mass.0.triangle: the file must have its upper triangle alone",
+        "model.mass.0.triangle: the file must have only its upper triangle",
     ),
     (M, 'file = "lower.npz"\ntriangle = "left"', "model.mass.0.triangle"),
     (K, 'file = "minus.npz"', "model: the stiffness matrix must be positive semidefinite"),

@@ -178,7 +178,7 @@ def test_one_triangle_is_filled_in(tmp_path, half, triangle):
     write_matrix(tmp_path / "k.npz", half)
     assert_array_equal(read_matrix(tmp_path / "k.npz", triangle=triangle).toarray(), K)
     with pytest.raises(
-        ValueError, match=r"must be symmetric .*; it holds its (lower|upper) triangle alone: triangle"
+        ValueError, match=r"must be symmetric .*; it holds only its (lower|upper) triangle: triangle"
     ):
         read_matrix(tmp_path / "k.npz")
 
@@ -192,7 +192,7 @@ def test_a_half_that_renumbering_has_scattered(tmp_path):
 def test_the_wrong_triangle(tmp_path):
     write_matrix(tmp_path / "k.npz", np.tril(K))
     with pytest.raises(
-        ValueError, match=r"triangle: the file must have its upper triangle alone \(it has entries: 0"
+        ValueError, match=r"triangle: the file must have only its upper triangle \(it has entries: 0"
     ):
         read_matrix(tmp_path / "k.npz", triangle="upper")
     write_matrix(tmp_path / "k.npz", K)

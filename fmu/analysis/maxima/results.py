@@ -63,7 +63,7 @@ class PosteriorMaximum:
     frequencies : ndarray, shape (n_modes,)
         Hz, paired with the measured modes.
     starts : int
-        How many optimiser starts ended there.
+        Number of optimiser starts that ended there.
     at_bound : ndarray of int, shape (ndim,)
         −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere.
     gradient : ndarray, shape (ndim,)

@@ -58,7 +58,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
     count : int
         Number of modes.
     finite : int, optional
-        How many modes have a finite frequency (the rank of M), if known; otherwise M is factorised to find out.
+        Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to find out.
 
     Returns
     -------

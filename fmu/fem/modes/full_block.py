@@ -37,7 +37,7 @@ class FullBlock(Block):
     ----------
     K_terms, M_terms : tuple of Term
     n_modes : int
-        How many modes have a finite frequency: fewer than `size` where degrees of freedom have no mass.
+        Number of modes with a finite frequency: fewer than `size` where degrees of freedom have no mass.
     """
 
     def __init__(self, model: SeparableModel, dofs: IntArray) -> None:

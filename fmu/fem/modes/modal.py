@@ -134,7 +134,7 @@ class Block:
     size : int
         Unknowns of the eigenproblem.
     n_modes, n_trained : int
-        How many modes have a finite frequency, and how many of the lowest ones are accurate.
+        Number of modes with a finite frequency, and how many of the lowest ones are accurate.
     is_reduced : bool
         Whether it approximates a full block.
     massless : bool
@@ -286,7 +286,7 @@ class ModalSolution:
         return np.isnan(self.eigenvalues)
 
     def columns(self, picked: IntArray) -> ModalSolution:
-        """Return the modes at the given columns alone."""
+        """Return only the modes in the given columns."""
         gradient = None if self.gradient is None else self.gradient[:, picked]
         return ModalSolution(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
 
@@ -306,7 +306,7 @@ class BlockModel:
 
     @property
     def n_modes(self) -> int:
-        """How many modes have a finite frequency."""
+        """Number of modes with a finite frequency."""
         return sum(block.n_modes for block in self.blocks)
 
     def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> ModalSolution:

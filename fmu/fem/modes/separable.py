@@ -442,7 +442,7 @@ def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
     names : tuple of str
         The parameters, in the order of theta.
     where : str
-        What to call the term in an error.
+        Name of the term in an error message.
 
     Raises
     ------

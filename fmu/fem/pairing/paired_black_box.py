@@ -43,7 +43,7 @@ class PairedBlackBox(ModalModel):
     gives_shapes : bool
         Whether the function gives shapes, at as many sensors as were measured.
     solves_per_gradient : int
-        What a gradient with its frequencies costs: 1, or 2 n_parameters + 1 by central differences.
+        Cost of a gradient with its frequencies, in solves: 1, or 2 n_parameters + 1 by central differences.
     """
 
     def __init__(

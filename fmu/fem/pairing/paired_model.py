@@ -66,7 +66,7 @@ class ModalModel:
     ----------
     n_parameters, n_modes : int
     name : str
-        What to call it where a problem is described.
+        Name used where a problem is described.
     structure : SeparableModel or None
         Its matrices, if it has them.
     black_box : BlackBoxModel or None
@@ -187,7 +187,7 @@ class PairedStructure(ModalModel):
         Its unreduced blocks.
     rule : IndexPairing or ShapePairing
     n_modes : int
-        How many modes were measured.
+        Number of measured modes.
     sensors : sparse, shape (n_sensors, n_dof)
         From `SeparableModel.observation`.
     at_sensors : bool

@@ -303,9 +303,9 @@ def reference_modes(
     sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
         The sensors, and the coordinates at which the shapes will be compared.
     n_modes : int
-        How many modes were measured.
+        Number of measured modes.
     counterparts : tuple of int, optional
-        Which of the modes that the sensors can see, from 1, each measured one answers to.
+        For each measured mode, the number (from 1) of its counterpart among the modes that the sensors can see.
 
     Raises
     ------

@@ -43,12 +43,12 @@ class ReducedBlock(Block):
     basis : ndarray, shape (block.size, r)
         Orthonormal in the mass matrix at the box's centre.
     n_trained : int
-        How many of the lowest modes the basis was trained for.
+        Number of lowest modes that the basis was trained for.
 
     Attributes
     ----------
     n_modes : int
-        How many modes of finite frequency it may have.
+        Number of modes with a finite frequency, at most `size`.
 
     Notes
     -----
@@ -80,7 +80,7 @@ class ReducedBlock(Block):
         self._set_terms(self._K, self._M)
 
     def truncated(self, size: int) -> ReducedBlock:
-        """Return the block reduced by the first `size` vectors of its basis alone."""
+        """Return the block reduced by only the first `size` vectors of its basis."""
         leading = copy.copy(self)
         leading.basis, leading.size = self.basis[:, :size], size
         leading.n_modes = min(self.n_modes, size)

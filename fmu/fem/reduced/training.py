@@ -62,7 +62,7 @@ class Snapshots:
         return cls(theta, *block.modes(theta, min(count, block.n_modes)))
 
     def lowest(self, count: int) -> Snapshots:
-        """Return the snapshots of the lowest `count` modes alone."""
+        """Return only the snapshots of the lowest `count` modes."""
         return Snapshots(self.theta, self.eigenvalues[:, :count], self.shapes[:, :, :count])
 
     def rows(self, picked: Any) -> Snapshots:

@@ -73,7 +73,7 @@ def parse(file: BinaryIO) -> tuple[Any, tuple[tuple[int, str], ...] | None]:
 
 
 def _without_keywords(text: str) -> str:
-    """Return the lines of numbers alone, blanks for the commas in them."""
+    """Return only the lines of numbers, with blanks in place of commas."""
     if "*" in text:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("*"))
     return text.replace(",", " ")

@@ -43,7 +43,7 @@ def read(path: Path, variable: str | None) -> Labelled:
     ----------
     path : Path
     variable : str, optional
-        Its path in the file; not needed if there is one alone.
+        Its path in the file; not needed if there is only one.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class MatrixFormat:
         Suffixes of the file names, in lower case.
     read : callable
         ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise anything; the
-        text of a `RefusedError` is shown as it stands.
+        text of a `RefusedError` is shown unchanged.
     write : callable, optional
         ``write(path, matrix, variable)`` of a csr_array, to the last bit.
     has_names : bool

@@ -55,7 +55,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
     n_bytes : int
         Its size.
     variable : str, optional
-        Its name; not needed if there is one alone, numbers aside.
+        Its name; not needed if there is only one, apart from scalars.
 
     Returns
     -------

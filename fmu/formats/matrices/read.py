@@ -198,7 +198,7 @@ def _triangle_alone(matrix: Any) -> str:
     if above and below:
         return ""
     half = "lower" if below else "upper"
-    return f'; it holds its {half} triangle alone: triangle = "{half}" fills in the other'
+    return f'; it holds only its {half} triangle: triangle = "{half}" fills in the other'
 
 
 def _off_diagonal(matrix: Any) -> tuple[int, int]:
@@ -211,7 +211,7 @@ def _mirrored(matrix: Any, triangle: Triangle) -> Any:
     above, below = _off_diagonal(matrix)
     if (triangle == "lower" and above) or (triangle == "upper" and below):
         there = f"{above} above the diagonal, {below} below it"
-        raise ValueError(f"triangle: the file must have its {triangle} triangle alone (it has entries: {there})")
+        raise ValueError(f"triangle: the file must have only its {triangle} triangle (it has entries: {there})")
     diagonal = sp.diags_array(matrix.diagonal(), format="csr")
     half = sp.csr_array(matrix - diagonal)
     half.eliminate_zeros()

@@ -127,7 +127,7 @@ def write_uff(
     Parameters
     ----------
     path : Path
-        What there is already is replaced.
+        An existing file is replaced.
     frequencies_hz : array_like, shape (n_modes,)
     shapes : array_like, shape (n_sensors, n_modes)
     sensors : sequence of (place, direction)

@@ -20,7 +20,7 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
     covariance : array_like, shape (n, n)
     n : int
     name : str
-        What to call it in the error.
+        Its name in the error message.
 
     Raises
     ------

@@ -143,7 +143,7 @@ class ErrorTerm:
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors added."""
         return frequencies
 
     def labels(self, modes: Sequence[str]) -> list[str]:
@@ -232,7 +232,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added: those of the model."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors added: those of the model."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

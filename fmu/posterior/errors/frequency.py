@@ -198,7 +198,7 @@ class FrequencyTerm(ErrorTerm):
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors added."""
         if self.is_known:
             return frequencies
         inferred = replace(self.spread, fixed=np.zeros_like(self.spread.fixed))

@@ -146,7 +146,7 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with the inferred errors alone added: those of the model.
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors added: those of the model.
 
         Raises
         ------

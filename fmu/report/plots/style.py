@@ -102,7 +102,7 @@ def finish(axes: Axes, x: str = "", y: str = "") -> None:
     ----------
     axes : Axes
     x, y : str
-        Labels; where empty, the label stays as it is.
+        Labels; where empty, the label is unchanged.
     """
     if x:
         axes.set_xlabel(x, fontsize=FONT)
