@@ -129,13 +129,13 @@ class Identifiability:
         for direction, remains in list(zip(self.directions, left, strict=True))[k : k + _SENTENCES]:
             said.append(
                 f"The combination {combination(direction, self.names)} is determined by the prior and the bounds "
-                f"alone: it keeps {remains}."
+                f"alone: {remains} remains."
             )
         if n - k > _SENTENCES:
             said.append(f"The same holds for {n - k - _SENTENCES} more.")
         if k == n:
             least = combination(self.directions[-1], self.names)
-            said.append(f"The least constrained direction is {least}: it keeps {left[-1]}.")
+            said.append(f"The least constrained direction is {least}: {left[-1]} remains.")
         return said
 
     def __str__(self) -> str:

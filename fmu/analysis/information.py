@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 LINEARISED_LEFT = 0.95
-"""A direction is uninformed if it keeps this part of the prior standard deviation in the linearised model."""
+"""A direction is uninformed if this part of its prior standard deviation remains in the linearised model."""
 _NAMED, _ALIKE = 0.25, 0.05
 
 
@@ -46,7 +46,7 @@ class Uninformed(NamedTuple):
 
 
 def left_to_prior(found: Identifiability) -> list[Uninformed]:
-    """Return the directions along which a linearised model keeps 95 % or more of the prior standard deviation.
+    """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
     Parameters on which no measured mode depends come first, one direction each. The other directions are given in
     the sparsest basis that elimination finds, since any basis of their span would do.
@@ -81,12 +81,13 @@ def doubts(found: Identifiability) -> list[str]:
         elif one.told:
             said.append(
                 f"The measured modes cannot separate {listed(one.names)}: they determine only {one.told}. "
-                f"Individually, {listed(one.names)} keep the prior: {left} along their joint change. {_REMEDY}"
+                f"Individually, {listed(one.names)} are left to the prior: {left} along their joint change. "
+                f"{_REMEDY}"
             )
         else:
             said.append(
                 f"The measured modes are insensitive to the combination {one.words} (in prior standard "
-                f"deviations): {left}, and {listed(one.names)} keep the prior along it. {_REMEDY}"
+                f"deviations): {left}, and {listed(one.names)} are left to the prior along it. {_REMEDY}"
             )
     return said
 
@@ -146,7 +147,7 @@ def listed(names: Sequence[str]) -> str:
 DATA, PRIOR, COMBINED = "data", "prior", "combination"
 """What determines a parameter: the data, the prior alone, or the data in a combination only."""
 LEFT = 0.9
-"""A direction is uninformed if the draws keep this part of the prior standard deviation.
+"""A direction is uninformed if this part of the prior standard deviation remains in the draws.
 
 It is below 1 because of the Monte-Carlo error: 3.5 % of a standard deviation at an ESS of 400.
 """
@@ -178,7 +179,7 @@ class Information:
         """Return a sentence for each direction that the data did not update."""
         said = []
         for one, remains in self.uninformed:
-            left = f"the draws keep {share(min(remains, 1.0))} of the prior standard deviation"
+            left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
             if len(one.names) == 1:
                 said.append(f"{one.words} was not updated by the data: {left}")
             elif one.told:
@@ -197,9 +198,9 @@ class Information:
 def information(trace: xr.DataTree) -> Information | None:
     """Return what the data determine, from the draws and the linearised model stored in the trace.
 
-    A direction is uninformed if the draws keep 90 % of the prior standard deviation along it, in normal scores;
-    or if the model linearised at the highest maximum leaves it to the prior (`left_to_prior`) and the draws keep
-    at least half of the prior standard deviation, since bounds and curvature shorten a direction too. A wide
+    A direction is uninformed if 90 % of its prior standard deviation remains in the draws, in normal scores; or if
+    the model linearised at the highest maximum leaves it to the prior (`left_to_prior`) and at least half of the
+    prior standard deviation remains in the draws, since bounds and curvature shorten a direction too. A wide
     spread over separate maxima is not a lack of information: the entropy of the draws must be that of a wide
     distribution too.
 
