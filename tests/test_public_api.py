@@ -17,6 +17,7 @@ import pytest
 import fmu
 import fmu.cases
 import fmu.report.plots
+import fmu.samplers
 
 MODULES = [importlib.import_module(module.name) for module in pkgutil.walk_packages(fmu.__path__, prefix="fmu.")]
 FACES = {"fmu": fmu, "fmu.cases": fmu.cases, "fmu.report.plots": fmu.report.plots}
@@ -144,6 +145,12 @@ def test_all_that_is_promised_is_there():
     with pytest.raises(AttributeError, match="no attribute 'sampel'") as misspelt:
         fmu.sampel  # noqa: B018
     assert "Did you mean: 'sample'?" in "".join(traceback.format_exception(misspelt.value))
+
+
+def test_the_protocols_of_a_sampler_of_ones_own():
+    offered = fmu.samplers.__all__
+    assert {"Info", "Kernel", "LogDensity", "Sampler", "State", "Tuner"} <= set(offered)
+    assert all(getattr(fmu.samplers, name) is not None for name in offered)
 
 
 def test_type_checkers_see_the_package():

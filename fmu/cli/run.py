@@ -193,6 +193,9 @@ def _begun(
         running.begin(asked)
     try:
         problem = built(asked, engine)
+    except OSError:  # a file cannot be read, for example; a ValueError leaves nothing behind either
+        running.abandon()
+        raise
     except KeyboardInterrupt:
         if new and overwrite:
             running.begin(asked)

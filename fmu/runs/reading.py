@@ -188,6 +188,9 @@ class GroupReader:
                     break
                 except (DamagedError, OSError) as error:
                     damaged.append(f"{self.directory.name}/{path.name} is damaged: {why(error)}")
+                except ValueError as error:  # of an earlier version, like those before it
+                    damaged.append(str(error))
+                    return None
             else:
                 return None
         return None

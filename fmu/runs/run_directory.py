@@ -19,7 +19,7 @@ class RunDirectory:
 
     The folder ``checkpoints`` in it holds a directory for each sampler (`fmu.runs.store.Store`), the problem and
     the options of the run, and the maxima that were found. It is removed when the run has ended, and when a
-    ValueError shows before the first draw that the run cannot be made.
+    ValueError, or an OSError while the problem is built, shows before the first draw that the run cannot be made.
 
     Parameters
     ----------
@@ -43,9 +43,14 @@ class RunDirectory:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and issubclass(kind, ValueError) and not any(self.folder.glob("*/*/state-*")):
-            self.ended()
+        if kind is not None and issubclass(kind, ValueError):
+            self.abandon()
         self._lock.release()
+
+    def abandon(self) -> None:
+        """Remove everything if nothing has been drawn: the run cannot be made."""
+        if not any(self.folder.glob("*/*/state-*")):
+            self.ended()
 
     def begin(self, problem: KeptProblem) -> None:
         """Remove what an earlier run has left to resume it, and save the problem and the options of this one."""

@@ -2,6 +2,7 @@ from .ensemble import Ensemble as Ensemble
 from .hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .kernel import Info as Info
 from .kernel import Kernel as Kernel
+from .kernel import LogDensity as LogDensity
 from .kernel import Sampler as Sampler
 from .kernel import State as State
 from .kernel import Tuner as Tuner

@@ -15,7 +15,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
+from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import LogDensity as LogDensity
 
 Tree = Mapping[str, Any]
 """Plain data for a file: arrays, numbers, texts, None, and lists of numbers, by name; or trees again."""

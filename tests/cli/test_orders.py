@@ -5,6 +5,7 @@ import json
 import pytest
 
 import fmu
+from fmu.config.kept import KeptProblem
 from tests.cli.runs import Cut, assert_refused, cut, invoke, of, resume, run
 
 
@@ -80,3 +81,13 @@ def test_an_ended_run_is_told_again(folder):
     assert again.stdout == told.stdout
     assert {path.name: path.stat().st_mtime_ns for path in (folder / "out").glob("*.nc")} == before
     assert not (folder / "out" / "checkpoints").exists()
+
+
+@pytest.mark.parametrize("error", [ValueError, OSError])
+def test_a_problem_that_cannot_be_built_leaves_nothing_behind(folder, monkeypatch, error):
+    def failing(self, engine=None):
+        raise error("cannot be read")
+
+    monkeypatch.setattr(KeptProblem, "load", failing)
+    assert_refused(run(*of("mh")), "cannot be read")
+    assert not (folder / "out").exists()

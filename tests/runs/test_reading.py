@@ -148,6 +148,16 @@ def test_a_damaged_state(kept):
     assert reading.notes == (f"group-1/{last.name} is damaged: its checksum is wrong",)
 
 
+def test_states_of_an_earlier_version(kept):
+    for state in kept.glob("group-1/state-*"):
+        state.write_bytes(state.read_bytes().replace(b"fmu state 3", b"fmu state 2", 1))
+    reading = read(kept)
+    assert [group.done > 0 for group in reading.samplers[0].groups] == [False, True]
+    (note,) = reading.notes
+    assert f"{state.parent}" in note
+    assert "was written by an earlier version of fmu" in note
+
+
 def test_damaged_draws(kept):
     *_, last = sorted((kept / "group-2").glob("steps-*"))
     last.write_bytes(b"")
