@@ -28,6 +28,10 @@ def test_energy_fraction_by_hand():
     assert np.isnan(fraction[1])
 
 
+def test_energy_fraction_of_one_draw_does_not_exist():
+    np.testing.assert_array_equal(energy_fraction(np.array([[1.0], [2.0]])), [np.nan, np.nan])
+
+
 def test_energy_fraction_of_independent_energies_is_two():
     energy = np.random.default_rng(0).standard_normal((3, 20_000))
     np.testing.assert_allclose(energy_fraction(energy), 2.0, atol=0.1)

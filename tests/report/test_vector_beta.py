@@ -57,7 +57,7 @@ def test_weights_by_hand():
 def test_only_the_weights_differ_from_the_long_run(result, weighted):
     mine, long = (json.loads(trace.attrs["configuration"]) for trace in (weighted, result.long["hmc"]))
     assert mine["problem"]["likelihood"] != long["problem"]["likelihood"]
-    np.testing.assert_allclose(mine["problem"]["likelihood"]["errors"][0]["beta"], 0.5 / (0.01 * MEASURED) ** 2)
+    np.testing.assert_allclose(mine["problem"]["likelihood"]["beta"], 0.5 / (0.01 * MEASURED) ** 2)
     for configuration in (mine, long):
         del configuration["problem"]["likelihood"]
     assert mine == long

@@ -177,12 +177,14 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
 
     E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695). It is small if new momenta
     change the energy little compared with its range, so that a chain explores the energies slowly. NaN if the
-    energy never changes.
+    energy never changes, or of one draw.
 
     Parameters
     ----------
     energy : ndarray, shape (chains, draws)
     """
+    if energy.shape[1] < 2:
+        return np.full(len(energy), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(_arviz("bfmi", energy))
 

@@ -165,12 +165,14 @@ def energies(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, "this sampler has none")
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
-    energy, diverging = (array_of(run.trace, "sample_stats", name) for name in ("energy", "diverging"))
+    energy = array_of(run.trace, "sample_stats", "energy")
+    is_known = has(run.trace, "sample_stats", "diverging")
+    diverged = int(array_of(run.trace, "sample_stats", "diverging").sum()) if is_known else 0
     fraction = energy_fraction(energy)
     values = ", ".join(fixed(x, 2) for x in fraction)
     said = (
         f"E-BFMI of the chains: {values} (below 0.3: poor exploration). "
-        f"{int(diverging.sum())} of {energy.size} trajectories diverged."
+        f"{diverged} of {energy.size} trajectories diverged."
     )
     drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",
                       "Energies of the trajectories, and their change from draw to draw.")  # fmt: skip
