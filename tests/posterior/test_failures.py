@@ -159,7 +159,7 @@ TINY = [1e-150, 1e-150]
             ],
             [1.0, 1e10],
             [1.0, 2.0, 1e-150],
-            "frequency error of mode 2 overflows",
+            "absolute frequency error of mode 2 overflows",
         ),
     ],
 )

@@ -152,6 +152,18 @@ def test_the_reduced_model_is_good_enough_for_shapes_too():
     assert_allclose(problem.log_likelihood(theta)[near], exact[near], atol=1e-3)
 
 
+def test_errors_given_as_models_are_described_by_their_deviations():
+    """As in the configurations of earlier versions, whose runs are exported and resumed."""
+    data = fmu.ModalData([1.0, 2.0, 3.0, 4.0])
+    likelihood = fmu.UpdatingProblem(
+        storeys(), data, parameters(), error=fmu.FrequencyErrors("absolute", sd=0.1)
+    ).likelihood
+    spread = {"fixed": [0.1] * 4, "inferred": {}}
+    assert likelihood.as_dict() == {"errors": [{"error": "absolute frequency", "spread": spread}], "noise": []}
+    plain = fmu.UpdatingProblem(storeys(), data, parameters(), beta=2.0).likelihood
+    assert plain.as_dict() == {"error": "frequency", "beta": [2.0] * 4}
+
+
 def test_beta_and_error_models_exclude_each_other():
     with pytest.raises(ValueError, match=r"^beta: must not be given together with error models"):
         fmu.UpdatingProblem.reduced(

@@ -151,7 +151,7 @@ class FrequencyTerm(ErrorTerm):
             If a β is not positive and finite, or there are not as many as modes.
         """
         known = checked_beta(beta, len(measured))
-        return cls("absolute", measured, Spread(1.0 / np.sqrt(2.0 * known), {}), known)
+        return cls("absolute", measured, Spread(np.sqrt(0.5 / known), {}), known)
 
     @property
     def sd(self) -> FloatArray:
@@ -210,8 +210,6 @@ class FrequencyTerm(ErrorTerm):
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
-        if self.kind == "absolute" and self.is_known:
-            return {"error": "frequency", "beta": self.beta.tolist()}
         return {"error": f"{self.kind} frequency", "spread": self.spread.as_dict()}
 
     def _errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:

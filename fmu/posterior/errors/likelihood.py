@@ -12,7 +12,7 @@ from fmu.fem.pairing.paired_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
-from fmu.posterior.errors.frequency import CorrelatedFrequencyTerm, FrequencyTerm
+from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
 
@@ -60,6 +60,7 @@ class ModalLikelihood(Likelihood):
         only = self.terms_of[0] if len(self.terms_of) == 1 else None
         if isinstance(only, FrequencyTerm | CorrelatedFrequencyTerm) and only.is_known and only.kind == "absolute":
             self.error = only
+        self._is_of_beta = isinstance(errors[0], BetaFrequencyErrors)
         self.beta = None if self.error is None else self.error.beta
         self.terms_name = "modes" if self.error is None else "frequency"
 
@@ -186,16 +187,18 @@ class ModalLikelihood(Likelihood):
 
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings in plain Python types."""
-        if self.error is not None:
-            return self.error.as_dict()
+        if self.error is not None and self._is_of_beta:
+            if self.error.covariance_hz2 is not None:
+                return self.error.as_dict()
+            return {"error": "frequency", "beta": self.error.beta.tolist()}
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
         """Return the name of each error model and its share of `terms`, (n, n_modes)."""
         parts = self._parts(self._observed(theta, False), theta, gradient=False)[1]
-        return [
-            (str(term.as_dict()["error"]), part.terms) for term, part in zip(self.terms_of, parts, strict=True)
-        ]
+        described = self.as_dict()
+        named = described.get("errors", [described])
+        return [(str(one["error"]), part.terms) for one, part in zip(named, parts, strict=True)]
 
     def _noise_of(self, frequencies: FloatArray, theta: FloatArray | None) -> FloatArray:
         if theta is None:
