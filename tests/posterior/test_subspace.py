@@ -146,3 +146,12 @@ def test_groups_that_make_no_sense(together, message):
 def test_soft_pairing_has_no_groups():
     with pytest.raises(ValueError, match=r"^pairing: soft needs errors that are independent from mode to mode"):
         veering_problem(pairing="soft", error=TOGETHER)
+
+
+def test_groups_beside_errors_of_frequencies():
+    frequencies = fmu.FrequencyErrors("absolute", sd=0.1)
+    theta = np.array([[1.05, 0.95]])
+    both, each = ring([frequencies, *TOGETHER]), (ring([frequencies]), ring(TOGETHER))
+    assert_allclose(both.log_likelihood(theta), sum(one.log_likelihood(theta) for one in each), rtol=1e-6)
+    per_sd = both.likelihood.in_standard_deviations(np.array([6.9, 7.0]), np.array([0.1, 0.2]), both.start)
+    assert_allclose(per_sd, [1.0, 2.0])

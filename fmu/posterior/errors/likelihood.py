@@ -251,9 +251,9 @@ class ModalLikelihood(Likelihood):
         values, slopes = [], []
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for term in self.terms_of:
-                view = term.project(seen)
-                if term.needs_shapes and view.shape_slopes is None:
+                if term.needs_shapes and seen.shape_slopes is None:
                     continue
+                view = term.project(seen)
                 r = term.residuals(view, noise)
                 n, m, q = r.values.shape
                 J: Any = 0.0
