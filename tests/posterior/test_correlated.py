@@ -255,3 +255,27 @@ def test_wrong_covariance(covariance, message):
     ):
         with pytest.raises(ValueError, match=f"^{message}$"):
             make()
+
+
+def test_each_mode_given_the_others_where_shapes_have_errors_too():
+    from fmu import FrequencyErrors, SeparableModel, ShapeErrors, sample
+    from fmu.analysis.prediction import leave_one_out
+
+    K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    model = SeparableModel.from_terms(["k"], stiffness=[(1e4 * K, "k")], mass=[np.eye(3)])
+    eigenvalues, shapes = np.linalg.eigh(1e4 * K)
+    frequencies = np.sqrt(eigenvalues) / (2.0 * np.pi)
+    measured = {"sensors": tuple((i, "x") for i in range(3)), "shapes": shapes + 0.05}
+    data = ModalData(frequencies + 0.1, covariance_hz2=COVARIANCE[:3, :3], **measured)
+    parameters, of_shapes = [Parameter("k", 1.0, 0.5, 2.0)], ShapeErrors(sd=0.1)
+    problem = UpdatingProblem(model, data, parameters, error=[FrequencyErrors("absolute"), of_shapes])
+    trace = sample(problem, "hmc", draws=50, warmup=50, chains=2, seed=1)
+    theta = trace["posterior"]["k"].to_numpy().reshape(-1, 1)
+    error = CorrelatedFrequencyTerm(frequencies + 0.1, COVARIANCE[:3, :3])
+    alone = UpdatingProblem(model, ModalData(frequencies, **measured), parameters, error=of_shapes)
+    expected = error.log_prob_given_others(problem.frequencies(theta)) + alone.log_likelihood_terms(theta)
+    found = trace["log_likelihood"]["frequency_given_others"].to_numpy().reshape(-1, 3)
+    assert_allclose(found, expected, rtol=1e-9)
+    joint = trace["log_likelihood"]["modes"].to_numpy().reshape(-1, 3)
+    assert_allclose(joint.sum(axis=1), problem.log_likelihood(theta), rtol=1e-9)
+    assert_allclose(leave_one_out(trace)["elpd"], np.log(np.mean(np.exp(-expected), axis=0)) * -1.0, atol=0.3)

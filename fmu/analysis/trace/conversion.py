@@ -230,7 +230,12 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         if error.covariance_hz2 is not None:
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
     else:
-        terms = {problem.likelihood.terms_name: (dims, distinct.evaluate(problem.log_likelihood_terms))}
+        together = distinct.evaluate(problem.log_likelihood_terms)
+        terms = {problem.likelihood.terms_name: (dims, together)}
+        correlated = problem.likelihood.correlated
+        if correlated is not None:
+            others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
+            terms[GIVEN_OTHERS] = (dims, together + others)
     # a pseudo-likelihood, or errors of shapes alone, give no measurement noise of frequencies
     if problem.likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)

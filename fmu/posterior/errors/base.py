@@ -177,6 +177,8 @@ class Likelihood:
         β of eq. (4), where that is all there is to know of the errors.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
         The errors, where they are absolute errors of the frequencies, known, and nothing else.
+    correlated : CorrelatedFrequencyTerm or None
+        The errors of the frequencies where they have a covariance, whatever else has errors.
     terms_name : str
         Name of the terms in a trace.
     """
@@ -187,6 +189,7 @@ class Likelihood:
     noise: tuple[Parameter, ...] = ()
     beta: FloatArray | None = None
     error: Any = None
+    correlated: Any = None
     terms_name: str
 
     def terms(self, theta: FloatArray) -> FloatArray:

@@ -57,6 +57,8 @@ class ModalLikelihood(Likelihood):
         of_frequencies = [term for term in self.terms_of if term.of_frequencies]
         self._frequency_term = of_frequencies[0] if of_frequencies else None
         self.simulates = self._frequency_term is not None
+        correlated = (term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm))
+        self.correlated = next(correlated, None)
         only = self.terms_of[0] if len(self.terms_of) == 1 else None
         if isinstance(only, FrequencyTerm | CorrelatedFrequencyTerm) and only.is_known and only.kind == "absolute":
             self.error = only
