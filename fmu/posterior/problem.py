@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.failures import Failure, FailureRecord
 from fmu.posterior.parameters import JointPrior, Parameter
-from fmu.posterior.rounding import require_digits
+from fmu.posterior.rounding import RoundingWarning, require_digits
 from fmu.posterior.train_reduced import Tolerance, reduce_model
 from fmu.types import BoolArray, FloatArray
 
@@ -157,7 +158,10 @@ class UpdatingProblem:
             If training ended before the tolerance was reached.
         """
         tolerance = Tolerance.of(reduction)
-        problem = cls(*args, **options)
+        with warnings.catch_warnings():
+            if tolerance is not None:  # said once, with the rounding of the reduced model
+                warnings.simplefilter("ignore", RoundingWarning)
+            problem = cls(*args, **options)
         structure = problem.model.as_structure()
         if tolerance is not None and structure is not None:
             problem.tolerance = tolerance

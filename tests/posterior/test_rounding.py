@@ -103,6 +103,7 @@ def test_a_spring_that_grows_no_word_then_a_warning_then_a_refusal(tmp_path, mon
                 said[exponent] = "refused" if str(error).startswith("rounding: the frequency of mode ") else error
                 continue
         kinds = {w.category for w in caught}
+        assert len(caught) == len(kinds)  # each is said once
         # a reduced model promises more than the errors need, and says first that it cannot keep it
         assert kinds <= ({RoundingWarning, ReductionWarning} if reduction else {RoundingWarning})
         said[exponent] = "warned" if RoundingWarning in kinds else "silent"
