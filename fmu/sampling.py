@@ -248,8 +248,8 @@ def _settings(sampler: str | Sampler) -> Sampler:
         return named(sampler)
     if not isinstance(sampler, Sampler):
         raise ValueError(
-            f"sampler: must be one of {', '.join(SAMPLERS)}, or a settings object such as fmu.Slice() "
-            f"(got {sampler!r})"
+            f"sampler: must be one of {', '.join(SAMPLERS)}, or a settings object derived from "
+            f"fmu.samplers.Sampler, such as fmu.Slice() (got {sampler!r})"
         )
     return sampler
 

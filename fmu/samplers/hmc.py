@@ -16,9 +16,8 @@ from fmu.types import LogDensity
 GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
 """Where learning begins, in scaled units: short enough for posteriors 1000 times narrower than priors."""
-_MOST_STEPS = (
-    32  # of a trajectory: 2 to 8 do with a metric that fits, and one that does not must not cost without end
-)
+# Of a trajectory: 2 to 8 steps are enough with a good metric; with a poor one the cost must be bounded.
+_MOST_STEPS = 32
 
 
 @dataclass(frozen=True)
