@@ -12,6 +12,7 @@ with u = 1.1e-16, if rounding is independent from entry to entry (first-order pe
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -129,7 +130,7 @@ def require_digits(problem: Problem) -> None:
         return
     if np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
-    warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(str(Path(__file__).parents[1]),))
+    warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 
 def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -162,7 +163,7 @@ def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dic
         f"choose a looser tolerance, such as reduction={typed(_looser(tolerance, frequency))}, narrower bounds or "
         "priors, or reduction=False, the full model",
         ReductionWarning,
-        skip_file_prefixes=(str(Path(__file__).parents[1]),),  # the line of the user
+        skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",),  # the line of the user
     )
 
 
