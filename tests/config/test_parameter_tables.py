@@ -77,7 +77,7 @@ BROKEN = {
     "beta, a = 1.0, sd = 1.0, low = 0.0, high = 9e3": ("", "prior: must have either a and b, or mean and sd"),
     "beta, a = 1.0, b = 1.0, low = 9.0, high = 9.0": ("", "prior.high: must exceed low 9 (got 9)"),
     "beta, mean = 5.0, sd = 1.0, low = 6.0, high = 9e3": ("", "prior.mean: must lie between low 6 and high 9000"),
-    "beta, mean = 5.0, sd = 5.0, low = 0.0, high = 10.0": ("", "prior.sd: must be below 5, the most that"),
+    "beta, mean = 5.0, sd = 5.0, low = 0.0, high = 10.0": ("", "prior.sd: must be below 5, the limit for"),
     "beta, a = 1.0, b = 2.0, low = 0.0, high = 9e3": (
         "",
         "lower: must be positive, as the property is (got None)",
