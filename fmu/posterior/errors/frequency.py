@@ -160,18 +160,15 @@ class FrequencyTerm(ErrorTerm):
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape; deviations must be known."""
-        assert self._rows is not None  # narrowed for the type checker
-        normaliser, beta = self._rows
         with np.errstate(over="ignore"):
-            return normaliser - beta * self._errors(frequencies)[0] ** 2
+            return self._known_terms(self._errors(frequencies)[0])
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""
         error, slope = self._errors(seen.frequencies)
         if self._rows is not None:
-            normaliser, beta = self._rows
-            terms = normaliser - beta * error**2
-            return Evaluated(terms, -2.0 * beta * error * slope if gradient else None)
+            beta = self._rows[1]
+            return Evaluated(self._known_terms(error), -2.0 * beta * error * slope if gradient else None)
         V = self.spread.variance(noise)
         terms = -0.5 * (error**2 / V + np.log(V) + LOG_2PI)
         if not gradient:
@@ -211,6 +208,11 @@ class FrequencyTerm(ErrorTerm):
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"error": f"{self.kind} frequency", "spread": self.spread.as_dict()}
+
+    def _known_terms(self, error: FloatArray) -> FloatArray:
+        assert self._rows is not None  # narrowed for the type checker
+        normaliser, beta = self._rows
+        return normaliser - beta * error**2
 
     def _errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
         """Return ε, in Hz but for eigenvalues, and ∂ε/∂f."""
@@ -280,21 +282,19 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         slopes = seen.frequency_slopes
         return replace(
             seen,
-            frequencies=_times(self._inverse_root, seen.frequencies - self.measured),
+            frequencies=self._standardised(seen.frequencies),
             frequency_slopes=None if slopes is None else _times(self._inverse_root, slopes, 1),
         )
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`. Where a frequency is infinite, they may be NaN."""
         z = seen.frequencies
-        terms = self._normaliser - 0.5 * z**2
-        return Evaluated(terms, -z) if gradient else Evaluated(terms)
+        return Evaluated(self._normaliser - 0.5 * z**2, -z if gradient else None)
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape."""
         with np.errstate(over="ignore", invalid="ignore"):
-            z = _times(self._inverse_root, frequencies - self.measured)
-            return np.asarray(self._normaliser - 0.5 * z**2)
+            return np.asarray(self._normaliser - 0.5 * self._standardised(frequencies) ** 2)
 
     def log_prob_given_others(self, frequencies: FloatArray) -> FloatArray:
         """Return the log-density of each measured frequency given all the other measured ones, (…, n_modes).
@@ -304,7 +304,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         log-density.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            g = _times(self._inverse_root.T, _times(self._inverse_root, frequencies - self.measured))
+            g = _times(self._inverse_root.T, self._standardised(frequencies))
             c = np.sum(self._inverse_root**2, axis=0)
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
@@ -323,6 +323,10 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"error": "frequency", "covariance_hz2": self.covariance_hz2.tolist()}
+
+    def _standardised(self, frequencies: FloatArray) -> FloatArray:
+        """Return z = L⁻¹ε, shape (…, n_modes)."""
+        return _times(self._inverse_root, frequencies - self.measured)
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
