@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,7 +18,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.failures import Failure, FailureRecord
 from fmu.posterior.parameters import JointPrior, Parameter
-from fmu.posterior.rounding import RoundingWarning, require_digits
+from fmu.posterior.rounding import require_digits
 from fmu.posterior.train_reduced import Tolerance, reduce_model
 from fmu.types import BoolArray, FloatArray
 
@@ -100,6 +99,22 @@ class UpdatingProblem:
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
     ) -> None:
+        self._pose(model, data, parameters, pairing=pairing, softness=softness, beta=beta, error=error, name=name)
+        require_digits(self)
+
+    def _pose(
+        self,
+        model: SeparableModel | BlackBoxModel | ModalModel,
+        data: ModalData,
+        parameters: Sequence[Parameter],
+        *,
+        pairing: str = "shape",
+        softness: float = SOFTNESS,
+        beta: ArrayLike | None = None,
+        error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
+        name: str = "problem",
+    ) -> None:
+        """Set all attributes; whether the matrices have enough digits is left to the caller."""
         self.data = data
         self.parameters = tuple(parameters)
         self.n_structural = len(self.parameters)
@@ -126,7 +141,6 @@ class UpdatingProblem:
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
         self._prior = JointPrior(self.parameters)
-        require_digits(self)
 
     @classmethod
     def reduced(
@@ -158,16 +172,14 @@ class UpdatingProblem:
             If training ended before the tolerance was reached.
         """
         tolerance = Tolerance.of(reduction)
-        with warnings.catch_warnings():
-            if tolerance is not None:  # said once, with the rounding of the reduced model
-                warnings.simplefilter("ignore", RoundingWarning)
-            problem = cls(*args, **options)
+        problem = cls.__new__(cls)
+        problem._pose(*args, **options)
         structure = problem.model.as_structure()
         if tolerance is not None and structure is not None:
             problem.tolerance = tolerance
             reduce_model(problem, structure, tolerance, engine)
             problem._failed = FailureRecord()  # failures of training are not those of the user's evaluations
-            require_digits(problem)
+        require_digits(problem)  # after training, as the reduced model adds rounding of its own
         return problem
 
     def __repr__(self) -> str:

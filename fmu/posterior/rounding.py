@@ -118,6 +118,14 @@ def rounding(problem: Problem) -> Rounding | None:
     return Rounding(relative, of_sd, str(problem.data.labels[worst]), where, float(K.diagonal()[dof]))
 
 
+def bounded_rounding(problem: Problem) -> Rounding | None:
+    """Return the `rounding` of a problem; ValueError if it exceeds the errors of the measurement."""
+    found = rounding(problem)
+    if found is not None and np.max(found.of_sd) > REFUSE:
+        raise ValueError(found.sentence())
+    return found
+
+
 def require_digits(problem: Problem) -> None:
     """Raise ValueError if rounding errors exceed the errors of the measurement; warn if they are not negligible.
 
@@ -125,11 +133,9 @@ def require_digits(problem: Problem) -> None:
     -----
     RoundingWarning
     """
-    found = rounding(problem)
+    found = bounded_rounding(problem)
     if found is None or np.max(found.of_sd) <= WARN:
         return
-    if np.max(found.of_sd) > REFUSE:
-        raise ValueError(found.sentence())
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 

@@ -18,6 +18,7 @@ from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, typed
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.protocol import Problem
+from fmu.posterior.rounding import bounded_rounding
 from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
 
@@ -90,6 +91,11 @@ def reduce_model(
     a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). An engine solves the
     full model at several points at once.
 
+    Raises
+    ------
+    ValueError
+        If it is to be trained and rounding exceeds the errors of the measurement.
+
     Warns
     -----
     ReductionWarning
@@ -102,6 +108,7 @@ def reduce_model(
         structure.restore(state)
         _warn_if_missed(structure, tolerance, state)
         return
+    bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
     rng = np.random.default_rng(0)
