@@ -1,12 +1,13 @@
 """Short runs that the tests of breaking off and resuming compare with."""
 
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 
 import fmu.analysis.maxima.search
-from fmu.runs.store import Store
 from tests.cli.runs import QUIET, SAMPLERS, invoke, of, problem_in
+from tests.runs.keeping import at_keep
 
 FOUND = {}
 
@@ -51,19 +52,6 @@ def folder(tmp_path, monkeypatch, _searched_once):
     return problem_in(tmp_path)
 
 
-@pytest.fixture
-def at_keep(monkeypatch):
-    """Have something happen when groups have been kept so many times; with `again` every so many times."""
-
-    def arranged(count, happen, again=False):
-        kept, keep = [0], Store.keep
-
-        def keeping(store, group, unkept):
-            keep(store, group, unkept)
-            kept[0] += 1
-            if kept[0] == count or (again and kept[0] % count == 0):
-                happen()
-
-        monkeypatch.setattr(Store, "keep", keeping)
-
-    return arranged
+@pytest.fixture(name="at_keep")
+def _at_keep(monkeypatch):
+    return partial(at_keep, monkeypatch)

@@ -4,8 +4,8 @@ import pytest
 
 import fmu
 from fmu.runs.run_directory import RunDirectory
-from fmu.runs.store import Store
 from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
+from tests.runs.keeping import at_keep
 
 
 def test_broken_off_again_and_again(folder, whole, at_keep):
@@ -29,21 +29,13 @@ def test_broken_off_again_and_again(folder, whole, at_keep):
     assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole.iterdir()}
 
 
-def test_a_group_of_chains_a_worker(folder, at_keep):
+def test_a_group_of_chains_a_worker(folder):
     """Two processes draw what one does, and go on with what one has left."""
     groups = ("--groups", 2, "--chains", 4)
     assert run(*of("hmc"), *groups).exit_code == 0
     (folder / "out").rename(folder / "one")
     with pytest.MonkeyPatch.context() as patch:
-        keep, kept = Store.keep, []
-
-        def keeping(store, group, unkept):
-            keep(store, group, unkept)
-            kept.append(group)
-            if len(kept) == 7:
-                raise Cut
-
-        patch.setattr(Store, "keep", keeping)
+        at_keep(patch, 7, cut)
         with pytest.raises(Cut):
             run(*of("hmc"), *groups)
     result = resume("--workers", 2)

@@ -18,6 +18,7 @@ from fmu.runs.reading import Progress
 from fmu.runs.status import RunReading, SamplerReading
 from fmu.runs.store import Store
 from tests.cli.runs import problem_in
+from tests.runs.keeping import at_keep
 from tests.samplers.targets import CorrelatedGaussian
 
 RUN = ("run", "two.toml", "--warmup", "10", "--draws", "25", "--chains", "2", "--starts", "2",
@@ -28,17 +29,9 @@ RUN = ("run", "two.toml", "--warmup", "10", "--draws", "25", "--chains", "2", "-
 def stopped(tmp_path_factory):
     """A run of three samplers that stopped in the second."""
     folder = problem_in(tmp_path_factory.mktemp("stopped"))
-    keep, count = Store.keep, []
-
-    def keeping(store, group, unkept):
-        keep(store, group, unkept)
-        count.append(group)
-        if len(count) == 12:
-            signal.raise_signal(signal.SIGTERM)
-
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr(Store, "keep", keeping)
+        at_keep(patch, 12, lambda: signal.raise_signal(signal.SIGTERM))
         names = (word for name in ("mh", "emcee", "slice") for word in ("--sampler", name))
         assert CliRunner().invoke(main, [*RUN, *names]).exit_code == 130
     return folder / "out"

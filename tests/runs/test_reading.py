@@ -17,8 +17,8 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.runs import Checkpoint
 from fmu.runs.lock import FILE, announce, leave, present
 from fmu.runs.status import SILENT_S, RunReader
-from fmu.runs.store import Store
 from fmu.sampling import StoppedRun
+from tests.runs.keeping import at_keep
 from tests.samplers.targets import CorrelatedGaussian
 
 STEPS = {"warmup": 20, "draws": 60, "chains": 4, "groups": 2, "seed": 3}
@@ -36,16 +36,8 @@ class Failing(CorrelatedGaussian):
 def stopped(tmp_path_factory):
     """A run that was asked to stop after half of its draws, and the trace of what there is."""
     directory = tmp_path_factory.mktemp("run") / "kept"
-    keep, count = Store.keep, []
-
-    def keeping(store, group, pending):
-        keep(store, group, pending)
-        count.append(group)
-        if len(count) == 11:
-            signal.raise_signal(signal.SIGINT)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Store, "keep", keeping)
+        at_keep(patch, 11, lambda: signal.raise_signal(signal.SIGINT))
         with pytest.raises(StoppedRun) as stop:
             sampled(directory)
     return directory, stop.value.trace
