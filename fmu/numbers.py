@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 MISSING = "–"
 _MOST_DECIMALS, _MOST_DIGITS = 12, 15
@@ -17,6 +17,38 @@ _AS_WRITTEN = 10
 """A value with more digits than this was computed, not measured."""
 _FREQUENCY_DIGITS = 6
 _FEW = 1e-4
+
+
+_SHOWN = {
+    "N/m²": (1e9, "GPa"),
+    "m⁴": (1e-12, "mm⁴"),
+    "m²": (1e-6, "mm²"),
+    "N/m": (1e3, "kN/m"),
+    "N·m/rad": (1e3, "kN·m/rad"),
+}
+
+
+class Unit(NamedTuple):
+    """A unit for display: a number in SI units, divided by `factor`, is in the unit `name`."""
+
+    factor: float
+    name: str
+
+    def label(self, quantity: str) -> str:
+        """Return an axis label, ``"E1 / GPa"``; the quantity alone if it has no unit."""
+        return f"{quantity} / {self.name}" if self.name else quantity
+
+
+def shown(unit: str) -> Unit:
+    """Return the customary unit for numbers in `unit`: the unit itself if there is no other."""
+    return Unit(*_SHOWN.get(unit, (1.0, unit)))
+
+
+def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
+    """Format a value in an SI unit with the customary one, to the digits that `sd` supports: ``"170 GPa"``."""
+    factor, name = shown(unit)
+    value, sd = value / factor, sd / factor
+    return f"{given(value) if math.isnan(sd) else rounded(value, sd)} {name}".rstrip()
 
 
 def decimals(spread: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.fem.frame.drawing import changed_elements, drawing, parameter_colours
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_model import PairedStructure
-from fmu.numbers import fixed, given, listed, significant, with_sd
+from fmu.numbers import fixed, given, listed, shown, significant, with_sd
+from fmu.posterior.parameters import prior_in_words
 from fmu.tables import data_frame, text_table, wrapped
 
 if TYPE_CHECKING:
@@ -60,34 +61,25 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, start, bounds (SI units), prior in words, what it changes if known."""
+    """Return one row per parameter: unit, start and bounds in it, prior in words, what it changes if known."""
     structure = problem.model.structure
     rows = []
     for j, parameter in enumerate(problem.parameters):
-        changes = "" if structure is None else _changes(structure, j)
+        changes, unit = "" if structure is None else _changes(structure, j), shown(parameter.unit)
         if j >= problem.model.n_parameters:
             changes = "measurement errors"
         rows.append(
             {
-                "unit": parameter.unit,
-                "start": parameter.start,
-                "lower": parameter.lower,
-                "upper": parameter.upper,
-                "prior": prior_in_words(parameter.prior.as_dict()),
+                "unit": unit.name,
+                "start": parameter.start / unit.factor,
+                "lower": parameter.lower / unit.factor,
+                "upper": parameter.upper / unit.factor,
+                "prior": prior_in_words(parameter),
                 "changes": changes,
             }
         )
     table = data_frame(rows, "parameter", problem.names)
     return table if any(table["changes"]) else table.drop(columns="changes")
-
-
-def prior_in_words(settings: dict[str, Any]) -> str:
-    """Return a prior's name and numbers: ``"normal, mean 0, sd 2e11"``."""
-    parts = [
-        f"{key} {given(value)}" if isinstance(value, float) else f"{key} {value}"
-        for key, value in settings.items()
-    ]
-    return ", ".join(parts).removeprefix("distribution ")
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
@@ -170,7 +162,7 @@ class Check:
     model : tuple of str
         The model in words, a sentence each.
     parameters : pandas.DataFrame
-        One row per parameter, SI units: ``unit``, ``start``, ``lower``, ``upper``, ``prior``, ``changes``.
+        One row per parameter: ``unit``; ``start``, ``lower``, ``upper`` in it; ``prior`` and ``changes`` in words.
     modes : InitialModes
         Computed modes at the start beside the measured ones.
     gradient : GradientCheck

@@ -22,7 +22,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
-from fmu.numbers import apart, fixed, given, share
+from fmu.numbers import apart, fixed, given, share, with_unit
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -244,8 +244,8 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
             if near >= LEAST_SHARE and near > MORE_THAN_THE_PRIOR * before and is_close:
                 found.append(
                     f"{name}: {share(near)} of the draws (prior: {share(before)}) lie within "
-                    f"{share(NEAR_A_BOUND)} of the range from the {side} bound, {given(float(bound))} "
-                    f"{unit}".rstrip()
+                    f"{share(NEAR_A_BOUND)} of the range from the {side} bound, "
+                    f"{with_unit(float(bound), unit)}"
                 )
     return found
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fmu.numbers import MISSING, apart, fixed, rounded, significant
+from fmu.numbers import MISSING, apart, fixed, rounded, shown, significant
 from fmu.tables import text_table, wrapped
 
 if TYPE_CHECKING:
@@ -30,10 +30,12 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     """
     from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 
-    columns = {"": list(map(str, table.index))}
+    columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
     for column in map(str, table.columns):
-        columns[column] = [_summary_cell(column, x, sd) for x, sd in zip(table[column], table["sd"], strict=True)]
-    columns["unit"] = [table.attrs["units"][parameter] for parameter in table.index]
+        scales = (1.0 if column in _DECIMALS else unit.factor for unit in units)
+        cells = zip(table[column], table["sd"], scales, strict=True)
+        columns[column] = [_summary_cell(column, x / scale, sd / scale) for x, sd, scale in cells]
+    columns["unit"] = [unit.name for unit in units]
     found = information(trace)
     if found is not None:
         words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}

@@ -11,13 +11,12 @@ import numpy as np
 from fmu.analysis.convergence.diagnosis import diagnose
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.maxima.search import find_map
-from fmu.numbers import fixed, given, share, with_sd
+from fmu.numbers import fixed, given, share, shown, with_sd
 from fmu.paper.experiment import PAIRED_BY, Result, directory_of, posterior_mean, rows_of
 from fmu.paper.plan import Plan, Runs, long_settings
 from fmu.paper.published import EXPERIMENTS
 from fmu.progress import Report
 from fmu.report.plots import BLACK, COLOURS, FONT, GREY, finish, new_figure
-from fmu.report.plots.style import shown
 from fmu.tables import data_frame, markdown_table
 from fmu.types import FloatArray
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from fmu.fem.frame.drawing import drawing, parameter_colours
 from fmu.fem.modes.separable import SeparableModel
-from fmu.numbers import change, given, rounded, significant
+from fmu.numbers import change, given, rounded, shown, significant
+from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.protocol import Problem
 
 _MOST_DRAWN = 5000
@@ -49,10 +50,9 @@ def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
     rows = []
     for p, colour in zip(problem.parameters, colours, strict=True):
         mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
-        prior = ", ".join(f"{key} {_short(value)}" for key, value in p.prior.as_dict().items())
-        prior = prior.removeprefix("distribution ")
-        cells = [mark + html.escape(p.name), html.escape(p.unit), *map(_short, (p.start, p.lower, p.upper))]
-        rows.append([*cells, html.escape(prior)])
+        factor, unit = shown(p.unit)
+        values = (given(value / factor) for value in (p.start, p.lower, p.upper))
+        rows.append([mark + html.escape(p.name), html.escape(unit), *values, html.escape(prior_in_words(p))])
     return _table(("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"), rows)
 
 
@@ -80,7 +80,3 @@ def _table(header: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
     head = "".join(f"<th>{cell}</th>" for cell in header)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _short(value: object) -> str:
-    return given(value) if isinstance(value, float) else html.escape(str(value))

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fmu.numbers import typed
+from fmu.numbers import given, shown, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
 
+_IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
+"""Settings of priors that are values of the parameter."""
 DIMENSIONS = ("chain", "draw")
 """Dimensions of the draws in a trace."""
 
@@ -88,6 +90,17 @@ class Parameter:
 
     def _has_density(self, x: float) -> bool:
         return bool(np.isfinite(self.prior.log_pdf(np.array([x]))[0]))
+
+
+def prior_in_words(parameter: Parameter) -> str:
+    """Return the name and the numbers of a prior, those with a unit as they are shown: ``"normal, sd 200"``."""
+    settings = parameter.prior.as_dict()
+    factor = 1.0 if str(settings["distribution"]).startswith("scipy") else shown(parameter.unit).factor
+    parts = [
+        f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
+        for key, value in settings.items()
+    ]
+    return ", ".join(parts).removeprefix("distribution ")
 
 
 def require_name(name: str) -> None:

@@ -124,9 +124,7 @@ def _model(found: Check) -> PageSection:
         )
         for name, row in found.parameters.iterrows()
     )
-    parts.append(
-        PageTable("Parameters, in the units of the file.", header, rows, words=(1, *range(5, len(header))))
-    )
+    parts.append(PageTable("Parameters", header, rows, words=(1, *range(5, len(header)))))
     return PageSection("model", "The model", tuple(parts))
 
 

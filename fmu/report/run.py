@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from fmu.analysis.convergence.diagnosis import Diagnosis, judged, maxima_of
 from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of
-from fmu.report.plots.style import TITLES, Unit, unit_of
+from fmu.numbers import Unit
+from fmu.report.plots.style import TITLES, unit_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -199,7 +199,7 @@ def test_words(section, section_maxima):
     assert words.loc["log-probability", "maximum 2"] == "-107.9"
     assert words.loc["share of probability", "maximum 1"] == "100 %"
     assert section_maxima.at_bounds()[0] == "Maximum 1 lies at bounds: Ix2 upper, Ax1 upper."
-    assert list(words.loc["Ix1"]) == ["m⁴", "7e-9", "3.904e-9", "6.873e-9", ""]
+    assert list(words.loc["Ix1"]) == ["mm⁴", "7000", "3904", "6873", ""]
     assert list(words.loc["mode 1"]) == ["Hz", "32.00", "28.77", "30.15", "31.9"]
     assert section_maxima.side_by_side().shape[1] == 3 + len(section_maxima)
     assert "3.904e-9" in str(section_maxima)
@@ -207,7 +207,7 @@ def test_words(section, section_maxima):
     assert html.startswith("<table")
     assert "3.904e-9" in html
     words = theta_in_words(section_maxima.names, section_maxima[0].theta, section_maxima.units)
-    assert words.startswith("Ix1 = 3.904e-9 m⁴, Ix2 = 7.5e-9 m⁴")
+    assert words.startswith("Ix1 = 3904 mm⁴, Ix2 = 7500 mm⁴")
 
 
 def test_low_frequencies_of_several_maxima_differ_in_the_table(section_maxima):

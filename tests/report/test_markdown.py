@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmu.report.plots.style import shown
+from fmu.numbers import shown, with_unit
 from fmu.tables import markdown_table
 
 
@@ -29,3 +29,12 @@ def test_bars_in_names_end_no_cell():
 def test_units(unit, value, expected, label):
     assert value / shown(unit).factor == pytest.approx(expected, rel=1e-12)
     assert shown(unit).label("x") == label
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "sd", "words"),
+    [(1.7e11, "N/m²", None, "170 GPa"), (1.729e11, "N/m²", 2.2e9, "172.9 GPa"), (1.3, "", None, "1.3"),
+     (3.9e-9, "m⁴", None, "3900 mm⁴"), (3.9e-9, "m⁴", 0.0, "3900 mm⁴")],
+)  # fmt: skip
+def test_values_in_sentences_have_the_units_of_the_tables(value, unit, sd, words):
+    assert (with_unit(value, unit) if sd is None else with_unit(value, unit, sd)) == words

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, given, hertz, rounded, share, written_digits
+from fmu.numbers import apart, given, hertz, rounded, share, shown, with_unit, written_digits
 from fmu.tables import data_frame, distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
 
@@ -42,10 +42,10 @@ def mass_in_words(part: float) -> str:
 def theta_in_words(
     names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None
 ) -> str:
-    """Format a parameter vector: ``"Ix1 = 3.904e-9 m⁴, Ax1 = 0.0009 m²"``, to the digits that `sd` supports."""
-    spread = np.full(len(theta), np.nan) if sd is None else sd
+    """Format a parameter vector: ``"Ix1 = 3904 mm⁴, Ax1 = 900.0 mm²"``, to the digits that `sd` supports."""
+    spread = np.zeros(len(theta)) if sd is None else np.nan_to_num(sd)
     parts = zip(names, theta, spread, units, strict=True)
-    return ", ".join(f"{name} = {rounded(float(x), float(s))} {unit}".rstrip() for name, x, s, unit in parts)
+    return ", ".join(f"{name} = {with_unit(float(x), unit, float(s))}" for name, x, s, unit in parts)
 
 
 _FEWEST_DIGITS = 4
@@ -206,9 +206,10 @@ class Maxima:
             ["", "", *(share_of_mass(m.share) for m in best), ""],
             ["", "", *(str(m.starts) for m in best), ""],
         ]
-        for k, unit in enumerate(self.units):
+        for k, (factor, unit) in enumerate(map(shown, self.units)):
             sd = min((float(m.sd[k]) for m in best if m.share > NEGLIGIBLE and m.sd[k] > 0), default=np.nan)
-            rows.append([unit, given(self.start[k]), *apart(*(float(m.theta[k]) for m in best), sd=sd), ""])
+            values = (float(m.theta[k]) / factor for m in best)
+            rows.append([unit, given(self.start[k] / factor), *apart(*values, sd=sd / factor), ""])
         for k in range(len(self.labels)):
             hz = (float(f[k]) for f in (self.before, *(m.frequencies for m in best), self.measured))
             *texts, _ = hertz(*hz, digits=max(_FEWEST_DIGITS, written_digits(self.measured[k])))

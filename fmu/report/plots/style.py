@@ -2,42 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import Unit, shown
 from fmu.samplers.registry import SAMPLERS, sampler_class
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-_SHOWN = {
-    "N/m²": (1e9, "GPa"),
-    "m⁴": (1e-12, "mm⁴"),
-    "m²": (1e-6, "mm²"),
-    "N/m": (1e3, "kN/m"),
-    "N·m/rad": (1e3, "kN·m/rad"),
-}
-
-
-class Unit(NamedTuple):
-    """A unit for display: a number in SI units, divided by `factor`, is in the unit `name`."""
-
-    factor: float
-    name: str
-
-    def label(self, quantity: str) -> str:
-        """Return an axis label, ``"E1 / GPa"``; the quantity alone if it has no unit."""
-        return f"{quantity} / {self.name}" if self.name else quantity
-
-
-def shown(unit: str) -> Unit:
-    """Return the customary unit for numbers in `unit`: the unit itself if there is no other."""
-    return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
 COLOURS = {name: sampler_class(name).colour for name in SAMPLERS}

@@ -11,11 +11,10 @@ from fmu.analysis.information import COMBINED, DATA, PRIOR, information
 from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.reading import constant
-from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, interval, rounded, share
+from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, interval, rounded, share, shown
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
-from fmu.report.plots.style import shown
 from fmu.report.run import ReportedRun
 
 _RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, for a combination"}
