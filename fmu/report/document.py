@@ -52,6 +52,8 @@ class PageTable:
         Each as long as the header; the first cell names the row.
     words : tuple of int
         Columns that hold words, aligned to the left, beside the first.
+    greyed : tuple of int
+        Rows in grey: parameters that the data did not inform.
     """
 
     kind: ClassVar[str] = "table"
@@ -59,6 +61,7 @@ class PageTable:
     header: tuple[str, ...]
     rows: tuple[tuple[str | Link, ...], ...]
     words: tuple[int, ...] = ()
+    greyed: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -175,6 +178,8 @@ class Page:
     others : tuple of Link
         The other pages of the report.
     footer : str
+    assumptions : tuple of Part
+        What the verdicts rest on, in a box below them; none if empty.
     """
 
     title: str
@@ -183,6 +188,7 @@ class Page:
     sections: tuple[PageSection, ...]
     others: tuple[Link, ...]
     footer: str
+    assumptions: tuple[Part, ...] = ()
 
 
 RASTER_DPI = 110
