@@ -228,6 +228,22 @@ class UpdatingProblem:
         terms = self._terms(points)
         return terms[0] if single else terms
 
+    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return `log_likelihood_terms` and the squared residuals of each mode, from the same solves.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, ndim)
+
+        Returns
+        -------
+        terms : ndarray, shape (n, n_modes)
+        squares : ndarray, shape (n, n_kinds, n_modes)
+            Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
+        """
+        terms, squares = self.likelihood.terms_and_misfit(theta)
+        return self._recorded(terms, theta), squares
+
     def log_prior(self, theta: ArrayLike) -> Any:
         """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
         points, single = self._points(theta)

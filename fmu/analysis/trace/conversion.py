@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.trace.misfit import misfit_group
 from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.reading import check_trace
 from fmu.durable_files import write_durably
@@ -62,14 +63,14 @@ def to_trace(
     xarray.DataTree
         Groups ``posterior`` and ``warmup_posterior`` (one variable a parameter, SI units), ``sample_stats`` and
         ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, or ``residual`` under the modal residual; one
-        term a mode, and where errors are correlated also ``frequency_given_others``), ``posterior_predictive``
-        (eq. (10) of the paper: ``frequency`` with measurement noise, which the modal residual has none of,
-        ``model_frequency`` without it, Hz; of repeated tests ``frequency`` is the mean of as many new tests, and
-        ``one_more_test`` a single one), ``prior`` (draws from the prior inside the bounds), ``observed_data``
-        (``frequency``, and ``tests``, a row per test, where it is their mean) and ``constant_data`` (``lower``,
-        ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel
-        tempering ``tempering``
-        (`tempering_group`). The attributes say how the draws came about.
+        term a mode, and where errors are correlated also ``frequency_given_others``), ``misfit``
+        (`fmu.analysis.trace.misfit`), ``posterior_predictive`` (eq. (10) of the paper: ``frequency`` with
+        measurement noise, which the modal residual has none of, ``model_frequency`` without it, Hz; of repeated
+        tests ``frequency`` is the mean of as many new tests, and ``one_more_test`` a single one), ``prior`` (draws
+        from the prior inside the bounds), ``observed_data`` (``frequency``, and ``tests``, a row per test, where
+        it is their mean) and ``constant_data`` (``lower``, ``upper``, ``start``, ``beta``, and ``covariance_hz2``
+        where errors are correlated); of parallel tempering ``tempering`` (`tempering_group`). The attributes say
+        how the draws came about.
     """
     import xarray as xr
 
@@ -227,10 +228,13 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     if problem.likelihood.error is not None:
         error = problem.likelihood.error
         terms = {"frequency": (dims, error.log_prob_terms(frequency))}
+        squares = problem.likelihood.misfit_of_frequencies(frequency.reshape(-1, frequency.shape[-1]))
+        squares = squares.reshape(*frequency.shape[:2], *squares.shape[1:])
         if error.covariance_hz2 is not None:
             terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
     else:
-        together = distinct.evaluate(problem.log_likelihood_terms)
+        both = distinct.evaluate(lambda theta: _stacked(*problem.terms_and_misfit(theta)))
+        together, squares = both[:, :, 0], both[:, :, 1:]
         terms = {problem.likelihood.terms_name: (dims, together)}
         correlated = problem.likelihood.correlated
         if correlated is not None:
@@ -252,7 +256,12 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         "log_likelihood": xr.Dataset(terms, coords=coordinates),
         "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
         "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
-    }
+    } | misfit_group(problem, squares, coordinates)
+
+
+def _stacked(terms: FloatArray, squares: FloatArray) -> FloatArray:
+    """Return terms (n, n_modes) and squares (n, n_kinds, n_modes) as one array, (n, 1 + n_kinds, n_modes)."""
+    return np.concatenate([terms[:, None], squares], axis=1)
 
 
 BATCH = 4096

@@ -98,12 +98,24 @@ class ErrorTerm:
         Whether they are those of frequencies, which `simulate` can add.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus what depends on the standard deviations alone.
+    is_chi_square : bool
+        Whether the sum of the squared residuals of a mode is chi-square distributed with `n_data` degrees of
+        freedom where the model is right and the errors are as stated.
+    quantity : str
+        What the errors are of, in the plural.
     """
 
     spread: Spread
     needs_shapes: ClassVar[bool] = False
     of_frequencies: ClassVar[bool] = False
     is_least_squares: ClassVar[bool] = False
+    is_chi_square: ClassVar[bool] = False
+    quantity: ClassVar[str] = "other errors"
+
+    @property
+    def n_data(self) -> int:
+        """How many independent numbers were measured of each mode: by default, as many as there are residuals."""
+        return len(self.labels([""]))
 
     @property
     def is_known(self) -> bool:
@@ -181,6 +193,10 @@ class Likelihood:
         The errors of the frequencies where they have a covariance, whatever else has errors.
     terms_name : str
         Name of the terms in a trace.
+    terms_of : tuple of ErrorTerm
+        The error models; none if the errors are not those of measured quantities.
+    chi_square : tuple of ErrorTerm
+        Those whose squared residuals tell whether the model fits, see `ErrorTerm.is_chi_square`.
     """
 
     of_modes: bool = False
@@ -191,10 +207,17 @@ class Likelihood:
     error: Any = None
     correlated: Any = None
     terms_name: str
+    terms_of: tuple[ErrorTerm, ...] = ()
+    chi_square: tuple[ErrorTerm, ...] = ()
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
         raise NotImplementedError
+
+    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the terms, and the squared residuals by the models of `chi_square`, (n, n_kinds, n_modes)."""
+        terms = self.terms(theta)
+        return terms, np.empty((len(terms), 0, terms.shape[1]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_modes, ndim)."""

@@ -130,7 +130,8 @@ class FrequencyTerm(ErrorTerm):
         1/(2V), if given instead of the deviations.
     """
 
-    of_frequencies = is_least_squares = True
+    of_frequencies = is_least_squares = is_chi_square = True
+    quantity = "frequencies"
     covariance_hz2: FloatArray | None = None
 
     def __init__(self, kind: str, measured: FloatArray, spread: Spread, beta: FloatArray | None = None) -> None:
@@ -249,7 +250,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     the number of theta in a batch.
     """
 
-    of_frequencies = is_least_squares = True
+    of_frequencies = is_least_squares = is_chi_square = True
+    quantity = "frequencies"
     kind = "absolute"
 
     def __init__(self, measured: FloatArray, covariance_hz2: FloatArray) -> None:

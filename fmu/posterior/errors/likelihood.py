@@ -50,6 +50,7 @@ class ModalLikelihood(Likelihood):
             return noise.index(parameter)
 
         self.terms_of = tuple(error.bind(data, index) for error in errors)
+        self.chi_square = tuple(term for term in self.terms_of if term.is_chi_square)
         self.noise = tuple(noise)
         self.needs_shapes = any(term.needs_shapes for term in self.terms_of)
         if self.needs_shapes and not model.gives_shapes:
@@ -76,6 +77,23 @@ class ModalLikelihood(Likelihood):
         """Return the log-likelihood of each mode, shape (n, n_modes), for a prediction made already."""
         parts = self._parts(seen, theta, gradient=False)[1]
         return np.asarray(sum(part.terms for part in parts))
+
+    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return `terms`, and from the same solves the `misfit`, see `Likelihood`."""
+        seen = self._observed(theta, False)
+        return self.terms_of_observed(seen, theta), self.misfit(seen, theta)
+
+    def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
+        """Return the sum of squared residuals of each mode, by each of `chi_square`, (n, n_kinds, n_modes)."""
+        noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
+        for term in self.chi_square:
+            squares = np.sum(term.residuals(term.project(seen), noise).values ** 2, axis=2)
+            found = np.concatenate([found, squares[:, None]], axis=1)
+        return found
+
+    def misfit_of_frequencies(self, frequencies: FloatArray) -> FloatArray:
+        """Return the `misfit` for computed frequencies (n, n_modes), Hz, where these alone have errors, known."""
+        return self.misfit(_without_shapes(frequencies), np.empty((len(frequencies), self.n_structural)))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_modes, ndim)."""

@@ -10,7 +10,7 @@ import numpy as np
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import ErrorModel, Evaluated
+from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.types import FloatArray, IntArray
 
@@ -93,7 +93,10 @@ class MixtureLikelihood(ModalLikelihood):
         self.softness = model.softness
         # only the model gives the terms, and not the frequencies of the modes paired one to one
         self.error = self.beta = None
+        self.chi_square = ()  # no one candidate's residuals are the errors of a measured mode
         self.terms_name = "modes"
+
+    terms_and_misfit = Likelihood.terms_and_misfit
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""

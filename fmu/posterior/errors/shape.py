@@ -75,6 +75,17 @@ class ShapeTerm(ErrorTerm):
     unit: FloatArray
     spread: Spread
     needs_shapes: ClassVar[bool] = True
+    is_chi_square: ClassVar[bool] = True
+    quantity: ClassVar[str] = "shapes"
+
+    @property
+    def n_data(self) -> int:
+        """How many independent numbers were measured of each mode: the scale of a shape is not one of them.
+
+        With u = φ/‖φ‖ + ση the residuals are the part of η across φ, to first order in σ: εᵀΛε is chi-square with
+        q − 1 degrees of freedom at q sensors. With large errors it is smaller, at most that of MAC = 0.
+        """
+        return len(self.unit) - 1
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms, see `ErrorTerm`."""

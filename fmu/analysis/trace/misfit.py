@@ -1,0 +1,61 @@
+"""The squared residuals at the draws, by which `fmu.analysis.fit` judges whether the model fits the data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+GROUP = "misfit"
+"""Group of a trace that stores them."""
+TAILS = np.logspace(-6.0, 0.0, 121)
+"""Probabilities beyond which quantiles of the prior of an inferred standard deviation are stored."""
+
+
+def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+    """Return the group ``misfit`` of a trace; none where the errors are not those of measured quantities.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    squares : ndarray, shape (chains, draws, n_kinds, n_modes)
+        From `UpdatingProblem.terms_and_misfit`.
+    coordinates : mapping
+        Those of chain, draw and mode.
+
+    Returns
+    -------
+    mapping of str to xarray.Dataset
+        ``squares`` (chain, draw, quantity, mode), Σ r² over the standardised residuals of a mode: a chi-square
+        variable with ``freedom`` (quantity) degrees of freedom where the model is right. Of inferred standard
+        deviations ``noise_isf`` (noise, tail), what the prior exceeds with the probability ``tail``. Attributes:
+        ``n_data``, how many independent numbers were measured; ``other``, the quantities that are not in
+        ``squares``, because their residuals have another distribution.
+    """
+    import xarray as xr
+
+    likelihood = problem.likelihood
+    if not likelihood.terms_of:
+        return {}
+    judged = likelihood.chi_square
+    variables: dict[str, Any] = {
+        "squares": (("chain", "draw", "quantity", "mode"), squares),
+        "freedom": ("quantity", np.array([term.n_data for term in judged], dtype=int)),
+    }
+    names = {"quantity": np.array([term.quantity for term in judged], dtype=str)}
+    noise = problem.parameters[problem.n_structural :]
+    if noise:
+        isf = [p.prior.quantile(1.0 - TAILS, p.lower, p.upper) for p in noise]
+        variables["noise_isf"] = (("noise", "tail"), np.array(isf))
+        names |= {"noise": np.array([p.name for p in noise]), "tail": TAILS}
+    n_data = sum(term.n_data for term in likelihood.terms_of) * squares.shape[-1]
+    other = ", ".join(term.quantity for term in likelihood.terms_of if term not in judged)
+    found = xr.Dataset(variables, coords={**coordinates, **names}, attrs={"n_data": n_data, "other": other})
+    return {GROUP: found}
