@@ -17,6 +17,7 @@ GROUPS = {
     "sample_stats",
     "warmup_sample_stats",
     "log_likelihood",
+    "misfit",
     "posterior_predictive",
     "prior",
     "observed_data",
