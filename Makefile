@@ -66,8 +66,9 @@ bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into
 	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md .benchmarks/profile.md .benchmarks/peers.md
 
 validate: export OPENBLAS_NUM_THREADS = 1
-validate: $(READY)  ## Calibrate samplers, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
+validate: $(READY)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
 	.venv/bin/python -m tests.validation results
+	.venv/bin/python -m tests.validation.verdicts results
 	.venv/bin/python -m tests.validation.coverage results
 	.venv/bin/python -m tests.validation.evidence results
 	.venv/bin/python -m tests.validation.starts results

@@ -62,12 +62,11 @@ class UniformRanks:
 
     def escape(self, tail: float) -> float:
         """Return the probability that uniform ranks leave ``band(tail)`` somewhere."""
-        count = np.arange(self.replicates + 1)
-        probability = np.zeros(self.replicates + 1)
-        probability[0] = 1.0
-        for transition, low, high in zip(self._transitions, *self.band(tail), strict=True):
-            probability = probability @ transition
-            probability[(count < low) | (count > high)] = 0.0
+        reached, probability, before = np.zeros(1, dtype=int), np.ones(1), 0.0
+        for z, low, high in zip(self.points, *self.band(tail), strict=True):
+            inside = np.arange(low, high + 1)
+            probability = probability @ self._transition(reached, inside, (z - before) / (1.0 - before))
+            reached, before = inside, z
         return float(max(0.0, 1.0 - probability.sum()))
 
     def p_value(self, ranks: IntArray) -> float:
@@ -90,15 +89,11 @@ class UniformRanks:
         below, above = (f(count - k, self.replicates, self.points) for k, f in ((0, binom.cdf), (1, binom.sf)))
         return 2.0 * np.minimum(below, above)
 
-    @cached_property
-    def _transitions(self) -> FloatArray:
-        """P(R_{i+1} = column | R_i = row), shape (largest, replicates + 1, replicates + 1), from R_0 = 0."""
-        n = np.arange(self.replicates + 1)
-        left, gained = (self.replicates - n)[:, None], n[None, :] - n[:, None]
+    def _transition(self, before: IntArray, after: IntArray, step: float) -> FloatArray:
+        """P(R_{i+1} = after | R_i = before), shape (len(before), len(after)): binomial(N − R_i, step)."""
+        left, gained = (self.replicates - before)[:, None], after[None, :] - before[:, None]
         possible = gained >= 0
         g = np.where(possible, gained, 0)
         log_ways = gammaln(left + 1.0) - gammaln(g + 1.0) - gammaln(np.where(possible, left - g, 0) + 1.0)
-        before = np.concatenate([[0.0], self.points[:-1]])
-        steps = ((self.points - before) / (1.0 - before))[:, None, None]
-        log_pmf = log_ways + xlogy(g, steps) + xlog1py(left - g, -steps)
+        log_pmf = log_ways + xlogy(g, step) + xlog1py(left - g, -step)
         return np.where(possible, np.exp(np.where(possible, log_pmf, 0.0)), 0.0)

@@ -1,0 +1,126 @@
+"""The study of verdicts: its quadrature, and when it turns red."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fmu
+from tests.samplers.targets import SkewedGumbel, TwoModes
+from tests.two_storeys import quadrature
+from tests.validation import verdicts, verdicts_page
+from tests.validation.known import KNOWN, Boxed, Known, Moments, Normal, moments
+from tests.validation.verdicts import LENGTHS, ONE_PLACE, USUAL, Job, Outcome, Study, outcome
+
+BY_NAME = {known.name: known for known in KNOWN}
+
+
+@pytest.mark.parametrize(
+    ("target", "lower", "upper", "cells"),
+    [
+        (Normal([1.0, 2.0], [1.0, 3.0], 0.99), [-19.0, -28.0], [21.0, 32.0], 300),
+        (TwoModes(), [-8.0] * 2, [8.0] * 2, 60),
+        (SkewedGumbel(), [-3.0, -5.0, -11.0], [25.0, 25.0, 20.0], 40),
+    ],
+)
+def test_the_quadrature_has_the_moments_of_densities_that_are_known(target, lower, upper, cells):
+    found = moments(Boxed(target, lower, upper).log_prob, np.array(lower), np.array(upper), cells)
+    sd = np.sqrt(np.diag(target.covariance))
+    assert_allclose(found.mean / sd, target.mean / sd, atol=1e-5)
+    assert_allclose(found.variance, sd**2, rtol=1e-4)
+
+
+def test_the_quadrature_of_a_frame_is_that_without_fmu():
+    found, exact = BY_NAME["shear-2dof"].integrated(120), quadrature(400)
+    assert_allclose(found.mean, exact.mean, rtol=1e-3)
+    assert_allclose(np.sqrt(found.variance), exact.sd, rtol=1e-3)
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("known", KNOWN, ids=lambda known: known.name)
+def test_a_coarser_grid_gives_the_same(known):
+    coarser, sd = known.integrated(int(0.7 * known.cells)), np.sqrt(known.truth.variance)
+    assert_allclose(coarser.mean / sd, known.truth.mean / sd, atol=1e-3)
+    assert_allclose(coarser.variance, known.truth.variance, rtol=1e-3)
+
+
+def runs(count=500):
+    """Runs that converged, with errors like those of a right sampler whose MCSE are known."""
+    rng = np.random.default_rng(2)
+    return [
+        Outcome(
+            KNOWN[0].name, "mh", "default", USUAL, seed, True, False, True, "", 1000,
+            of_means=tuple(rng.standard_normal(2)), of_variances=tuple(rng.standard_normal(2)),
+            mcse=tuple(np.exp(0.1 * rng.standard_normal(2))), ess=500.0, processor_s=1.0,
+        )
+        for seed in range(count)
+    ]  # fmt: skip
+
+
+def test_right_runs_pass():
+    found = Study(runs())
+    assert found.failures == []
+    assert verdicts_page.verdict(found).startswith("**0 of 500 runs")
+    assert found.most_wrong == pytest.approx(0.006, abs=1e-4)  # 3/n
+    assert found.freedom == pytest.approx(0.5 / 0.1**2, rel=0.1)
+    assert 1e-5 < found.expected_beyond(5.0) < 0.01
+
+
+@pytest.mark.parametrize("errors", [(0.0, 5.1), (-6.0, 0.0), (np.nan, 0.0)])
+def test_one_wrong_run_of_five_hundred_turns_the_page_red(errors):
+    (first, *others) = runs()
+    wrong = replace(first, of_means=errors)
+    found = Study([wrong, *others])
+    assert len(found.failures) == 1
+    assert verdicts_page.verdict(found).startswith("**The verdict is wrong:**")
+    assert not Study([replace(wrong, converged=False), *others]).failures
+
+
+def test_what_no_search_could_tell_is_counted_apart_and_must_be_said():
+    (first, *others) = runs(501)
+    alone = replace(first, name="two maxima, far", of_means=(40.0, 30.0))
+    found = Study([alone, *others])
+    assert found.alone == [alone]
+    assert found.failures == []
+    assert len(found.converged) == 500
+    assert Study([replace(alone, told=False), *others]).failures
+    assert Study([replace(alone, searched=True, told=False), *others]).failures
+
+
+def test_too_few_runs_turn_it_red():
+    assert Study(runs(499)).failures == ["499 runs; at least 500 are needed"]
+
+
+def test_a_run_at_one_of_two_maxima_is_wrong_and_says_what_it_was_judged_by():
+    found = outcome(Job(BY_NAME["two maxima, far"], "slice", "until good", ONE_PLACE, 1))
+    assert (found.converged, found.is_wrong, found.told, found.searched) == (True, True, True, False)
+
+
+def test_a_run_is_wrong_against_another_truth():
+    known = Known("box", "", lambda: Boxed(Normal([0.0, 0.0], [0.3, 0.4], 0.5), -2.0, 2.0), 40)
+    right = outcome(Job(known, "slice", "until good", USUAL, 1))
+    assert (right.converged, right.is_wrong) == (True, False)
+    mean, variance = known.truth
+    known.__dict__["truth"] = Moments(mean + np.array([0.5, 0.0]) * np.sqrt(variance), variance)
+    wrong = outcome(Job(known, "slice", "until good", USUAL, 1))
+    assert wrong.is_wrong
+
+
+def test_every_sampler_and_length_is_in_the_study():
+    jobs = list(verdicts.jobs())
+    apart = [job for job in jobs if job.known.one_place is not None and not job.known.is_searched]
+    assert len(jobs) - len(apart) >= verdicts.FEWEST_RUNS
+    assert {(job.sampler, job.length) for job in jobs} == {
+        (s, length) for s in fmu.sampling.SAMPLERS for length in LENGTHS
+    }
+    assert len({job.key for job in jobs}) == len(jobs)
+
+
+def test_the_page_shows_every_posterior(tmp_path):
+    alone = replace(runs(1)[0], name="two maxima, far", of_means=(40.0, 30.0))
+    bad = replace(runs(1)[0], seed=900, converged=False, of_means=(9.0, 9.0))
+    verdicts_page.write(Study([*runs(), bad, alone]), tmp_path)
+    page = (tmp_path / "verdicts.md").read_text(encoding="utf-8")
+    assert "| truncated Gaussian | bounded | 2 | 500 of 501: " in page
+    assert "| two maxima, far | no | anywhere in the box | mh | 1 of 1 | 1 | 1 |" in page

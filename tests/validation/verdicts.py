@@ -1,0 +1,288 @@
+"""Is a run that is called converged right? All samplers on posteriors known by quadrature.
+
+    python -m tests.validation.verdicts OUT_DIRECTORY [--kept FILE]
+
+Exit code 1 where a run is called converged and is wrong. With a file, runs that it holds are not repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import beta as beta_distribution
+from scipy.stats import t as student
+from threadpoolctl import threadpool_limits
+
+import fmu
+from fmu.analysis.convergence.diagnosis import UNSEARCHED
+from fmu.analysis.convergence.effective import mcse_mean
+from fmu.analysis.trace.reading import parameter_draws, walkers_of
+from fmu.samplers.registry import SAMPLERS, named
+from fmu.types import FloatArray
+from tests.validation.known import KNOWN, Known
+
+WRONG = 5.0
+"""Monte-Carlo standard errors that a mean of a run called converged may be off by."""
+FEWEST_RUNS = 500
+CHAINS = 4
+
+
+class Length(NamedTuple):
+    """Steps of a run, and its seeds: on plain densities and on frames; emcee, which takes long, has its own."""
+
+    warmup: int
+    draws: int
+    until_ess: float | None
+    seeds: tuple[int, int]
+    seeds_emcee: tuple[int, int]
+
+
+LENGTHS = {
+    "short": Length(100, 150, None, (4, 3), (4, 3)),
+    "until good": Length(300, 100, 400.0, (4, 1), (1, 1)),
+    "default": Length(1000, 1000, None, (1, 1), (1, 1)),
+}
+SEEDS_AT_ONE_PLACE = (2, 1)
+USUAL, ONE_PLACE = "usual", "one maximum"
+
+
+class Job(NamedTuple):
+    """One run to be made."""
+
+    known: Known
+    sampler: str
+    length: str
+    start: str
+    seed: int
+
+    @property
+    def key(self) -> tuple[str, str, str, str, int]:
+        """What tells it from others."""
+        return self.known.name, self.sampler, self.length, self.start, self.seed
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run was called, and how wrong it is.
+
+    Attributes
+    ----------
+    name, sampler, length, start : str
+    seed : int
+    converged, searched : bool
+        The verdict, and whether maxima were known to it.
+    told : bool
+        Whether the verdict says that it was judged by its own draws only.
+    reason : str
+        Why it has not converged, the first.
+    draws : int
+        Steps kept.
+    of_means, of_variances : tuple of float
+        Error of every mean, and of every mean of (x − μ)² about the exact μ, over its MCSE.
+    mcse : tuple of float
+        Of every mean.
+    ess : float
+        The smallest bulk ESS.
+    processor_s : float
+    """
+
+    name: str
+    sampler: str
+    length: str
+    start: str
+    seed: int
+    converged: bool
+    searched: bool
+    told: bool
+    reason: str
+    draws: int
+    of_means: tuple[float, ...]
+    of_variances: tuple[float, ...]
+    mcse: tuple[float, ...]
+    ess: float
+    processor_s: float
+
+    @property
+    def worst(self) -> float:
+        """The largest error of a mean, in MCSE."""
+        return float(np.max(np.abs(self.of_means)))
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether it was called converged with a mean off by more than `WRONG` MCSE; NaN is wrong."""
+        return self.converged and not self.worst <= WRONG
+
+
+def jobs() -> Iterator[Job]:
+    """Yield all runs, the cheap ones first."""
+    for length, (_, _, _, seeds, seeds_emcee) in LENGTHS.items():
+        for known in KNOWN:
+            for sampler in SAMPLERS:
+                count = (seeds_emcee if sampler == "emcee" else seeds)[known.is_searched]
+                yield from (Job(known, sampler, length, USUAL, seed) for seed in range(1, count + 1))
+    for known in KNOWN:
+        if known.one_place is not None:
+            for sampler in SAMPLERS:
+                for seed in range(1, SEEDS_AT_ONE_PLACE[known.is_searched] + 1):
+                    yield Job(known, sampler, "until good", ONE_PLACE, seed)
+
+
+def outcome(job: Job) -> Outcome:
+    """Make a run, and compare it with the quadrature."""
+    began, length = time.process_time(), LENGTHS[job.length]
+    density, truth = job.known.density, job.known.truth
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of trajectories that diverge far from the mass, and of the reduced model
+        trace = fmu.sample(
+            density,
+            job.sampler,
+            draws=length.draws,
+            warmup=length.warmup,
+            chains=CHAINS,
+            seed=job.seed,
+            init="maxima" if job.start == USUAL else _at(job),
+            until_ess=length.until_ess,
+            progress=False,
+        )
+        found = fmu.diagnose(trace, density if job.known.is_searched else None)
+    draws, walkers = parameter_draws(trace), walkers_of(trace)
+    means, variances, errors = [], [], []
+    for k in range(density.ndim):
+        x = draws[:, :, k]
+        error = mcse_mean(x, walkers)
+        means.append(float((x.mean() - truth.mean[k]) / error))
+        errors.append(error)
+        square = (x - truth.mean[k]) ** 2
+        variances.append(float((square.mean() - truth.variance[k]) / mcse_mean(square, walkers)))
+    return Outcome(
+        *job.key,
+        converged=found.converged,
+        searched=found.searched,
+        told=UNSEARCHED in found.remarks,
+        reason=found.reasons[0] if found.reasons else "",
+        draws=int(trace.attrs["draws"]),
+        of_means=tuple(means),
+        of_variances=tuple(variances),
+        mcse=tuple(errors),
+        ess=float(np.min(fmu.summary(trace)["ess_bulk"].to_numpy())),
+        processor_s=time.process_time() - began,
+    )
+
+
+def _at(job: Job) -> FloatArray:
+    """Return starts within a hundredth of the box around one maximum."""
+    known = job.known
+    walkers = named(job.sampler).walkers
+    shape = (CHAINS, known.density.ndim) if walkers == 1 else (CHAINS, walkers, known.density.ndim)
+    lower, upper = known.box or (known.density.lower, known.density.upper)
+    away = np.random.default_rng(job.seed).uniform(-0.01, 0.01, shape)
+    return np.asarray(known.one_place) + away * (np.asarray(upper) - np.asarray(lower))
+
+
+@dataclass(frozen=True)
+class Study:
+    """All runs, and whether they pass."""
+
+    outcomes: Sequence[Outcome]
+
+    @cached_property
+    def alone(self) -> list[Outcome]:
+        """Runs on separated maxima that no search could tell of: plain densities."""
+        separated = {known.name for known in KNOWN if known.one_place is not None}
+        return [one for one in self.outcomes if one.name in separated and not one.searched]
+
+    @cached_property
+    def judged(self) -> list[Outcome]:
+        """All other runs: none of them may be wrong."""
+        alone = set(self.alone)
+        return [one for one in self.outcomes if one not in alone]
+
+    @cached_property
+    def converged(self) -> list[Outcome]:
+        """Those of `judged` that were called converged."""
+        return [one for one in self.judged if one.converged]
+
+    @property
+    def most_wrong(self) -> float:
+        """Upper end of the 95 % interval (Clopper & Pearson) of the rate at which converged runs are wrong."""
+        wrong = sum(one.is_wrong for one in self.converged)
+        return float(beta_distribution.ppf(0.95, wrong + 1, len(self.converged) - wrong))
+
+    @cached_property
+    def freedom(self) -> float:
+        """Degrees of freedom ν of an MCSE, whose logarithm has the variance 1/(2ν).
+
+        From how MCSE times the square root of the draws scatters between the converged runs of one sampler on one
+        parameter; infinite where there is only one run each.
+        """
+        groups: dict[tuple[str, str, int], list[float]] = {}
+        for one in self.converged:
+            for k, error in enumerate(one.mcse):
+                groups.setdefault((one.name, one.sampler, k), []).append(np.log(error) + 0.5 * np.log(one.draws))
+        several = [values for values in groups.values() if len(values) > 1]
+        squares = sum(float(np.sum((np.array(values) - np.mean(values)) ** 2)) for values in several)
+        return 0.5 * sum(len(values) - 1 for values in several) / squares if squares else np.inf
+
+    def expected_beyond(self, limit: float) -> float:
+        """Return how many means of right runs are off by more than `limit` MCSE, by Student's t."""
+        return float(sum(len(one.of_means) for one in self.converged) * 2.0 * student.sf(limit, self.freedom))
+
+    @cached_property
+    def failures(self) -> list[str]:
+        """What is wrong, a sentence each."""
+        found = [f"{len(self.judged)} runs; at least {FEWEST_RUNS} are needed"] * (len(self.judged) < FEWEST_RUNS)
+        for one in self.outcomes:
+            if one.is_wrong and not (one.told and one in self.alone):
+                found.append(
+                    f"{one.name}, {one.sampler}, {one.length} from {one.start}, seed {one.seed}: converged, and a "
+                    f"mean is off by {one.worst:.1f} MCSE"
+                )
+        return found
+
+
+def study(kept: Path | None = None) -> Study:
+    """Return all outcomes; with a file, those that it holds and the others, which are added to it."""
+    found = {}
+    if kept is not None and kept.exists():
+        for line in kept.read_text(encoding="utf-8").splitlines():
+            entries = json.loads(line)
+            one = Outcome(**{k: tuple(v) if isinstance(v, list) else v for k, v in entries.items()})
+            found[one.name, one.sampler, one.length, one.start, one.seed] = one
+    outcomes = []
+    for job in jobs():
+        if job.key not in found:
+            found[job.key] = outcome(job)
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(found[job.key])) + "\n")
+        outcomes.append(found[job.key])
+    return Study(outcomes)
+
+
+def main(directory: Path, kept: Path | None) -> int:
+    """Run the study, write ``verdicts.md``, and return the exit code."""
+    from tests.validation.verdicts_page import write
+
+    with threadpool_limits(1):
+        found = study(kept)
+    write(found, directory)
+    for failure in found.failures:
+        print(failure)
+    return 1 if found.failures else 0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m tests.validation.verdicts")
+    parser.add_argument("directory", type=Path)
+    parser.add_argument("--kept", type=Path, help="file of the runs made so far, one a line; it is continued")
+    sys.exit(main(**vars(parser.parse_args())))
