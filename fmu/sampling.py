@@ -123,8 +123,8 @@ def sample(
         The trace, see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
         solves after the last draw (for predictions and the like), and the certificate of the reduced model, if
         there is one (`fmu.analysis.certificate.certify`). The trace of an updating problem also has the groups
-        ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`) and
-        ``identifiability`` (`fmu.analysis.identifiability`).
+        ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
+        ``identifiability`` (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`).
 
     Raises
     ------
@@ -310,15 +310,18 @@ def default_sampler(problem: LogDensity) -> str:
 
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, full_solves: int) -> xr.DataTree:
-    """Add to a trace what the model says at the draws: certificate, modes, pairing and identifiability."""
+    """Add to a trace what the model says at the draws, and without single modes."""
     from fmu.analysis.certificate import certify
+    from fmu.analysis.held_out.modes import with_left_out
     from fmu.analysis.identifiability import with_identifiability
     from fmu.analysis.pairing_changes import with_pairing
     from fmu.analysis.trace.modal_states import with_modes
 
     trace.attrs.update(certify(trace, problem, full_solves=full_solves))
     trace = with_pairing(with_modes(trace, problem, maxima), problem)
-    return with_identifiability(trace, problem, maxima) if problem.likelihood.of_modes else trace
+    if not problem.likelihood.of_modes:
+        return trace
+    return with_left_out(with_identifiability(trace, problem, maxima), problem)
 
 
 def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> int:

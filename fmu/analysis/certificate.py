@@ -73,7 +73,8 @@ def certify(trace: xr.DataTree, problem: Any, n: int = 64, full_solves: int = 0)
     likelihood = problem.likelihood
     if likelihood.of_modes:
         if likelihood.error is not None:  # no need to solve again
-            of_exact, of_reduced = (likelihood.error.log_prob_terms(hz) for hz in (exact_hz, reduced_hz))
+            both = (likelihood.error.log_prob_terms(hz) for hz in (exact_hz, reduced_hz))
+            of_exact, of_reduced = map(likelihood.of_used, both)
         else:
             of_exact = np.concatenate(by_parts("certificate", likelihood.full_terms, theta, _AT_ONCE))
             of_reduced = likelihood.terms(theta)

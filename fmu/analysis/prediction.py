@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fmu.analysis.convergence.diagnostics import interval_columns
-from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
+from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.initial_modes import ALIKE
-from fmu.analysis.trace.conversion import GIVEN_OTHERS, ONE_MORE_TEST
+from fmu.analysis.trace.conversion import ONE_MORE_TEST
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import (
     array_of,
@@ -143,54 +142,6 @@ def measurement_in_words(tests: FloatArray | None) -> str:
     counts = np.sum(~np.isnan(tests), axis=0)
     least, most = int(counts.min()), int(counts.max())
     return f"the mean of {most} tests" if least == most else f"the mean of {least} to {most} tests"
-
-
-def leave_one_out(trace: xr.DataTree) -> pd.DataFrame:
-    """Estimate how well the other modes predict each measured mode: PSIS-LOO (Vehtari, Gelman & Gabry 2017).
-
-    Parameters
-    ----------
-    trace : xarray.DataTree
-        A trace with a ``log_likelihood``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per mode: ``elpd``, the log-density of its measured frequency given the posterior of the others;
-        ``pareto_k``, the shape of the tail of the importance weights; and ``reliable``, whether k is low enough
-        (below 0.7, less for few draws). If the others do not determine a mode, which is usual with as many
-        parameters as modes, the estimate is not reliable, and an upper bound at best. NaN and not reliable if
-        there are too few draws, or they do not move.
-
-    Raises
-    ------
-    ValueError
-        If the trace has no log-likelihood of modes.
-    """
-    import warnings
-
-    import arviz as az
-
-    check_trace(trace)
-    if not has(trace, "log_likelihood"):
-        raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
-    kept = list(map(str, trace["log_likelihood"].data_vars))
-    # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
-    name = GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0]
-    terms = array_of(trace, "log_likelihood", name)
-    walkers = walkers_of(trace)
-    n = terms.shape[0] * terms.shape[1]
-    efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
-    elpd = k = np.full(terms.shape[2], np.nan)
-    good = np.nan
-    # ArviZ raises if so many draws are equal that the weights have no tail
-    with warnings.catch_warnings(), suppress(ValueError):
-        warnings.filterwarnings("ignore", message="Estimated shape parameter of Pareto")  # it is in the table
-        if np.isfinite(efficiency):
-            found = az.loo(trace, pointwise=True, var_name=name, reff=efficiency)
-            elpd, k, good = found.elpd_i.to_numpy(), found.pareto_k.to_numpy(), found.good_k
-    columns = {"elpd": elpd, "pareto_k": k, "reliable": k <= good}
-    return data_frame(columns, "mode", trace["log_likelihood"]["mode"].to_numpy())
 
 
 def _named(trace: xr.DataTree, name: str) -> FloatArray:

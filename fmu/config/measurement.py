@@ -96,6 +96,9 @@ class MeasurementTable(TomlTable):
     updating that move a sensor."""
     labels: list[Name] = []
     """Names of the modes."""
+    use: list[bool] = []
+    """Which modes the parameters are updated with, one true or false per mode; all if not given. The others are
+    paired and predicted too, and test the updated model."""
     sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
     """Place and direction of each sensor: x, y, z, rx, ry, rz, with a minus if positive readings point the other
     way."""
@@ -148,7 +151,7 @@ class MeasurementTable(TomlTable):
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
         if not rows:
             return
-        for key in ("sd", "beta", "covariance", "numbers", "counterparts", "labels", "shapes"):
+        for key in ("sd", "beta", "covariance", "numbers", "counterparts", "labels", "use", "shapes"):
             value = getattr(self, key)
             if isinstance(value, list) and value and len(value) != len(rows[0]):
                 raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {len(value)})")
@@ -193,7 +196,7 @@ class MeasurementTable(TomlTable):
         elif needs_trust and all(given.get(key) is None for key in trust):
             rule = f"{_ONE_TRUST}, as the file has no standard deviations"
             raise BrokenError([Mistake("measurement", rule)])
-        keys = ("numbers", "labels", "counterparts")
+        keys = ("numbers", "labels", "counterparts", "use")
         given |= {key: tuple(getattr(self, key)) for key in keys if getattr(self, key)}
         try:
             return ModalData(**given)

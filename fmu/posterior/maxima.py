@@ -37,7 +37,9 @@ class Maximum:
     starts: int
 
 
-def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple[Maximum, ...]:
+def local_maxima(
+    problem: Problem, starts: int = STARTS, seed: int = 1, near: FloatArray | None = None
+) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
     The starts are the problem's own and points of a scrambled Sobol sequence in its box. If the errors are those
@@ -54,6 +56,8 @@ def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple
         in cantilever-section, paired by number, one start in twelve reaches the maximum that holds nearly all of
         the probability.
     seed : int
+    near : ndarray, shape (n, ndim), optional
+        Further points to start from, SI units.
 
     Raises
     ------
@@ -64,7 +68,9 @@ def local_maxima(problem: Problem, starts: int = STARTS, seed: int = 1) -> tuple
         raise ValueError(f"starts: must be at least 1 (got {starts})")
     scaled = ScaledDensity(problem)
     points = _starting_points(problem, scaled, starts, seed)
-    with phase("search", starts):
+    if near is not None:
+        points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
+    with phase("search", len(points)):
         return _found(problem, scaled, points)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -182,6 +184,28 @@ class UpdatingProblem:
         require_digits(problem)  # after training, as the reduced model adds rounding of its own
         return problem
 
+    def using(self, labels: Collection[str]) -> UpdatingProblem:
+        """Return the same problem updated with other modes; the model, reduced or not, is shared.
+
+        Parameters
+        ----------
+        labels : collection of str
+            Names of the modes whose measurement is used; the others are paired and predicted only.
+
+        Raises
+        ------
+        ValueError
+            If there is no such mode, or none is named.
+        """
+        unknown = [name for name in labels if name not in self.data.labels]
+        if unknown:
+            raise ValueError(f"labels: must be of {', '.join(self.data.labels)} (got {unknown[0]!r})")
+        other = copy(self)
+        other.data = replace(self.data, use=tuple(label in labels for label in self.data.labels))
+        other.likelihood = self.likelihood.using(other.data.used)
+        other._failed = FailureRecord()
+        return other
+
     def __repr__(self) -> str:
         return f"UpdatingProblem({self.name!r}, {self.ndim} parameters, {self.data.n_modes} modes, {self.model!r})"
 
@@ -223,7 +247,7 @@ class UpdatingProblem:
         return float(value[0]) if single else value
 
     def log_likelihood_terms(self, theta: ArrayLike) -> FloatArray:
-        """Return the log-likelihood of each measured mode, shape (n_modes,) or (n, n_modes)."""
+        """Return the log-likelihood of each mode used in updating, shape (n_used,) or (n, n_used)."""
         points, single = self._points(theta)
         terms = self._terms(points)
         return terms[0] if single else terms
@@ -237,8 +261,8 @@ class UpdatingProblem:
 
         Returns
         -------
-        terms : ndarray, shape (n, n_modes)
-        squares : ndarray, shape (n, n_kinds, n_modes)
+        terms : ndarray, shape (n, n_used)
+        squares : ndarray, shape (n, n_kinds, n_used)
             Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
         """
         terms, squares = self.likelihood.terms_and_misfit(theta)

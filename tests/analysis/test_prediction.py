@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from fmu.analysis.convergence import effective
-from fmu.analysis.prediction import expectation, leave_one_out, predict_frequencies
+from fmu.analysis.held_out.modes import leave_one_out
+from fmu.analysis.prediction import expectation, predict_frequencies
 from fmu.analysis.trace.conversion import to_trace
 
 # The model of conftest.py: f = 100 + SLOPES @ theta.
@@ -129,7 +130,7 @@ def test_leaving_one_mode_out_of_a_linear_model(make_result, problem):
         variance = SLOPES[i] @ covariance @ SLOPES[i] + 0.5 / np.array([0.5, 1.0, 2.0])[i]
         error = np.array([1.0, -0.5, 2.0])[i] - SLOPES[i] @ mean
         exact = -0.5 * (error**2 / variance + np.log(2 * np.pi * variance))
-        assert table.loc[label, "reliable"] == (table.loc[label, "pareto_k"] <= 0.7)
+        assert (table.loc[label, "method"] == "importance weights") == (table.loc[label, "pareto_k"] <= 0.7)
         if table.loc[label, "pareto_k"] < 0.5:
             assert table.loc[label, "elpd"] == pytest.approx(exact, abs=0.05)
     assert (table["pareto_k"] < 0.5).sum() >= 2
@@ -142,7 +143,9 @@ def test_a_mode_that_the_others_do_not_determine_is_not_reliable(make_result, pr
     covariance = np.linalg.inv(np.diag([1.0, 0.25]) + A.T @ (precision[:, None] * A))
     mean = covariance @ A.T @ (precision * [1.0, -0.5, 2.0])
     draws = np.random.default_rng(45).multivariate_normal(mean, covariance, size=(4, 500))
-    assert not leave_one_out(to_trace(make_result(draws), sharp)).loc["T1", "reliable"]
+    row = leave_one_out(to_trace(make_result(draws), sharp)).loc["T1"]
+    assert row["method"] == ""
+    assert np.isnan(row["elpd"])
 
 
 def test_leaving_out_needs_a_likelihood(make_trace):
@@ -153,5 +156,6 @@ def test_leaving_out_needs_a_likelihood(make_trace):
 @pytest.mark.parametrize("draws", [np.zeros((2, 50, 2)), np.random.default_rng(46).standard_normal((2, 3, 2))])
 def test_draws_that_tell_nothing_of_what_was_left_out(make_result, problem, draws):
     table = leave_one_out(to_trace(make_result(draws), problem))
-    assert not table["reliable"].any()
+    assert not table["method"].any()
+    assert table["elpd"].isna().all()
     assert list(table.index) == ["W1", "W2", "T1"]

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 
 from fmu.analysis.convergence.diagnosis import UNSEARCHED
+from fmu.analysis.held_out.modes import leave_one_out
 from fmu.analysis.identifiability import contraction, kept_identifiability
 from fmu.analysis.initial_modes import ALIKE
-from fmu.analysis.prediction import leave_one_out
 from fmu.analysis.trace.modal_states import MEASURED
 from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
 from fmu.report.run import runs_of

@@ -12,7 +12,7 @@ from fmu.progress.phases import by_parts
 from fmu.types import FloatArray
 
 DRAWS = 512
-_TEMPERATURES = (1.0, 4.0)
+TEMPERATURES = (1.0, 4.0)
 _FLATTEST = 1e-2
 _HOPELESS = 40.0
 
@@ -36,6 +36,23 @@ class LocalQuadratic:
     log_prob: float
     gradient: FloatArray
     hessian: FloatArray
+
+    @classmethod
+    def fitted(cls, u: FloatArray, log_p: FloatArray, weight: FloatArray) -> LocalQuadratic:
+        """Return the quadratic that fits log P best, by weighted least squares over points u (n, ndim).
+
+        It is expanded at the weighted mean of the points.
+        """
+        centre = weight @ u / weight.sum()
+        d = u - centre
+        n = d.shape[1]
+        i, j = np.triu_indices(n)
+        columns = np.column_stack([np.ones(len(d)), d, d[:, i] * d[:, j]])
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(columns * root[:, None], log_p * root, rcond=None)[0]
+        hessian = np.zeros((n, n))
+        hessian[i, j] = -found[n + 1 :]
+        return cls(centre, float(found[0]), found[1 : n + 1], hessian + hessian.T)
 
     def drop(self, u: FloatArray) -> FloatArray:
         """Return by how much m falls from u* to the points u (n, ndim), shape (n,)."""
@@ -122,6 +139,21 @@ def _laplace(
     return _weighted(u, maximum.log_prob - maximum.drop(u) - proposal.log_density(u), 0.0)
 
 
+def mixture_draws(
+    proposals: Sequence[SequentialNormal], rng: np.random.Generator, draws: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return `draws` of each proposal, (n, ndim), and the log-density of their mixture there, (n,)."""
+    u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])
+    log_q = logsumexp([proposal.log_density(u) for proposal in proposals], axis=0) - np.log(len(proposals))
+    return u, log_q
+
+
+def log_shares(maxima: Sequence[LocalQuadratic], u: FloatArray) -> FloatArray:
+    """Return the logarithm of the share of each maximum in Σ exp(m) at points u (n, ndim), shape (maxima, n)."""
+    model = np.stack([m.log_prob - m.drop(u) for m in maxima])
+    return np.asarray(model - logsumexp(model, axis=0))
+
+
 def _importance(
     log_prob: Callable[[FloatArray], FloatArray],
     maxima: Sequence[LocalQuadratic],
@@ -131,12 +163,10 @@ def _importance(
     draws: int,
 ) -> list[ModeWeight | None]:
     """Return mass and moments of P around each maximum; None if no draw has a finite log-probability."""
-    proposals = [m.proposal(lower, upper, t) for m in maxima for t in _TEMPERATURES]
-    u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])
-    log_q = logsumexp([proposal.log_density(u) for proposal in proposals], axis=0) - np.log(len(proposals))
+    proposals = [m.proposal(lower, upper, t) for m in maxima for t in TEMPERATURES]
+    u, log_q = mixture_draws(proposals, rng, draws)
     log_w = np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
-    model = np.stack([m.log_prob - m.drop(u) for m in maxima])
-    belongs = model - logsumexp(model, axis=0)
+    belongs = log_shares(maxima, u)
     return [_weighted(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 
 

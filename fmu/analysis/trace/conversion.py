@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
-PRIOR_STREAM, NOISE_STREAM, START_STREAM = 0, 1, 2
+PRIOR_STREAM, NOISE_STREAM, START_STREAM, HELD_OUT_STREAM = 0, 1, 2, 3
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
 
 
@@ -67,10 +67,10 @@ def to_trace(
         (`fmu.analysis.trace.misfit`), ``posterior_predictive`` (eq. (10) of the paper: ``frequency`` with
         measurement noise, which the modal residual has none of, ``model_frequency`` without it, Hz; of repeated
         tests ``frequency`` is the mean of as many new tests, and ``one_more_test`` a single one), ``prior`` (draws
-        from the prior inside the bounds), ``observed_data`` (``frequency``, and ``tests``, a row per test, where
-        it is their mean) and ``constant_data`` (``lower``, ``upper``, ``start``, ``beta``, and ``covariance_hz2``
-        where errors are correlated); of parallel tempering ``tempering`` (`tempering_group`). The attributes say
-        how the draws came about.
+        from the prior inside the bounds), ``observed_data`` (``frequency``; ``tests``, a row per test, where it is
+        their mean; ``used``, where not all modes are used in updating) and ``constant_data`` (``lower``,
+        ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel tempering
+        ``tempering`` (`tempering_group`). The attributes say how the draws came about.
     """
     import xarray as xr
 
@@ -225,23 +225,24 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     dims = ("chain", "draw", "mode")
     hertz = {"units": "Hz"}
     predicted = {"model_frequency": (dims, frequency, hertz)}
-    if problem.likelihood.error is not None:
-        error = problem.likelihood.error
-        terms = {"frequency": (dims, error.log_prob_terms(frequency))}
-        squares = problem.likelihood.misfit_of_frequencies(frequency.reshape(-1, frequency.shape[-1]))
+    likelihood = problem.likelihood
+    if likelihood.error is not None:
+        error = likelihood.error
+        terms = {"frequency": (dims, likelihood.of_used(error.log_prob_terms(frequency)))}
+        squares = likelihood.misfit_of_frequencies(frequency.reshape(-1, frequency.shape[-1]))
         squares = squares.reshape(*frequency.shape[:2], *squares.shape[1:])
         if error.covariance_hz2 is not None:
-            terms[GIVEN_OTHERS] = (dims, error.log_prob_given_others(frequency))
+            terms[GIVEN_OTHERS] = (dims, likelihood.of_used(error.log_prob_given_others(frequency)))
     else:
         both = distinct.evaluate(lambda theta: _stacked(*problem.terms_and_misfit(theta)))
         together, squares = both[:, :, 0], both[:, :, 1:]
-        terms = {problem.likelihood.terms_name: (dims, together)}
-        correlated = problem.likelihood.correlated
+        terms = {likelihood.terms_name: (dims, together)}
+        correlated = likelihood.correlated
         if correlated is not None:
             others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
-            terms[GIVEN_OTHERS] = (dims, together + others)
+            terms[GIVEN_OTHERS] = (dims, together + likelihood.of_used(others))
     # a pseudo-likelihood, or errors of shapes alone, give no measurement noise of frequencies
-    if problem.likelihood.simulates:
+    if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
         theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
         replicate = problem.simulate_data(noise, hz, theta)
@@ -252,11 +253,14 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
     if problem.data.tests is not None:
         observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
+    if likelihood.used is not None:
+        observed["used"] = ("mode", np.array(problem.data.use))
+    used = {"mode": likelihood.of_used(np.array(coordinates["mode"]))}
     return {
-        "log_likelihood": xr.Dataset(terms, coords=coordinates),
+        "log_likelihood": xr.Dataset(terms, coords=coordinates | used),
         "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
         "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
-    } | misfit_group(problem, squares, coordinates)
+    } | misfit_group(problem, squares, coordinates | used)
 
 
 def _stacked(terms: FloatArray, squares: FloatArray) -> FloatArray:

@@ -1,10 +1,11 @@
 """Modes from tables of text, as spreadsheets write them.
 
-Frequencies, one row per mode; ``number`` (in the spectrum of the model) and ``sd`` may be left out::
+Frequencies, one row per mode; ``number`` (in the spectrum of the model), ``sd`` and ``use`` (true or false:
+whether the mode is used in updating) may be left out::
 
-    mode,number,frequency,sd
-    first bending,1,31.9,0.1
-    second bending,3,197.9,0.4
+    mode,number,frequency,sd,use
+    first bending,1,31.9,0.1,true
+    second bending,3,197.9,0.4,false
 
 Shapes, one row per sensor and one column per mode::
 
@@ -39,7 +40,8 @@ from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
 """Modes, sensors or tests."""
-_FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd")
+_FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd", "use")
+_YES_OR_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _TEST = "test"
 _MISSED = ("", "nan")
 _DIRECTION = re.compile(r"-?(r?[xyz])")
@@ -73,6 +75,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
     frequencies = [_number(row, "frequency", found, positive=True) for row in rows]
     sd = [_number(row, "sd", found, positive=True) for row in rows] if "sd" in header else None
     numbers = [_whole(row, "number", found) for row in rows] if "number" in header else []
+    use = [_yes(row, "use", found) for row in rows] if "use" in header else []
     labels = [row.values["mode"] for row in rows]
     first = {label: i for i, label in reversed(list(enumerate(labels)))}
     found += [
@@ -82,7 +85,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
     ]
     _refuse(path, found)
     deviations = None if sd is None else np.array(sd)
-    return MeasuredModes(np.array(frequencies), tuple(labels), deviations, numbers=tuple(numbers))
+    return MeasuredModes(np.array(frequencies), tuple(labels), deviations, numbers=tuple(numbers), use=tuple(use))
 
 
 def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
@@ -219,6 +222,13 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False)
         found.append(f"line {row.line}, column {column}: must be {rule} (got {shown(text)})")
         return np.nan
     return value
+
+
+def _yes(row: _Row, column: str, found: list[str]) -> bool:
+    text = row.values[column]
+    if text.lower() not in _YES_OR_NO:
+        found.append(f"line {row.line}, column {column}: must be true or false (got {shown(text)})")
+    return _YES_OR_NO.get(text.lower(), True)
 
 
 def _whole(row: _Row, column: str, found: list[str]) -> int:

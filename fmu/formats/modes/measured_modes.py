@@ -61,6 +61,8 @@ class MeasuredModes:
         Real; see `real_shapes`.
     numbers : tuple of int
         Numbers of the modes in the spectrum of the model, if they are given.
+    use : tuple of bool
+        Which modes are used in updating, if it is said.
     """
 
     frequencies_hz: FloatArray
@@ -69,6 +71,7 @@ class MeasuredModes:
     sensors: tuple[tuple[Any, str], ...] = ()
     shapes: FloatArray | None = None
     numbers: tuple[int, ...] = ()
+    use: tuple[bool, ...] = ()
 
 
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:

@@ -17,7 +17,7 @@ from fmu.formats.modes.pyoma import pyoma_modes
 from fmu.formats.modes.uff import read_uff, write_uff
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +51,16 @@ class ModalData:
     tests : RepeatedTests, optional
         The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
         one more of them, and to check whether they are independent.
+    use : tuple of bool, optional
+        Which modes the parameters are updated with, all by default. The others are paired and predicted like them,
+        but are not in the likelihood: they test the updated model on what it has not seen.
 
     Raises
     ------
     ValueError
         If a frequency is not positive and finite, a shape is not finite or zero, the lengths differ, a standard
-        deviation is not positive, a covariance not positive definite, or counterparts are not distinct numbers
-        from 1 or not needed.
+        deviation is not positive, a covariance not positive definite, counterparts are not distinct numbers from 1
+        or not needed, or no mode is used.
     """
 
     frequencies_hz: ArrayLike
@@ -70,6 +73,7 @@ class ModalData:
     shapes_sd: ArrayLike | None = None
     counterparts: tuple[int, ...] = ()
     tests: RepeatedTests | None = None
+    use: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
@@ -84,12 +88,15 @@ class ModalData:
         n = len(frequencies)
         object.__setattr__(self, "numbers", tuple(self.numbers) or tuple(range(1, n + 1)))
         object.__setattr__(self, "labels", tuple(self.labels) or tuple(str(i + 1) for i in range(n)))
-        for name in ("numbers", "labels"):
+        object.__setattr__(self, "use", tuple(map(bool, self.use)) or (True,) * n)
+        for name in ("numbers", "labels", "use"):
             if len(getattr(self, name)) != n:
                 raise ValueError(f"{name}: must be {n}, one per mode (got {len(getattr(self, name))})")
 
         if len(set(self.labels)) < n:
             raise ValueError(f"labels: must be distinct (got {self.labels})")
+        if not any(self.use):
+            raise ValueError(f"use: must be true for at least one mode (got {list(self.use)})")
         if self.shapes is not None:
             shapes = np.array(self.shapes, dtype=float)
             if shapes.shape != (len(self.sensors), n):
@@ -138,6 +145,7 @@ class ModalData:
         numbers: tuple[int, ...] = (),
         sensors: tuple[tuple[Any, str], ...] = (),
         labels: tuple[str, ...] = (),
+        use: tuple[bool, ...] = (),
     ) -> Self:
         """Return the mean of several tests, with the uncertainty estimated from their scatter.
 
@@ -154,7 +162,7 @@ class ModalData:
             tests; or a full covariance, which needs at least three tests more than modes. In all three the
             standard deviation is increased because few tests determine it poorly:
             `fmu.posterior.data.repeated.RepeatedTests`.
-        numbers, sensors, labels
+        numbers, sensors, labels, use
             As of the class.
 
         Raises
@@ -165,7 +173,7 @@ class ModalData:
         tests = RepeatedTests(frequencies, scatter)
         mean, sd, covariance = tests.mean()
         average, spread = (None, None) if shapes is None else (mean_shapes(shapes), shapes_sd(shapes))
-        return cls(mean, numbers, sensors, labels, average, sd, covariance, spread, tests=tests)
+        return cls(mean, numbers, sensors, labels, average, sd, covariance, spread, tests=tests, use=use)
 
     @classmethod
     def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
@@ -174,7 +182,7 @@ class ModalData:
         Parameters
         ----------
         frequencies : path-like
-            Columns ``mode``, ``frequency`` (Hz) and, if known, ``number`` and ``sd`` (Hz).
+            Columns ``mode``, ``frequency`` (Hz) and, if known, ``number``, ``sd`` (Hz) and ``use``.
         shapes : path-like, optional
             Columns ``place``, ``direction``, and one per mode with its name; see `fmu.formats.modes.csv`.
 
@@ -295,6 +303,11 @@ class ModalData:
         """Number of measured modes."""
         return len(np.asarray(self.frequencies_hz))
 
+    @property
+    def used(self) -> IntArray | None:
+        """Which modes are used in updating, numbered from 0; None for all of them."""
+        return None if all(self.use) else np.flatnonzero(self.use)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the data in plain Python types."""
         optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
@@ -307,6 +320,7 @@ class ModalData:
             **{name: value.tolist() for name, value in given.items()},
             **({"counterparts": [int(number) for number in self.counterparts]} if self.counterparts else {}),
             **({} if self.tests is None else {"tests": self.tests.as_dict()}),
+            **({} if all(self.use) else {"use": list(self.use)}),
         }
 
 

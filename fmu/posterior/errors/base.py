@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol
+from copy import copy
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.noise import NoiseIndex, Spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -127,6 +128,14 @@ class ErrorTerm:
         """Whether the term of a mode depends on other modes too."""
         return False
 
+    def among(self, used: IntArray | None) -> ErrorTerm:
+        """Return the error model whose terms of the `used` modes, numbered from 0, are their joint log-density.
+
+        The terms of the other modes are dropped. To be overridden where a term depends on the measurement of other
+        modes.
+        """
+        return self
+
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction in the form that `evaluate` and `residuals`, and their derivatives, refer to."""
         return seen
@@ -158,13 +167,20 @@ class ErrorTerm:
         """Return frequencies (n, n_modes), Hz, with only the inferred errors added."""
         return frequencies
 
+    def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation, (n, n_modes) each, of each measured frequency given the others, Hz.
+
+        The computed frequencies are of shape (n, n_modes); see `of_frequencies`.
+        """
+        raise NotImplementedError
+
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return a name for each residual, mode by mode."""
         raise NotImplementedError
 
-    def information(self, noise: FloatArray) -> FloatArray:
-        """Return Fisher's information on the inferred standard deviations, shape (n, n_noise, n_noise)."""
-        return self.spread.information(noise)
+    def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
+        """Return Fisher's information of the `used` modes on the inferred deviations, (n, n_noise, n_noise)."""
+        return self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the name of the error model under ``error``, and its settings."""
@@ -197,6 +213,8 @@ class Likelihood:
         The error models; none if the errors are not those of measured quantities.
     chi_square : tuple of ErrorTerm
         Those whose squared residuals tell whether the model fits, see `ErrorTerm.is_chi_square`.
+    used : ndarray of int, shape (n_used,), or None
+        The modes whose terms make the likelihood, numbered from 0 among the measured ones; None for all of them.
     """
 
     of_modes: bool = False
@@ -209,18 +227,29 @@ class Likelihood:
     terms_name: str
     terms_of: tuple[ErrorTerm, ...] = ()
     chi_square: tuple[ErrorTerm, ...] = ()
+    used: IntArray | None = None
+
+    def using(self, used: IntArray | None) -> Self:
+        """Return the likelihood of other modes of the same data."""
+        other = copy(self)
+        other.used = used
+        return other
+
+    def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
+        """Return the values of the used modes, of an array with one for each measured mode along an axis."""
+        return values if self.used is None else np.take(values, self.used, axis)
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
+        """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
         raise NotImplementedError
 
     def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms, and the squared residuals by the models of `chi_square`, (n, n_kinds, n_modes)."""
+        """Return the terms, and the squared residuals by the models of `chi_square`, (n, n_kinds, n_used)."""
         terms = self.terms(theta)
         return terms, np.empty((len(terms), 0, terms.shape[1]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_modes, ndim)."""
+        """Return the terms and their gradients, shape (n, n_used, ndim)."""
         raise NotImplementedError
 
     def full_terms(self, theta: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, checked_beta, mode_weights
 from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 Kind = Literal["absolute", "relative", "eigenvalue"]
 
@@ -76,8 +76,8 @@ class FrequencyErrors:
         return FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.discrepancy, size, index))
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of modes."""
-        return data.n_modes
+        """Return the number of used modes."""
+        return sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
         """Say whether `data` have standard deviations or a covariance of the frequencies."""
@@ -193,6 +193,17 @@ class FrequencyTerm(ErrorTerm):
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
         return np.asarray(frequencies + error)
 
+    def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation of each measured frequency, see `ErrorTerm`.
+
+        Errors of eigenvalues, ε = (f/f^m)² − 1, are not Gaussian in f^m: the standard deviation is the one that
+        puts the measured frequency where it is in the distribution of ε.
+        """
+        sd = self.sd[None] if self.is_known else np.sqrt(self.spread.variance(noise))
+        if self.kind == "eigenvalue":
+            sd = sd * self.measured**2 / (self.measured + frequencies)
+        return frequencies, np.broadcast_to(sd, frequencies.shape)
+
     def simulate_inferred(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray
     ) -> FloatArray:
@@ -238,6 +249,9 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     ----------
     measured : ndarray, shape (n_modes,), Hz
     covariance_hz2 : ndarray, shape (n_modes, n_modes), Hz²
+    used : ndarray of int, optional
+        The modes whose density is wanted, numbered from 0: L is then that of Σ without the covariances between
+        these modes and the others, so that the terms of these modes sum to their marginal density.
 
     Raises
     ------
@@ -254,12 +268,15 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     quantity = "frequencies"
     kind = "absolute"
 
-    def __init__(self, measured: FloatArray, covariance_hz2: FloatArray) -> None:
+    def __init__(self, measured: FloatArray, covariance_hz2: FloatArray, used: IntArray | None = None) -> None:
         from scipy.linalg import solve_triangular
 
         self.measured = np.array(measured)
         self.covariance_hz2 = checked_covariance(covariance_hz2, len(measured))
-        self._root = np.linalg.cholesky(self.covariance_hz2)
+        self._root = self._root_of_all = np.linalg.cholesky(self.covariance_hz2)
+        if used is not None:
+            is_used = np.isin(np.arange(len(measured)), used)
+            self._root = np.linalg.cholesky(np.where(is_used == is_used[:, None], self.covariance_hz2, 0.0))
         self._inverse_root = solve_triangular(self._root, np.eye(len(measured)), lower=True)
         self.spread = Spread(np.sqrt(np.diag(self.covariance_hz2)), {})
         self._normaliser = (-0.5 * np.log(2.0 * np.pi) - np.log(np.diag(self._root)))[None]
@@ -278,6 +295,10 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     def beta(self) -> FloatArray:
         """1/(2σ_i²) of each mode by itself, 1/Hz²; it does not contain the correlations."""
         return np.asarray(0.5 / np.diag(self.covariance_hz2))
+
+    def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
+        """Return the term of the marginal density of the `used` modes, see `ErrorTerm`."""
+        return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction with z in place of the frequencies, and L⁻¹ times their derivatives."""
@@ -310,13 +331,19 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             c = np.sum(self._inverse_root**2, axis=0)
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
+    def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation of each measured frequency given the others, see `ErrorTerm`."""
+        c = np.sum(self._inverse_root**2, axis=0)
+        g = _times(self._inverse_root.T, self._standardised(frequencies))
+        return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
+
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals, see `ErrorTerm`: z."""
         return Residuals(seen.frequencies[..., None], np.ones_like(seen.frequencies)[..., None])
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return measured frequencies (n, n_modes) for computed ones, Hz."""
-        return np.asarray(frequencies + _times(self._root, rng.standard_normal(np.shape(frequencies))))
+        return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return a name for each residual, see `ErrorTerm`."""

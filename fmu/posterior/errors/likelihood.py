@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 
 class ModalLikelihood(Likelihood):
@@ -49,17 +49,14 @@ class ModalLikelihood(Likelihood):
                 noise.append(parameter)
             return noise.index(parameter)
 
-        self.terms_of = tuple(error.bind(data, index) for error in errors)
+        self.terms_of = tuple(error.bind(data, index).among(data.used) for error in errors)
         self.chi_square = tuple(term for term in self.terms_of if term.is_chi_square)
+        self.used = data.used
         self.noise = tuple(noise)
         self.needs_shapes = any(term.needs_shapes for term in self.terms_of)
         if self.needs_shapes and not model.gives_shapes:
             raise ValueError(f"error: errors of shapes need a model that gives shapes (got {model.name})")
-        of_frequencies = [term for term in self.terms_of if term.of_frequencies]
-        self._frequency_term = of_frequencies[0] if of_frequencies else None
-        self.simulates = self._frequency_term is not None
-        correlated = (term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm))
-        self.correlated = next(correlated, None)
+        self.simulates = self.frequency_term is not None
         only = self.terms_of[0] if len(self.terms_of) == 1 else None
         if isinstance(only, FrequencyTerm | CorrelatedFrequencyTerm) and only.is_known and only.kind == "absolute":
             self.error = only
@@ -67,43 +64,64 @@ class ModalLikelihood(Likelihood):
         self.beta = None if self.error is None else self.error.beta
         self.terms_name = "modes" if self.error is None else "frequency"
 
+    def using(self, used: IntArray | None) -> Self:
+        """Return the likelihood of other modes of the same data."""
+        other = super().using(used)
+        other.terms_of = tuple(term.among(used) for term in self.terms_of)
+        if self.chi_square:
+            other.chi_square = tuple(term for term in other.terms_of if term.is_chi_square)
+        if self.error is not None:
+            other.error = other.terms_of[0]
+        return other
+
+    @property
+    def frequency_term(self) -> Any:
+        """The errors of the frequencies, the first if there are several; None if there are none."""
+        return next((term for term in self.terms_of if term.of_frequencies), None)
+
+    @property
+    def correlated(self) -> CorrelatedFrequencyTerm | None:
+        """The errors of the frequencies where they have a covariance."""
+        return next((term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm)), None)
+
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
+        """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
         if self.error is not None:  # no shapes, no inferred deviations: a few µs less at a single theta
-            return np.asarray(self.error.log_prob_terms(self.model.frequencies(theta)))
-        return self.terms_of_observed(self._observed(theta, False), theta)
+            return np.asarray(self.of_used(self.error.log_prob_terms(self.model.frequencies(theta))))
+        return self.terms_of_observed(self.observed(theta), theta)
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each mode, shape (n, n_modes), for a prediction made already."""
+        """Return the log-likelihood of each used mode, shape (n, n_used), for a prediction made already."""
         parts = self._parts(seen, theta, gradient=False)[1]
-        return np.asarray(sum(part.terms for part in parts))
+        return self.of_used(np.asarray(sum(part.terms for part in parts)))
 
     def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return `terms`, and from the same solves the `misfit`, see `Likelihood`."""
-        seen = self._observed(theta, False)
+        seen = self.observed(theta)
         return self.terms_of_observed(seen, theta), self.misfit(seen, theta)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the sum of squared residuals of each mode, by each of `chi_square`, (n, n_kinds, n_modes)."""
+        """Return the sum of squared residuals of each used mode, by each of `chi_square`, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             squares = np.sum(term.residuals(term.project(seen), noise).values ** 2, axis=2)
             found = np.concatenate([found, squares[:, None]], axis=1)
-        return found
+        return self.of_used(found)
 
     def misfit_of_frequencies(self, frequencies: FloatArray) -> FloatArray:
         """Return the `misfit` for computed frequencies (n, n_modes), Hz, where these alone have errors, known."""
         return self.misfit(_without_shapes(frequencies), np.empty((len(frequencies), self.n_structural)))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_modes, ndim)."""
-        seen = self._observed(theta, True)
+        """Return the terms and their gradients, shape (n, n_used, ndim)."""
+        seen = self.observed(theta, True)
         if self.error is None:
             return self._terms_and_gradient(seen, theta)
         view = self.error.project(seen)
         with np.errstate(invalid="ignore", over="ignore"):
             part = self.error.evaluate(view, theta[:, self.n_structural :], gradient=True)
-            return part.terms, part.by_frequency[..., None] * view.frequency_slopes
+            slopes = part.by_frequency[..., None] * view.frequency_slopes
+        return self.of_used(part.terms), self.of_used(slopes, 1)
 
     def full_terms(self, theta: FloatArray) -> FloatArray:
         """Return `terms` by the full model, where a reduced one would be used otherwise."""
@@ -122,7 +140,7 @@ class ModalLikelihood(Likelihood):
         Shapes (n, n_residuals) and (n, n_residuals, n_structural): what Gauss–Newton steps and the linearised
         information of the data are made of. Inferred standard deviations are held fixed.
         """
-        return self._residuals_and_slopes(self._observed(theta, True), theta[:, self.n_structural :])
+        return self._residuals_and_slopes(self.observed(theta, True), theta[:, self.n_structural :])
 
     def sensitivity(self, theta: FloatArray) -> FloatArray:
         """Return the derivatives of the residuals, shape (n, n_residuals, n_structural)."""
@@ -130,6 +148,7 @@ class ModalLikelihood(Likelihood):
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return a name for each row of `sensitivity`."""
+        modes = tuple(map(str, self.of_used(np.array(modes))))
         if self.error is not None:
             return modes
         return tuple(label for term in self.terms_of for label in term.labels(modes))
@@ -143,7 +162,7 @@ class ModalLikelihood(Likelihood):
         theta : ndarray, shape (ndim,)
             Inferred standard deviations are taken from here.
         """
-        if self._frequency_term is None:
+        if self.frequency_term is None:
             return np.zeros(len(frequencies))
         seen = _without_shapes(frequencies[None], np.diag(error)[None])
         slopes = self._residuals_and_slopes(seen, theta[None, self.n_structural :])[1]
@@ -160,9 +179,9 @@ class ModalLikelihood(Likelihood):
             If the errors are of shapes alone, or standard deviations are inferred and `theta` (n, ndim) is not
             given.
         """
-        if self._frequency_term is None:
+        if self.frequency_term is None:
             raise ValueError("error: must be a distribution of the frequencies to simulate them")
-        return self._frequency_term.simulate(rng, frequencies, self._noise_of(frequencies, theta))
+        return self.frequency_term.simulate(rng, frequencies, self._noise_of(frequencies, theta))
 
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
@@ -174,16 +193,16 @@ class ModalLikelihood(Likelihood):
         ValueError
             As `simulate` does.
         """
-        if self._frequency_term is None:
+        if self.frequency_term is None:
             return frequencies
-        return self._frequency_term.simulate_inferred(rng, frequencies, self._noise_of(frequencies, theta))
+        return self.frequency_term.simulate_inferred(rng, frequencies, self._noise_of(frequencies, theta))
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
         JᵀJ of the residuals for the model's parameters, Fisher's information for the standard deviations.
         """
-        seen = self._observed(theta, True)
+        seen = self.observed(theta, True)
         r, J = self._residuals_and_slopes(seen, theta[:, self.n_structural :])
         if not self.noise and all(term.is_least_squares for term in self.terms_of):
             value, gradient = self.terms_of_observed(seen, theta).sum(axis=1), -np.einsum("nr,nrk->nk", r, J)
@@ -202,7 +221,8 @@ class ModalLikelihood(Likelihood):
                 bad = np.flatnonzero(~np.isfinite(terms[0]))
                 if len(bad):
                     what = "has no value (NaN)" if np.isnan(terms[0, bad[0]]) else "overflows"
-                    return f"the log-likelihood is not finite: {name} error of mode {bad[0] + 1} {what}"
+                    mode = bad[0] if self.used is None else self.used[bad[0]]
+                    return f"the log-likelihood is not finite: {name} error of mode {mode + 1} {what}"
         return None
 
     def as_dict(self) -> dict[str, Any]:
@@ -214,11 +234,11 @@ class ModalLikelihood(Likelihood):
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
-        """Return the name of each error model and its share of `terms`, (n, n_modes)."""
-        parts = self._parts(self._observed(theta, False), theta, gradient=False)[1]
+        """Return the name of each error model and its share of `terms`, (n, n_used)."""
+        parts = self._parts(self.observed(theta, False), theta, gradient=False)[1]
         described = self.as_dict()
         named = described.get("errors", [described])
-        return [(str(one["error"]), part.terms) for one, part in zip(named, parts, strict=True)]
+        return [(str(one["error"]), self.of_used(part.terms)) for one, part in zip(named, parts, strict=True)]
 
     def _noise_of(self, frequencies: FloatArray, theta: FloatArray | None) -> FloatArray:
         if theta is None:
@@ -227,7 +247,8 @@ class ModalLikelihood(Likelihood):
             return np.empty((len(frequencies), 0))
         return theta[:, self.n_structural :]
 
-    def _observed(self, theta: FloatArray, gradient: bool) -> ModalPrediction:
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return what is compared at theta (n, ndim): the frequencies, and the shapes where they have errors."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes:
             return self.model.observed(structural, gradient)
@@ -252,7 +273,7 @@ class ModalLikelihood(Likelihood):
         finite = np.isfinite(slopes)
         if np.count_nonzero(finite) < finite.size:
             slopes[~finite] = np.nan
-        return np.asarray(sum(part.terms for part in parts)), slopes
+        return self.of_used(np.asarray(sum(part.terms for part in parts))), self.of_used(slopes, 1)
 
     def _chained(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
         """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim)."""
@@ -275,14 +296,16 @@ class ModalLikelihood(Likelihood):
                     continue
                 view = term.project(seen)
                 r = term.residuals(view, noise)
-                n, m, q = r.values.shape
+                n, _, q = r.values.shape
                 J: Any = 0.0
                 if r.by_frequency is not None and view.frequency_slopes is not None:
                     J = J + r.by_frequency[..., None] * view.frequency_slopes[:, :, None]
                 if r.by_shape is not None and view.shape_slopes is not None:
                     J = J + np.einsum("nmqs,nsmk->nmqk", r.by_shape, view.shape_slopes)
-                values.append(r.values.reshape(n, m * q))
-                slopes.append(J.reshape(n, m * q, -1))
+                kept = self.of_used(r.values, 1)
+                m = kept.shape[1]
+                values.append(kept.reshape(n, m * q))
+                slopes.append(self.of_used(J, 1).reshape(n, m * q, -1))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def _information(self, J: FloatArray, theta: FloatArray) -> FloatArray:
@@ -291,7 +314,7 @@ class ModalLikelihood(Likelihood):
         information[:, :n, :n] = np.einsum("nrk,nrl->nkl", J, J)
         if self.noise:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                information[:, n:, n:] = sum(term.information(s) for term in self.terms_of)
+                information[:, n:, n:] = sum(term.information(s, self.used) for term in self.terms_of)
         return information
 
 

@@ -62,8 +62,8 @@ class MACErrors:
         return MACTerm(unit, spread("MAC errors", self.sd, None, size, index), groups)
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of modes."""
-        return data.n_modes
+        """Return the number of used modes."""
+        return sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
         """Say no: `data` have no errors of MAC values."""

@@ -99,16 +99,16 @@ class MixtureLikelihood(ModalLikelihood):
     terms_and_misfit = Likelihood.terms_and_misfit
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each mode, shape (n, n_modes), at theta (n, ndim)."""
-        return self._pairs(self._candidates(theta, False), theta, False).terms
+        """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
+        return self.of_used(self._pairs(self._candidates(theta, False), theta, False).terms)
 
     def full_terms(self, theta: FloatArray) -> FloatArray:
         """Return `terms` by the full model, where a reduced one answers otherwise."""
         candidates = self.model.full_seen_candidates(theta[:, : self.n_structural])
-        return self._pairs(candidates, theta, False).terms
+        return self.of_used(self._pairs(candidates, theta, False).terms)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_modes, ndim)."""
+        """Return the terms and their gradients, shape (n, n_used, ndim)."""
         candidates = self._candidates(theta, True)
         return self._mixed(self._pairs(candidates, theta, True), candidates, theta)
 
@@ -162,7 +162,7 @@ class MixtureLikelihood(ModalLikelihood):
         return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
 
     def _mixed(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms (n, m) and their gradients (n, m, ndim)."""
+        """Return the terms of the used modes (n, n_used) and their gradients (n, n_used, ndim)."""
         n, k, m = pairs.log_weight.shape
         n_structural = self.n_structural
         terms = pairs.terms
@@ -184,7 +184,8 @@ class MixtureLikelihood(ModalLikelihood):
                     leading += np.einsum("nksm,nskp->nmp", by, slopes_of.shape_slopes)
                 for j, slope in (part.by_noise or {}).items():
                     gradient[..., n_structural + j] += np.sum(_weighted(share, slope.reshape(n, k, m)), axis=1)
-        return terms, np.where(np.isfinite(gradient), gradient, np.nan)
+        gradient = np.where(np.isfinite(gradient), gradient, np.nan)
+        return self.of_used(terms), self.of_used(gradient, 1)
 
 
 def _best(score: FloatArray) -> IntArray:

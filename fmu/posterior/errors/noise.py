@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 NoiseIndex = Callable[[Parameter], int]
 """Returns the number of an inferred standard deviation among those of the problem."""
@@ -43,11 +43,15 @@ class Spread:
         """Return ∂V/∂noise_k, shape (n, *shape), for each inferred one."""
         return {k: 2.0 * _column(noise, k, size.ndim) * size**2 for k, size in self.sizes.items()}
 
-    def information(self, noise: FloatArray) -> FloatArray:
-        """Return Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V², Fisher's for Gaussian errors, shape (n, n_noise, n_noise)."""
+    def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
+        """Return Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V², Fisher's for Gaussian errors, shape (n, n_noise, n_noise).
+
+        The sum is over all errors, or those of the `used` modes, the last axis.
+        """
         n, n_noise = noise.shape
         V = self.variance(noise)
-        relative = {k: (dV / V).reshape(n, -1) for k, dV in self.slopes(noise).items()}
+        counted = slice(None) if used is None else used
+        relative = {k: (dV / V)[..., counted].reshape(n, -1) for k, dV in self.slopes(noise).items()}
         found = np.zeros((n, n_noise, n_noise))
         for k, one in relative.items():
             for m, other in relative.items():

@@ -64,6 +64,7 @@ class ModalResidual(Likelihood):
         self._K_map, self._M_map = CoefficientMap(self._K_terms), CoefficientMap(self._M_terms)
         self._K_sum, self._M_sum = (WeightedSum(terms, dense=False) for terms in (self._K_terms, self._M_terms))
         self._n_sensors = len(sensors)
+        self.used = data.used
         self._eigenvalues = (2.0 * np.pi * np.asarray(data.frequencies_hz)) ** 2
         self._shapes = np.asarray(data.shapes)
         self._reference = reference
@@ -75,13 +76,14 @@ class ModalResidual(Likelihood):
         self._scale = np.linalg.norm(elastic, axis=0)
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the pseudo-log-likelihood of each mode, shape (n, n_modes), at theta (n, n_parameters)."""
-        return np.stack([self._one(point[None], gradient=False)[0] for point in theta])
+        """Return the pseudo-log-likelihood of each used mode, shape (n, n_used), at theta (n, n_parameters)."""
+        return self.of_used(np.stack([self._one(point[None], gradient=False)[0] for point in theta]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_modes, n_parameters)."""
+        """Return the terms and their gradients, shape (n, n_used, n_parameters)."""
         results = [self._one(point[None]) for point in theta]
-        return np.stack([terms for terms, _ in results]), np.stack([slope for _, slope in results])
+        terms, slopes = (np.stack(parts) for parts in zip(*results, strict=True))
+        return self.of_used(terms), self.of_used(slopes, 1)
 
     def why_not_finite(self, theta: FloatArray) -> str:
         """Say why the terms are not finite at a theta, shape (n_parameters,)."""

@@ -14,7 +14,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
 from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class ShapeErrors:
         return ShapeTerm(unit, spread("shape errors", sd, self.discrepancy, size, index))
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of components of all measured shapes."""
-        return 0 if data.shapes is None else np.size(data.shapes)
+        """Return the number of components of the shapes of all used modes."""
+        return 0 if data.shapes is None else len(np.asarray(data.shapes)) * sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
         """Say whether `data` have standard deviations of the shapes."""
@@ -120,9 +120,9 @@ class ShapeTerm(ErrorTerm):
         """Return a name for each residual, see `ErrorTerm`."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
 
-    def information(self, noise: FloatArray) -> FloatArray:
+    def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
         """Return Fisher's information, see `ErrorTerm`."""
-        return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise)
+        return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Any]:
         """Return name and settings."""

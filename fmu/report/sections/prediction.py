@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from fmu.analysis.evidence import is_pseudo
+from fmu.analysis.held_out.modes import FEWEST, NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
 from fmu.analysis.information import DATA, information, information_warnings
 from fmu.analysis.prediction import (
     INTERVAL,
     fit_warnings,
-    leave_one_out,
     measured_mac,
     measured_tests,
     measurement_in_words,
@@ -17,7 +20,7 @@ from fmu.analysis.prediction import (
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has
-from fmu.numbers import decimals, fixed, given, interval, share
+from fmu.numbers import decimals, fixed, given, interval, share, significant, with_sd
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
 from fmu.report.plots.frequencies import plot_predictive_check
 from fmu.report.run import ReportedRun
@@ -90,8 +93,12 @@ def _shapes(run: ReportedRun) -> tuple[str, ...]:
     return (f"Every mode matches its measured shape: MAC at least {fixed(least, 2)}.",)
 
 
-_FEWEST = 100
-"""Draws to estimate the tail of importance weights from."""
+HOW = {
+    REFIT: "updated without it",
+    WEIGHTS: "importance weights",
+    NOT_USED: "not used in updating",
+    NEITHER: "not done",
+}
 NO_NOISE = (
     "the modal residual is a pseudo-likelihood without measurement noise, so no measurement can be predicted"
 )
@@ -163,32 +170,39 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
-    """Return how each mode is predicted by the others."""
+    """Return how each measured mode is predicted by the others."""
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")
+    if is_pseudo(run.trace):
+        return Omitted(title, NO_NOISE)
     posterior = run.trace["posterior"]
-    if posterior.sizes["chain"] * posterior.sizes["draw"] < _FEWEST or run.summary["ess_bulk"].isna().all():
+    if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST or run.summary["ess_bulk"].isna().all():
         return Omitted(title, "there are too few draws, or they do not move")
     table = leave_one_out(run.trace)
-    rows = tuple(
-        (str(mode), fixed(float(row["elpd"]), 2), fixed(float(row["pareto_k"]), 2),
-         "yes" if row["reliable"] else "no")
-        for mode, row in table.iterrows()
-    )  # fmt: skip
-    caption = "Log-density of each measured mode under the posterior of the others (PSIS-LOO)."
-    parts: list[Part] = [PageTable(caption, ("mode", "elpd, nats", "Pareto k", "reliable"), rows, words=(3,))]
-    doubtful = [str(mode) for mode in table.index[~table["reliable"].astype(bool)]]
-    if doubtful:
-        few = f"modes {', '.join(doubtful)}" if len(doubtful) > 1 else f"mode {doubtful[0]}"
-        warnings = [
-            f"Not reliable for {few}: without the mode the posterior would be very different, and the draws do "
-            "not cover it. The estimate is an upper bound at best; for a reliable one, update without the mode."
-        ]
-        if len(run.names) >= len(table):
-            warnings.append(
-                "This is usual with as many parameters as modes: the other modes do not determine the one "
-                "left out."
-            )
-        parts.insert(0, Items(tuple(warnings)))
+    rows = tuple(_left_out_row(mode, row) for mode, row in table.iterrows())
+    header = ("mode", "measured, Hz", "predicted, 90 %, Hz", "p", "elpd, nats", "how")
+    caption = (
+        "Each measured frequency and its prediction from the other modes used in updating, measurement noise "
+        "included. p: probability that a measurement lies at least as far out on either side. elpd: log-density "
+        "of what was measured of the mode, given the others."
+    )
+    parts: list[Part] = [PageTable(caption, header, rows, words=(5,))]
+    unknown = [str(mode) for mode in table.index[table["method"] == ""]]
+    if unknown:
+        few = f"modes {', '.join(unknown)}" if len(unknown) > 1 else f"mode {unknown[0]}"
+        parts.insert(0, Items((
+            f"No prediction of {few}: without the mode the posterior would be very different, and updating "
+            "without it would have taken long. fmu.leave_one_out(trace, problem) does it.",
+        )))  # fmt: skip
     return PageSection("loo", title, tuple(parts))
+
+
+def _left_out_row(mode: object, row: Any) -> tuple[str, ...]:
+    sd = float(row["sd"])
+    n = decimals(sd) if np.isfinite(sd) else 0
+    known = np.isfinite(row["elpd"])
+    elpd = with_sd(float(row["elpd"]), float(row["mcse_elpd"])) if known else ""
+    where = interval(row["eti90_lb"], row["eti90_ub"], n) if np.isfinite(sd) else ""
+    p = significant(float(row["p"]), 2) if np.isfinite(row["p"]) else ""
+    return (str(mode), given(float(row["measured"])), where, p, elpd, HOW[str(row["method"])])

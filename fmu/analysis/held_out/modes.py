@@ -1,0 +1,314 @@
+"""Each measured mode predicted by the others: by importance weights, or by updating without it."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from fmu.analysis.convergence.effective import ess_bulk
+from fmu.analysis.evidence import is_pseudo
+from fmu.analysis.held_out.refit import GOOD_K, SOLVES, left_out, pareto_k, quadratics
+from fmu.analysis.prior_prediction import DRAWS, prior_prediction
+from fmu.analysis.trace.conversion import GIVEN_OTHERS, HELD_OUT_STREAM, generator
+from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_draws, walkers_of, with_group
+from fmu.progress.phases import phase
+from fmu.tables import data_frame
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.posterior.problem import UpdatingProblem
+
+GROUP = "leave_one_out"
+"""Group of a trace that keeps the table."""
+REFIT, WEIGHTS, NOT_USED, NEITHER = "refit", "importance weights", "not used in updating", ""
+INTERVAL = 0.9
+FEWEST = 100
+"""Draws to estimate the tail of importance weights from."""
+_ENOUGH = 400
+_FREE_S = 2.0
+_SHARE = 0.5
+_TIMED = 64
+_NEAR = 8
+_SURE = 0.05
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One mode and its prediction by the others; see `leave_one_out`."""
+
+    measured: float = np.nan
+    mean: float = np.nan
+    sd: float = np.nan
+    eti90_lb: float = np.nan
+    eti90_ub: float = np.nan
+    p: float = np.nan
+    prior_sd: float = np.nan
+    elpd: float = np.nan
+    mcse_elpd: float = np.nan
+    pareto_k: float = np.nan
+    method: str = NEITHER
+    used: bool = True
+
+
+_COLUMNS = tuple(field.name for field in fields(HeldOut))
+
+
+def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) -> pd.DataFrame:
+    """Compare each measured mode with its prediction from the other modes.
+
+    A mode used in updating is predicted by the posterior without it; one that was not used, by the posterior
+    itself. Where the draws cover the posterior without a mode, they are weighted by importance (PSIS, Vehtari,
+    Gelman & Gabry 2017). Where they do not, which the Pareto k of the weights shows, the problem is updated
+    without the mode (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k. `fmu.sample` does
+    so, and keeps the table in the trace, unless it would take more than half as long as the draws.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem, optional
+        The problem that was sampled: the table is computed anew, however long it takes. Without it, the table is
+        the one kept in the trace; a trace that has none gives ``elpd`` and ``pareto_k`` only.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per measured mode: ``measured``, Hz; ``mean``, ``sd`` and the ends of the 90 % interval,
+        ``eti90_lb`` and ``eti90_ub``, of a measurement of it predicted by the other modes, noise included, Hz;
+        ``p``, the probability that such a measurement lies at least as far out on either side; ``prior_sd``, the
+        standard deviation of the same prediction by the prior, Hz; ``elpd``, the log-density of what was measured
+        of the mode (of frequency and shape, where both have errors) given the others, in nats, and ``mcse_elpd``,
+        its standard error; ``pareto_k``; ``method``, ``"refit"``, ``"importance weights"``, ``"not used in
+        updating"``, or empty where the draws do not cover the posterior without the mode and it was not
+        sampled anew: then there are no numbers; and ``used``, whether the mode was used in updating.
+
+    Raises
+    ------
+    ValueError
+        If the trace has no log-likelihood of modes, or only a pseudo-likelihood (the modal residual).
+    """
+    check_trace(trace)
+    if not has(trace, "log_likelihood"):
+        raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
+    if is_pseudo(trace):
+        raise ValueError("trace: the modal residual is a pseudo-likelihood, and predicts no measurement")
+    if problem is not None:
+        trace = with_left_out(trace, problem, most_s=np.inf)
+    elif not has(trace, GROUP):
+        return _by_draws_alone(trace)
+    kept = trace[GROUP]
+    return data_frame({name: kept[name].to_numpy() for name in _COLUMNS}, "mode", kept["mode"].to_numpy())
+
+
+def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | None = None) -> xr.DataTree:
+    """Return the trace with the table of `leave_one_out` stored in it.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem
+        The problem that was sampled.
+    most_s : float, optional
+        The longest that updating without modes may take, by an estimate from the time of a solve. By default half
+        the time that the draws took, or two seconds; and only for a run of 400 draws or more, of a model with
+        derivatives.
+    """
+    import xarray as xr
+
+    if not problem.likelihood.of_modes or problem.data.n_modes < 2:
+        return trace
+    theta = parameter_draws(trace).reshape(-1, problem.ndim)
+    hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)
+    draws = _Draws(theta, hz, np.full(len(theta), -np.log(len(theta))))
+    if most_s is None:
+        enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
+        most_s = max(_FREE_S, _SHARE * float(trace.attrs["wall_s"])) if enough else 0.0
+        most_s = most_s if problem.solves_per_gradient == 1 else 0.0
+    solve_s = _time_of_a_solve(problem, theta) if most_s > 0.0 else np.inf
+    prior_sd = np.full(problem.data.n_modes, np.nan)
+    if DRAWS * solve_s <= most_s:
+        prior_sd = prior_prediction(problem).sd
+
+    smoothed = _smoothed(trace)
+    rows, doubtful = [], []
+    for k, (label, used) in enumerate(zip(problem.data.labels, problem.data.use, strict=True)):
+        row = _weighted(problem, k, draws, smoothed.get(label)) if used else _not_used(problem, k, draws)
+        measured = float(np.asarray(problem.data.frequencies_hz)[k])
+        rows.append(replace(row, measured=measured, prior_sd=float(prior_sd[k]), used=used))
+        if not (row.method and row.mcse_elpd <= _SURE):
+            doubtful.append(k)
+    if doubtful and (len(doubtful) + 1) * SOLVES * solve_s <= most_s:
+        _refit(rows, doubtful, trace, problem, draws)
+    columns = {name: ("mode", np.array([getattr(row, name) for row in rows])) for name in _COLUMNS}
+    return with_group(trace, GROUP, xr.Dataset(columns, coords={"mode": list(problem.data.labels)}))
+
+
+class _Draws(NamedTuple):
+    """Draws from a posterior (n, ndim), the model's frequencies there (n, n_modes), Hz, and log-weights (n,)."""
+
+    theta: FloatArray
+    hz: FloatArray
+    log_weight: FloatArray
+
+
+class _Smoothed(NamedTuple):
+    """Draws weighted to the posterior without a mode: log-weights (n,), Pareto k, whether it is low, and elpd."""
+
+    log_weight: FloatArray
+    pareto_k: float
+    is_good: bool
+    elpd: float
+    mcse: float
+
+
+def _smoothed(trace: xr.DataTree) -> dict[str, _Smoothed]:
+    """Return the importance weights of each used mode; none if there are too few draws, or they do not move."""
+    from arviz_stats.base.array import array_stats
+
+    kept = list(map(str, trace["log_likelihood"].data_vars))
+    # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
+    terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])
+    n, walkers = terms.shape[0] * terms.shape[1], walkers_of(trace)
+    efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
+    found: dict[str, _Smoothed] = {}
+    # ArviZ raises if so many draws are equal that the weights have no tail
+    with suppress(ValueError):
+        if n >= FEWEST and np.isfinite(efficiency):
+            most = min(GOOD_K, 1.0 - 1.0 / np.log10(n))
+            log_p = terms.reshape(n, -1).T
+            weights, shapes = array_stats.psislw(log_p, r_eff=efficiency)
+            labels = trace["log_likelihood"]["mode"].to_numpy()
+            for label, log_w, k, of_mode in zip(labels, weights, shapes, log_p, strict=True):
+                elpd = float(logsumexp(log_w + of_mode))
+                spread = np.exp(log_w) * (np.exp(of_mode - elpd) - 1.0)
+                mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
+                found[str(label)] = _Smoothed(log_w, float(k), bool(k <= most), elpd, mcse)
+    return found
+
+
+def _weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: _Smoothed | None) -> HeldOut:
+    """Return a mode predicted by the weighted draws; without numbers where they do not cover what is wanted."""
+    if smoothed is None:
+        return HeldOut()
+    if not smoothed.is_good:
+        return HeldOut(pareto_k=smoothed.pareto_k)
+    row = _predicted(problem, k, draws._replace(log_weight=smoothed.log_weight))
+    return replace(row, elpd=smoothed.elpd, mcse_elpd=smoothed.mcse, pareto_k=smoothed.pareto_k, method=WEIGHTS)
+
+
+def _not_used(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
+    """Return a mode that was not used, predicted by the posterior."""
+    log_p = _log_likelihood(_with(problem, k), draws) - _log_likelihood(problem, draws)
+    row = replace(_predicted(problem, k, draws), method=NOT_USED)
+    shape = pareto_k(log_p)
+    if not shape <= GOOD_K:
+        return replace(row, pareto_k=shape)
+    elpd = float(logsumexp(log_p)) - float(np.log(len(log_p)))
+    mcse = float(np.std(np.exp(log_p - elpd)) / np.sqrt(len(log_p)))
+    return replace(row, elpd=elpd, mcse_elpd=mcse, pareto_k=shape)
+
+
+def _refit(
+    rows: list[HeldOut], doubtful: list[int], trace: xr.DataTree, problem: UpdatingProblem, draws: _Draws
+) -> None:
+    """Update the problem anew without the doubtful modes, or with them if they were not used."""
+    streams = iter(generator(int(trace.attrs["seed"]), HELD_OUT_STREAM).spawn(2 * len(doubtful) + 1))
+    near = draws.theta[:: max(1, len(draws.theta) // _NEAR)]
+    with phase("leaving modes out", len(doubtful)) as under_way:
+        models = quadratics(problem, near, next(streams))
+        for k in doubtful:
+            row = rows[k]
+            other = _without(problem, k) if row.used else _with(problem, k)
+            without, whole = (other, problem) if row.used else (problem, other)
+            found = left_out(without, whole, [*models, *quadratics(other, near, next(streams))], next(streams))
+            under_way.advance()
+            rows[k] = replace(row, pareto_k=found.pareto_k)
+            if found.is_good:
+                rows[k] = replace(
+                    _predicted(problem, k, _Draws(found.theta, found.hz, found.log_weight)),
+                    prior_sd=row.prior_sd,
+                    elpd=found.elpd,
+                    mcse_elpd=found.error,
+                    pareto_k=found.pareto_k,
+                    method=REFIT if row.used else NOT_USED,
+                    used=row.used,
+                )
+
+
+def _without(problem: UpdatingProblem, k: int) -> UpdatingProblem:
+    """Return the problem updated without mode number k."""
+    use = zip(problem.data.labels, problem.data.use, strict=True)
+    return problem.using([label for i, (label, used) in enumerate(use) if used and i != k])
+
+
+def _with(problem: UpdatingProblem, k: int) -> UpdatingProblem:
+    """Return the problem updated with mode number k too."""
+    use = zip(problem.data.labels, problem.data.use, strict=True)
+    return problem.using([label for i, (label, used) in enumerate(use) if used or i == k])
+
+
+def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
+    """Return the log-likelihood at the draws, without solving again where the frequencies are enough."""
+    likelihood: Any = problem.likelihood
+    if likelihood.needs_shapes or problem.model.is_soft:
+        return np.asarray(problem.log_likelihood(draws.theta))
+    return np.asarray(likelihood.terms_of_frequencies(draws.hz, draws.theta).sum(axis=1))
+
+
+def _predicted(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
+    """Return the distribution of a measurement of mode number k, given the measurements of the used ones.
+
+    It is the mixture of the Gaussians of the measurement at the draws.
+    """
+    from scipy.optimize import brentq
+
+    likelihood: Any = _with(problem, k).likelihood
+    if likelihood.frequency_term is None:
+        return HeldOut()
+    noise = draws.theta[:, problem.n_structural :]
+    means, deviations = (x[:, k] for x in likelihood.frequency_term.given_others(draws.hz, noise))
+    w = np.exp(draws.log_weight)
+    mean = float(w @ means)
+    sd = float(np.sqrt(w @ (deviations**2 + (means - mean) ** 2)))
+
+    def below(y: float) -> float:
+        return float(w @ np.exp(log_ndtr((y - means) / deviations)))
+
+    measured = float(np.asarray(problem.data.frequencies_hz)[k])
+    z = (measured - means) / deviations
+    log_tail = min(float(logsumexp(draws.log_weight + log_ndtr(side))) for side in (z, -z))
+    ends = [(1.0 - INTERVAL) / 2.0, (1.0 + INTERVAL) / 2.0]
+    reach = (float(np.min(means - 9.0 * deviations)), float(np.max(means + 9.0 * deviations)))
+    lower, upper = (brentq(lambda y, q=q: below(y) - q, *reach) for q in ends)
+    p = min(1.0, 2.0 * float(np.exp(log_tail)))
+    return HeldOut(measured, mean, sd, float(lower), float(upper), p)
+
+
+def _time_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
+    points = theta[:_TIMED]
+    began = time.perf_counter()
+    problem.log_prob(points)
+    return (time.perf_counter() - began) / len(points)
+
+
+def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
+    """Return what the log-likelihood at the draws tells by itself."""
+    smoothed = _smoothed(trace)
+    measured = trace["observed_data"]["frequency"].to_numpy()
+    rows = []
+    for k, label in enumerate(trace["observed_data"]["mode"].to_numpy()):
+        row, found = HeldOut(float(measured[k])), smoothed.get(str(label))
+        if found is not None:
+            row = replace(row, pareto_k=found.pareto_k)
+            if found.is_good:
+                row = replace(row, elpd=found.elpd, mcse_elpd=found.mcse, method=WEIGHTS)
+        rows.append(replace(row, used=label in trace["log_likelihood"]["mode"].to_numpy()))
+    columns = {name: [getattr(row, name) for row in rows] for name in _COLUMNS}
+    return data_frame(columns, "mode", trace["observed_data"]["mode"].to_numpy())
