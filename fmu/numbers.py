@@ -6,7 +6,7 @@ Every number in a message, table, page or label is formatted here. Files for pro
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 MISSING = "–"
@@ -224,6 +224,11 @@ def about(value: Any) -> str:
 def listed(values: Iterable[float], digits: int = 3) -> str:
     """Format several numbers of unknown uncertainty: ``"0.5, 1.25, 3e10"``."""
     return ", ".join(significant(value, digits) for value in values)
+
+
+def names_in_words(names: Sequence[str]) -> str:
+    """Return ``"a, b and c"``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _exponent(value: float) -> int:

@@ -20,9 +20,10 @@ from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.fem.frame.drawing import changed_elements, drawing, parameter_colours
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.numbers import fixed, given, listed, shown, significant, with_sd
+from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.parameters import prior_in_words
+from fmu.posterior.prior_doubts import prior_doubts
 from fmu.tables import data_frame, text_table, wrapped
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ _TRANSLATIONS = ("x", "y", "z")
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Describe the model of a problem: its size, decoupled blocks, mass, pairing and reduced model."""
+    """Describe the model of a problem: its size, decoupled blocks, mass and reduced model."""
     model = problem.model.as_structure()
     if model is None:
         return [f"The model is the function {problem.model.name}, treated as a black box."]
@@ -49,14 +50,8 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         parts += f" of {', '.join(sizes[:-1])} and {sizes[-1]}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
     said += _masses(problem, structure)
-    said.append(_pairing(problem, model))
     if model.reduced_sizes:
-        said.append(
-            f"Within the bounds a reduced model with {' + '.join(map(str, model.reduced_sizes))} unknowns "
-            f"replaces it, certified against the full model."
-        )
-    else:
-        said.append("The full model is used everywhere; there is no reduced model.")
+        said.append(f"Its reduced model has {' + '.join(map(str, model.reduced_sizes))} unknowns.")
     return said
 
 
@@ -74,7 +69,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
                 "start": parameter.start / unit.factor,
                 "lower": parameter.lower / unit.factor,
                 "upper": parameter.upper / unit.factor,
-                "prior": prior_in_words(parameter),
+                "prior": prior_in_words(parameter.prior.as_dict(), parameter.unit),
                 "changes": changes,
             }
         )
@@ -116,16 +111,6 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
         return []
     mass = min(float(motion @ (M @ motion)) for motion in rigid)
     return [f"At the start the free degrees of freedom move a mass of about {significant(mass)} kg."]
-
-
-def _pairing(problem: UpdatingProblem, model: PairedStructure) -> str:
-    if not model.by_shape:
-        return f"Modes are paired by number in the sorted spectrum: {', '.join(map(str, problem.data.numbers))}."
-    if problem.data.shapes is not None:
-        return (
-            f"Modes are paired by shape: by MAC with the shapes measured at {len(problem.data.sensors)} sensors."
-        )
-    return "Modes are paired by shape: by MAC with the model's own shapes at the start."
 
 
 def _changes(structure: SeparableModel, j: int) -> str:
@@ -182,6 +167,10 @@ class Check:
         Warnings about repeated tests, a sentence each.
     shapes : xarray.Dataset or None
         The mode shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), if there is a drawing.
+    assumptions : Assumptions or None
+        What the posterior rests on (`fmu.posterior.assumptions`).
+    priors : tuple of str
+        Warnings about priors that hardly fit their bounds, a sentence each.
     """
 
     name: str
@@ -197,11 +186,13 @@ class Check:
     measurement: str = "a measurement"
     tests: tuple[str, ...] = ()
     shapes: xr.Dataset | None = None
+    assumptions: Assumptions | None = None
+    priors: tuple[str, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What to look into before sampling, a sentence each."""
-        found = [*self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
+        found = [*self.priors, *self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
         if self.identifiability is not None:
             found += doubts_of_information(self.identifiability)
         if not self.gradient.agrees:
@@ -212,7 +203,9 @@ class Check:
 
     def sentences(self) -> list[str]:
         """Return all findings in words: model, pairing, gradient, identifiability, prior prediction."""
-        said = [*self.model, *self.modes.notes, *self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
+        assumed = () if self.assumptions is None else self.assumptions.sentences
+        said = [*self.model, *assumed, *self.priors, *self.modes.notes, *self.modes.doubts, *self.tests]
+        said += filter(None, [self.rounding])
         said.append(self.gradient.sentence())
         if self.identifiability is not None:
             said += self.identifiability.sentences() + doubts_of_information(self.identifiability)
@@ -239,6 +232,7 @@ class Check:
         """Return the sections below the model: titles, sentences, and tables as text."""
         blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
+            *self._assumed(),
             ("Modes at the start", self.modes.notes, self.mode_table()),
             ("Gradient", (self.gradient.sentence(),), None),
         ]
@@ -246,6 +240,15 @@ class Check:
             blocks.append(("Identifiability", self.identifiability.sentences(), None))
         title = f"Prior prediction for {self.measurement}, Hz"
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
+
+    def _assumed(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+        import pandas as pd
+
+        if self.assumptions is None:
+            return []
+        rows = self.assumptions.errors
+        table = pd.DataFrame(rows, columns=list(ERRORS_HEADER), dtype=object) if rows else None
+        return [("Assumptions", self.assumptions.sentences, table)]
 
     def __str__(self) -> str:
         parts = [_lines(self.model)]
@@ -274,7 +277,7 @@ class Check:
         return f'<div class="fmu-check">{"".join(parts)}</div>'
 
 
-_WORDS = ("", "unit", "prior", "changes", "measured mode", "moves")
+_WORDS = ("", "unit", "prior", "changes", "measured mode", "moves", "mode")
 """Columns that hold words."""
 
 
@@ -332,7 +335,14 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         measurement=measurement_in_words(None if tests is None else np.asarray(tests.frequencies_hz)),
         tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
+        assumptions=assumptions(problem.configuration(), _tolerance(problem)),
+        priors=tuple(prior_doubts(problem.parameters)),
     )
+
+
+def _tolerance(problem: UpdatingProblem) -> float | None:
+    """Return the error that the reduced model may have; None if there is none."""
+    return None if problem.tolerance is None else problem.tolerance.frequency
 
 
 def _digits(problem: UpdatingProblem) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.search import is_searchable
 from fmu.analysis.trace.modal_states import MAXIMUM, START
-from fmu.analysis.trace.reading import check_trace, has, parameter_draws, parameter_names, with_group
+from fmu.analysis.trace.reading import has, with_group
 from fmu.numbers import fixed, share, significant
 from fmu.progress.phases import phase
 from fmu.tables import data_frame, distinct, text_table, wrapped
@@ -122,20 +122,23 @@ class Identifiability:
         return data_frame(columns, "direction", range(1, len(s) + 1))
 
     def sentences(self) -> list[str]:
-        """Return in words what the data constrain, and what the prior and the bounds alone determine."""
+        """Return in words what the linearised model says of the directions; the bounds are not counted in it."""
         n, k = len(self.names), self.n_informed
-        said = [f"The data constrain {k} of {n} directions of the parameter space more than the prior does."]
+        said = [
+            f"Linearised, and without the bounds, the data constrain {k} of {n} directions of the parameter space "
+            "more than the prior does."
+        ]
         left = [share(1.0 / np.sqrt(1.0 + s**2)) + " of the prior standard deviation" for s in self._svd[0]]
         for direction, remains in list(zip(self.directions, left, strict=True))[k : k + _SENTENCES]:
             said.append(
-                f"The combination {combination(direction, self.names)} is determined by the prior and the bounds "
-                f"alone: {remains} remains."
+                f"Along {combination(direction, self.names)} the prior and the bounds say more than the data: "
+                f"{remains} would remain."
             )
         if n - k > _SENTENCES:
             said.append(f"The same holds for {n - k - _SENTENCES} more.")
         if k == n:
             least = combination(self.directions[-1], self.names)
-            said.append(f"The least constrained direction is {least}: {left[-1]} remains.")
+            said.append(f"The least constrained direction is {least}: {left[-1]} would remain.")
         return said
 
     def __str__(self) -> str:
@@ -241,33 +244,3 @@ def truncated_sd(parameter: Parameter) -> float:
     weight = weight * np.exp(log_pdf - np.max(log_pdf))
     mean = np.sum(weight * x) / np.sum(weight)
     return float(np.sqrt(np.sum(weight * (x - mean) ** 2) / np.sum(weight)))
-
-
-def contraction(trace: xr.DataTree) -> pd.DataFrame:
-    """Compare the standard deviations of prior and posterior.
-
-    Parameters
-    ----------
-    trace : xarray.DataTree
-        With a ``prior`` group.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per parameter, SI units: ``prior_sd``, ``posterior_sd`` and ``contraction``, 1 − the ratio of the
-        variances (Betancourt 2018, "Towards a principled Bayesian workflow"): near 1 the data determine the
-        parameter, near 0 they carry no information on it.
-
-    Raises
-    ------
-    ValueError
-        If the trace has no draws from the prior.
-    """
-    check_trace(trace)
-    if not has(trace, "prior"):
-        raise ValueError("trace: must have draws from the prior (it has no group prior)")
-    names = parameter_names(trace)
-    before = np.array([trace["prior"][name].to_numpy().std(ddof=1) for name in names])
-    after = parameter_draws(trace).std(axis=(0, 1), ddof=1)
-    columns = {"prior_sd": before, "posterior_sd": after, "contraction": 1.0 - (after / before) ** 2}
-    return data_frame(columns, "parameter", names)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import html
+import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.identifiability import Identifiability, combination, kept_identifiability
+from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
-from fmu.numbers import share
-from fmu.types import FloatArray
+from fmu.numbers import fixed, names_in_words, share, significant
+from fmu.tables import data_frame, text_table, wrapped
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 
@@ -71,6 +75,7 @@ def doubts(found: Identifiability) -> list[str]:
     """Return a sentence for each direction that the measured modes cannot determine, with a remedy."""
     said = []
     for one in left_to_prior(found):
+        names = names_in_words(one.names)
         remains = 1.0 / np.sqrt(1.0 + np.sum((found.sensitivity @ one.direction) ** 2))
         left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
         if len(one.names) == 1:
@@ -80,14 +85,13 @@ def doubts(found: Identifiability) -> list[str]:
             )
         elif one.told:
             said.append(
-                f"The measured modes cannot separate {listed(one.names)}: they determine only {one.told}. "
-                f"Individually, {listed(one.names)} are left to the prior: {left} along their joint change. "
-                f"{_REMEDY}"
+                f"The measured modes cannot separate {names}: they determine only {one.told}. Individually, "
+                f"{names} are left to the prior: {left} along their joint change. {_REMEDY}"
             )
         else:
             said.append(
                 f"The measured modes are insensitive to the combination {one.words} (in prior standard "
-                f"deviations): {left}, and {listed(one.names)} are left to the prior along it. {_REMEDY}"
+                f"deviations): {left}, and {names} are left to the prior along it. {_REMEDY}"
             )
     return said
 
@@ -135,24 +139,21 @@ def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]
         return ""
     one = [names[k] for k in sorted(large)]
     if np.all(np.sign(change) == np.sign(change[0])):
-        return f"{one[0]}/{one[1]}" if len(one) == 2 else f"the ratios of {listed(one)}"
-    return f"the product of {listed(one)}" if len(one) == 2 else ""
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return ``"a, b and c"``."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+        return f"{one[0]}/{one[1]}" if len(one) == 2 else f"the ratios of {names_in_words(one)}"
+    return f"the product of {names_in_words(one)}" if len(one) == 2 else ""
 
 
 DATA, PRIOR, COMBINED = "data", "prior", "combination"
 """What determines a parameter: the data, the prior alone, or the data in a combination only."""
-LEFT = 0.9
-"""A direction is uninformed if this part of the prior standard deviation remains in the draws.
-
-It is below 1 because of the Monte-Carlo error: 3.5 % of a standard deviation at an ESS of 400.
-"""
-_LEAST_ALONG, _LEAST_BY_ENTROPY = 0.5, 0.7
-_NAMED, _ALONE = 0.25, 0.9
+CONTRACTED = 0.3
+"""A parameter, or a direction, is not informed by the data if its contraction is below this."""
+CRITERION = (
+    "Contraction: 1 − posterior variance / prior variance, from the draws; 1 where the data determine a "
+    "parameter, 0 where they say nothing of it. Below 0.3, where 84 % or more of the prior standard deviation "
+    "remains, the data have not informed it, and what is shown for it is its prior."
+)
+_LEAST_BY_ENTROPY = 0.7
+_ALONE, _AGREE = 0.9, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,21 +163,42 @@ class Information:
     Attributes
     ----------
     names : tuple of str
-    remaining_sd : ndarray, shape (ndim,)
-        Ratio of posterior to prior standard deviation of the `normal_scores`.
+    contraction : ndarray, shape (ndim,)
+        1 − the ratio of posterior to prior variance (Betancourt 2018, "Towards a principled Bayesian workflow"),
+        of the logarithm where `of_logarithm`.
+    of_logarithm : tuple of bool
+        Whether the prior of each parameter is log-normal.
+    informed : ndarray of bool, shape (ndim,)
+        Whether the contraction is at least `CONTRACTED`, or the draws lie in separate narrow peaks.
     basis : tuple of str
         What determines each parameter: ``"data"``, ``"prior"`` or ``"combination"``.
+    directions : ndarray, shape (ndim, ndim)
+        The principal directions of the draws, a row each, in prior standard deviations, the least informed first.
+    remaining_sd : ndarray, shape (ndim,)
+        Ratio of posterior to prior standard deviation along each of them.
+    is_left : ndarray of bool, shape (ndim,)
+        Whether each of them is left to the prior.
     uninformed : tuple of (Uninformed, float)
-        The uninformed directions, each with the ratio of posterior to prior standard deviation.
+        A basis of the directions that are not informed, with few parameters in each, and the same ratio.
     """
 
     names: tuple[str, ...]
-    remaining_sd: FloatArray
+    contraction: FloatArray
+    of_logarithm: tuple[bool, ...]
+    informed: BoolArray
     basis: tuple[str, ...]
+    directions: FloatArray
+    remaining_sd: FloatArray
+    is_left: BoolArray
     uninformed: tuple[tuple[Uninformed, float], ...]
 
+    @property
+    def n_informed(self) -> int:
+        """Number of directions that the data inform."""
+        return int(np.sum(~self.is_left))
+
     def warnings(self) -> list[str]:
-        """Return a sentence for each direction that the data did not update."""
+        """Return a sentence for each direction that the data did not inform."""
         said = []
         for one, remains in self.uninformed:
             left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
@@ -184,8 +206,8 @@ class Information:
                 said.append(f"{one.words} was not updated by the data: {left}")
             elif one.told:
                 said.append(
-                    f"{listed(one.names)} were not updated individually: the data determine only {one.told}, "
-                    f"and {left} along their joint change"
+                    f"{names_in_words(one.names)} were not updated individually: the data determine only "
+                    f"{one.told}, and {left} along their joint change"
                 )
             else:
                 said.append(
@@ -194,18 +216,48 @@ class Information:
                 )
         return said
 
+    def sentences(self) -> list[str]:
+        """Return in words what the draws say of the directions, the least informed first."""
+        n, k = len(self.names), self.n_informed
+        said = [
+            f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "
+            f"{CONTRACTED:g} or more."
+        ]
+        if k == n:
+            left = f"{share(float(self.remaining_sd[0]))} of the prior standard deviation remains"
+            said.append(f"The least informed is {combination(self.directions[0], self.names)}: {left} along it.")
+        return said + [f"{one.replace('the combination', 'The combination', 1)}." for one in self.warnings()]
+
+    def table(self) -> pd.DataFrame:
+        """Return one row per parameter: ``contraction``, ``of_logarithm``, ``informed`` and ``determined_by``."""
+        columns = {
+            "contraction": self.contraction,
+            "of_logarithm": self.of_logarithm,
+            "informed": self.informed,
+            "determined_by": self.basis,
+        }
+        return data_frame(columns, "parameter", self.names)
+
+    def __str__(self) -> str:
+        each = zip(self.names, self.contraction, self.basis, strict=True)
+        rows = [[name, fixed(float(contraction), 2), by] for name, contraction, by in each]
+        text = text_table(["", "contraction", "determined by"], rows, words=(0, 2))
+        return "\n".join([*map(wrapped, [*self.sentences(), CRITERION]), "", text])
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in [*self.sentences(), CRITERION])
+        return said + str(self.table().to_html(float_format=significant))
+
 
 def information(trace: xr.DataTree) -> Information | None:
-    """Return what the data determine, from the draws and the linearised model stored in the trace.
+    """Return what the data determine, by the contraction of the draws.
 
-    A direction is uninformed if 90 % of its prior standard deviation remains in the draws, in normal scores; or if
-    the model linearised at the highest maximum leaves it to the prior (`left_to_prior`) and at least half of the
-    prior standard deviation remains in the draws, since bounds and curvature shorten a direction too. A wide
-    spread over separate maxima is not a lack of information: the entropy of the draws must be that of a wide
-    distribution too.
+    One criterion serves for parameters and for the principal directions of the draws: below a contraction of 0.3
+    (`CONTRACTED`) the data have not informed them. A wide spread over separate narrow peaks is not a lack of
+    information, although its variance is large: the entropy of the draws must be that of a wide distribution too.
 
-    A parameter is determined by the prior if it is such a direction by itself; and in combination only if half
-    of its variance, and a quarter of the prior standard deviation, come from such directions.
+    A parameter is determined in a combination only, if the directions that are not informed leave it at least
+    that part of the prior variance, and if none of them is the parameter by itself.
 
     Returns
     -------
@@ -215,56 +267,111 @@ def information(trace: xr.DataTree) -> Information | None:
     if not has(trace, "prior"):
         return None
     names = parameter_names(trace)
-    z = normal_scores(trace)
-    if len(z) < 2 or not np.any(z.std(axis=0) > 0):
+    x, prior, of_logarithm = standardised(trace)
+    if len(x) < 2 or not np.any(x.std(axis=0) > 0):
         return None
-    C = np.atleast_2d(np.cov(z.T))
-    directions, told = _linearised_directions(trace, z)
+    n = len(names)
+    C = np.atleast_2d(np.cov(x.T))
     values, vectors = np.linalg.eigh(C)
-    for variance, direction in zip(values[::-1], vectors.T[::-1], strict=True):
-        if variance < LEFT**2 or _entropy_sd(z @ direction) < _LEAST_BY_ENTROPY:
-            continue
-        if np.sum((_orthonormal(directions, len(names)) @ direction) ** 2) < 0.5:
-            directions.append(direction)
-    U = _orthonormal(directions, len(names))
+    values, directions = np.maximum(values[::-1], 0.0), vectors.T[::-1]
+
+    def is_informed(variance: float, direction: FloatArray) -> bool:
+        if variance <= 1.0 - CONTRACTED:
+            return True
+        return _entropy_sd(x @ direction, prior @ direction) < _LEAST_BY_ENTROPY
+
+    is_left = np.array([not is_informed(variance, d) for variance, d in zip(values, directions, strict=True)])
+    told, U = _told_instead(trace), directions[is_left]
     found: list[tuple[Uninformed, float]] = []
     for row in eliminated(U):
         unit = row / np.linalg.norm(row)
-        one = named(unit, names, np.full(len(names), np.nan))
+        one = named(unit, names, np.full(n, np.nan))
         found.append((one._replace(told=told.get(frozenset(one.names), "")), float(np.sqrt(unit @ C @ unit))))
     from_prior = np.einsum("ui,uv,vi->i", U, U @ C @ U.T, U)
-    share = from_prior / np.maximum(np.diag(C), 1e-12)
-    basis = np.where(
-        np.sum(U**2, axis=0) >= _ALONE,
-        PRIOR,
-        np.where((share >= 0.5) & (from_prior >= _NAMED**2), COMBINED, DATA),
+    informed = np.array([is_informed(C[i, i], np.eye(n)[i]) for i in range(n)])
+    alone = np.sum(U**2, axis=0) >= _ALONE
+    combined = ~alone & (~informed | (from_prior >= CONTRACTED))
+    basis = np.where(combined, COMBINED, np.where(informed, DATA, PRIOR))
+    return Information(
+        names,
+        1.0 - np.diag(C),
+        of_logarithm,
+        informed,
+        tuple(map(str, basis)),
+        directions * np.sign(directions[np.arange(n), np.argmax(np.abs(directions), axis=1)])[:, None],
+        np.sqrt(values),
+        is_left,
+        tuple(found),
     )
-    return Information(names, np.sqrt(np.diag(C)), tuple(map(str, basis)), tuple(found))
 
 
-def _linearised_directions(
-    trace: xr.DataTree, z: FloatArray
-) -> tuple[list[FloatArray], dict[frozenset[str], str]]:
-    """Return the directions that the linearised model leaves to the prior and that the draws confirm.
-
-    As directions of the normal scores `z` (n, ndim), with what the data determine instead for the parameters of
-    each.
-    """
-    directions: list[FloatArray] = []
-    told: dict[frozenset[str], str] = {}
+def _told_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
+    """Return what the data determine instead of parameters that a linearised model cannot separate."""
     kept = kept_identifiability(trace)
     if not kept:
-        return directions, told
-    linearised = kept[MAXIMUM if MAXIMUM in kept else START]
+        return {}
+    return {frozenset(one.names): one.told for one in left_to_prior(kept[MAXIMUM if MAXIMUM in kept else START])}
+
+
+def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
+    """Return the ratio of posterior to prior standard deviation of the draws, shape (n,), along the directions.
+
+    The directions are those of the linearised model: this is ``remaining_sd`` of its table without linearisation.
+    """
     n = len(linearised.names)
-    x = parameter_draws(trace).reshape(len(z), -1)[:, :n] / linearised.prior_sd
-    for one in left_to_prior(linearised):
-        along = x @ one.direction
-        if along.std() >= _LEAST_ALONG:
-            scores = (z - z.mean(axis=0)).T @ (along - along.mean())  # how much each of them moves along it
-            directions.append(scores / np.linalg.norm(scores))
-            told[frozenset(one.names)] = one.told
-    return directions, told
+    x = parameter_draws(trace).reshape(-1, len(parameter_names(trace)))[:, :n]
+    prior = np.stack([trace["prior"][name].to_numpy().ravel() for name in linearised.names], axis=1)
+    scaled = (linearised.directions / linearised.prior_sd).T
+    return np.asarray((x @ scaled).std(axis=0) / (prior @ scaled).std(axis=0))
+
+
+def compared_with_draws(
+    trace: xr.DataTree, linearised: Identifiability, place: str, n_maxima: int, converged: bool
+) -> list[str]:
+    """Return in words how a linearised model differs from the draws, which to believe, and why they differ.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With draws from the prior.
+    linearised : Identifiability
+    place : str
+        Where it is linearised: ``"the start"``.
+    n_maxima : int
+        Maxima that hold a share of the probability.
+    converged : bool
+        Whether the draws can be relied on.
+    """
+    s, drawn = linearised.singular_values, left_along(trace, linearised)
+    left = 1.0 / np.hypot(1.0, s)
+    k = int(np.argmax(np.abs(drawn - left)))
+    apart = float(abs(drawn[k] - left[k]))
+    if apart < _AGREE:
+        return [
+            f"The model linearised at {place} agrees with the draws: along each of its directions the two differ "
+            f"by at most {share(apart)} of the prior standard deviation."
+        ]
+    words = combination(linearised.directions[k], linearised.names)
+    said = [
+        f"The model linearised at {place} differs from the draws: along {words} it would leave "
+        f"{share(left[k])} of the prior standard deviation, and the draws have {share(float(drawn[k]))}."
+    ]
+    if not converged:
+        return [*said, "Neither is to be relied on before the draws have converged."]
+    size = np.abs(linearised.directions[k])
+    involved = [name for name, part in zip(linearised.names, size, strict=True) if part >= _NAMED * size.max()]
+    why = [
+        f"{share(one.near)} of the draws of {one.name} lie at its {one.side} bound"
+        for one in at_bounds(trace)
+        if one.name in involved
+    ]
+    if n_maxima > 1:
+        why.append(f"the posterior has {n_maxima} maxima, of which a linearised model sees one")
+    if not why:
+        why.append(
+            "frequencies are not linear in the parameters, or priors not normal, over the width of the posterior"
+        )
+    return [*said, f"Believe the draws, which count bounds, curvature and all maxima: {' and '.join(why)}."]
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
@@ -273,34 +380,36 @@ def information_warnings(trace: xr.DataTree) -> list[str]:
     return [] if found is None else found.warnings()
 
 
-def normal_scores(trace: xr.DataTree) -> FloatArray:
-    """Return the draws as normal scores with respect to the prior, shape (n, ndim).
+def standardised(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool, ...]]:
+    """Return posterior and prior draws in prior standard deviations from the prior mean, each (n, ndim).
 
-    Φ⁻¹(F(θ)) with the distribution function F of the prior within the bounds, estimated from its draws. The scores
-    are standard normal and independent if the data carry no information, for a prior of any shape.
+    And for each parameter whether the logarithm of the draws is meant, as it is where the prior is log-normal.
+    Normal scores would magnify what is next to a bound, where a prior that it cuts off has a density: 1 % of the
+    range there would keep 35 % of the standard deviation.
     """
-    from scipy.special import ndtri
-
     names = parameter_names(trace)
-    draws = parameter_draws(trace).reshape(-1, len(names))
-    scores = np.empty_like(draws)
-    for k, name in enumerate(names):
-        prior = np.sort(trace["prior"][name].to_numpy().ravel())
-        scores[:, k] = ndtri(np.interp(draws[:, k], prior, (np.arange(len(prior)) + 0.5) / len(prior)))
-    return scores
+    x = parameter_draws(trace).reshape(-1, len(names))
+    prior = np.stack([trace["prior"][name].to_numpy().ravel() for name in names], axis=1)
+    problem = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem") or {}
+    described = problem.get("parameters", ()) if isinstance(problem, dict) else ()
+    kinds = {p["name"]: p["prior"].get("distribution") for p in described}
+    logs = np.array([kinds.get(name) == "log-normal" for name in names])
+    x[:, logs], prior[:, logs] = np.log(x[:, logs]), np.log(prior[:, logs])
+    mean, sd = prior.mean(axis=0), prior.std(axis=0, ddof=1)
+    return (x - mean) / sd, (prior - mean) / sd, tuple(map(bool, logs))
 
 
-def _entropy_sd(x: FloatArray) -> float:
-    """Return the standard deviation of the normal distribution that has the entropy of `x`, by a histogram."""
+def _entropy_sd(x: FloatArray, prior: FloatArray) -> float:
+    """Return the ratio of exp(entropy) of `x` to that of the prior's draws, by histograms.
+
+    For two distributions of one shape it is the ratio of their standard deviations.
+    """
+    return float(np.exp(_entropy(x) - _entropy(prior)))
+
+
+def _entropy(x: FloatArray) -> float:
+    """Return the entropy of `x`, in nats, by a histogram of bins of 0.2."""
     width = 0.2
     counts = np.bincount(np.floor((x - x.min()) / width).astype(int))
-    share = counts[counts > 0] / len(x)
-    return float(width * np.exp(-np.sum(share * np.log(share))) / np.sqrt(2.0 * np.pi * np.exp(1.0)))
-
-
-def _orthonormal(directions: Sequence[FloatArray], ndim: int) -> FloatArray:
-    """Return an orthonormal basis of what `directions` span, a row each, shape (rank, ndim)."""
-    if not directions:
-        return np.zeros((0, ndim))
-    _, s, rows = np.linalg.svd(np.array(directions), full_matrices=False)
-    return np.asarray(rows[s > 1e-6])
+    part = counts[counts > 0] / len(x)
+    return float(np.log(width) - np.sum(part * np.log(part)))

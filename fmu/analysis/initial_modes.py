@@ -30,11 +30,6 @@ RIVAL = 0.1
 """The MAC of the paired mode must exceed that of any other by this much."""
 CLOSE = 0.01
 """Two frequencies closer than this, relatively, are hard to tell apart."""
-TAKEN_FOR_GRANTED = (
-    "No shapes were measured. The measured modes are assumed to be the lowest modes that the sensors see, in "
-    "this order."
-)
-COUNTERPARTS_GIVEN = "No shapes were measured. The counterparts define the pairing before updating."
 
 
 @dataclass(frozen=True)
@@ -261,9 +256,7 @@ def _of_structure(
     doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, by_number)]
     given = bool(problem.data.counterparts) and not by_number
     doubts += [] if given else disordered(labels, paired, measured)
-    granted = COUNTERPARTS_GIVEN if given else TAKEN_FOR_GRANTED
-    taken = [] if by_number or problem.data.shapes is not None else [granted]
-    return InitialModes(labels, measured, found, alike, tuple(doubts), (*taken, *unmeasured(found)))
+    return InitialModes(labels, measured, found, alike, tuple(doubts), tuple(unmeasured(found)))
 
 
 def _of_function(

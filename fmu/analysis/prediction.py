@@ -175,8 +175,18 @@ INTERVAL = 0.99
 _WITHIN = 2.0
 
 
-def bound_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each parameter whose draws accumulate at a bound: the data ask for values beyond it.
+class AtBound(NamedTuple):
+    """A parameter whose draws accumulate at a bound: the shares of posterior and prior that lie next to it."""
+
+    name: str
+    side: str
+    bound: str
+    near: float
+    before: float
+
+
+def at_bounds(trace: xr.DataTree) -> list[AtBound]:
+    """Return the parameters whose draws accumulate at a bound: the data ask for values beyond it.
 
     Within 2 % of the range from the bound there is at least 5 % of the posterior, and three times as much as of
     the prior; and the posterior mean is within two standard deviations of the bound.
@@ -193,12 +203,17 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
             before = _prior_share(trace, name, bound, sign, margin)
             is_close = sign * (x.mean() - bound) < _WITHIN * x.std()
             if near >= LEAST_SHARE and near > MORE_THAN_THE_PRIOR * before and is_close:
-                found.append(
-                    f"{name}: {share(near)} of the draws (prior: {share(before)}) lie within "
-                    f"{share(NEAR_A_BOUND)} of the range from the {side} bound, "
-                    f"{with_unit(float(bound), unit)}"
-                )
+                found.append(AtBound(name, side, with_unit(float(bound), unit), near, before))
     return found
+
+
+def bound_warnings(trace: xr.DataTree) -> list[str]:
+    """Return a sentence for each parameter whose draws accumulate at a bound."""
+    return [
+        f"{one.name}: {share(one.near)} of the draws (prior: {share(one.before)}) lie within "
+        f"{share(NEAR_A_BOUND)} of the range from the {one.side} bound, {one.bound}"
+        for one in at_bounds(trace)
+    ]
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:

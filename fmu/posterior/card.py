@@ -51,8 +51,9 @@ def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
     for p, colour in zip(problem.parameters, colours, strict=True):
         mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
         factor, unit = shown(p.unit)
+        prior = prior_in_words(p.prior.as_dict(), p.unit)
         values = (given(value / factor) for value in (p.start, p.lower, p.upper))
-        rows.append([mark + html.escape(p.name), html.escape(unit), *values, html.escape(prior_in_words(p))])
+        rows.append([mark + html.escape(p.name), html.escape(unit), *values, html.escape(prior)])
     return _table(("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"), rows)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -92,10 +93,9 @@ class Parameter:
         return bool(np.isfinite(self.prior.log_pdf(np.array([x]))[0]))
 
 
-def prior_in_words(parameter: Parameter) -> str:
-    """Return the name and the numbers of a prior, those with a unit as they are shown: ``"normal, sd 200"``."""
-    settings = parameter.prior.as_dict()
-    factor = 1.0 if str(settings["distribution"]).startswith("scipy") else shown(parameter.unit).factor
+def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
+    """Return the name and the numbers of a prior, those in `unit` as they are shown: ``"normal, sd 200"``."""
+    factor = 1.0 if str(settings["distribution"]).startswith("scipy") else shown(unit).factor
     parts = [
         f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
         for key, value in settings.items()

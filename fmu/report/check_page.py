@@ -32,6 +32,7 @@ from fmu.report.pages import INDEX, render
 from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
 from fmu.report.plots.modes import plot_mode
 from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
+from fmu.report.sections.origin import assumption_parts
 from fmu.report.sections.structure import directions
 
 if TYPE_CHECKING:
@@ -76,7 +77,12 @@ def check_page(found: Check) -> Page:
     sections.append(_gradient(found))
     lead = f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes; before sampling."
     footer = "Written by fmu check for the model at the start values, before updating."
-    return Page(found.name, lead, _verdicts(found), tuple(sections), (), footer)
+    assumed = (
+        ()
+        if found.assumptions is None
+        else assumption_parts(found.assumptions, "σ at the start where it is inferred.")
+    )
+    return Page(found.name, lead, _verdicts(found), tuple(sections), (), footer, assumed)
 
 
 def _verdicts(found: Check) -> tuple[Verdict, ...]:

@@ -14,7 +14,7 @@ from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
-from fmu.report.sections import comparison, of_a_sampler, updating
+from fmu.report.sections import comparison, of_a_sampler, origin, updating
 from fmu.report.sections.prediction import verdicts
 
 if TYPE_CHECKING:
@@ -45,7 +45,15 @@ def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, 
     lead = f"{run.trace.attrs['problem']}: {run.chains_in_words}."
     if run.title != run.sampler:
         lead = f"{run.sampler}, {lead}"
-    return Page(run.title, lead, verdicts(run), _without_omissions(of_a_sampler(run)), tuple(others), _footer(run))
+    return Page(
+        run.title,
+        lead,
+        verdicts(run),
+        _without_omissions(of_a_sampler(run)),
+        tuple(others),
+        _footer(run),
+        origin.assumptions(run),
+    )
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
@@ -78,6 +86,7 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
         _without_omissions(found),
         links,
         _footer(first),
+        origin.assumptions(_told(runs)),
     )
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fmu.analysis.convergence.diagnosis import Diagnosis, judged, maxima_of
 from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of
 from fmu.numbers import Unit
+from fmu.posterior.parameters import prior_in_words
 from fmu.report.plots.style import TITLES, unit_of
 
 if TYPE_CHECKING:
@@ -69,6 +71,18 @@ class ReportedRun:
     def value(self, name: str, column: str) -> float:
         """Return a number of the summary in the unit in which the parameter is shown."""
         return float(self.summary[column][name]) / self.unit(name).factor
+
+    @property
+    def problem(self) -> dict[str, Any]:
+        """`UpdatingProblem.configuration` of the problem; of another density what is known of it."""
+        found = json.loads(str(self.trace.attrs["configuration"])).get("problem")
+        return found if isinstance(found, dict) else {}
+
+    @property
+    def priors(self) -> dict[str, str]:
+        """The prior of each parameter in words, in the unit in which it is shown; empty if it is not known."""
+        known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
+        return {p["name"]: prior_in_words(p["prior"], p["unit"]) for p in known}
 
     @property
     def chains_in_words(self) -> str:

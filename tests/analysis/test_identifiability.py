@@ -7,7 +7,6 @@ from scipy.stats import truncnorm
 import fmu
 from fmu.analysis.identifiability import (
     combination,
-    contraction,
     identifiability,
     kept_identifiability,
     truncated_sd,
@@ -50,8 +49,8 @@ def test_more_parameters_than_modes(problem):
     np.testing.assert_allclose(one.singular_values, [5.0, 0.0, 0.0])
     assert one.n_informed == 1
     np.testing.assert_allclose(one.remaining_sd**2, [1.0, 1 - 0.36 * 25 / 26, 1 - 0.64 * 25 / 26])
-    assert one.sentences()[0] == (
-        "The data constrain 1 of 3 directions of the parameter space more than the prior does."
+    assert one.sentences()[0].startswith(
+        "Linearised, and without the bounds, the data constrain 1 of 3 directions "
     )
     assert len(one.sentences()) == 3
     assert "100 % of the prior standard deviation" in one.sentences()[1]
@@ -60,11 +59,14 @@ def test_more_parameters_than_modes(problem):
 
 def test_in_words_when_all_directions_are_constrained(found):
     first, least = found.sentences()
-    assert first == "The data constrain 2 of 2 directions of the parameter space more than the prior does."
+    assert first == (
+        "Linearised, and without the bounds, the data constrain 2 of 2 directions of the parameter space more "
+        "than the prior does."
+    )
     assert least.startswith("The least constrained direction is ")
     left = 1 / np.sqrt(1 + found.singular_values[-1] ** 2)
     assert f"{100 * left:.2g} % of the prior standard deviation" in least
-    assert str(found).startswith(first)
+    assert " ".join(str(found).split()).startswith(first)
     assert "<table" in found._repr_html_()
 
 
@@ -117,21 +119,6 @@ def to_trace_without(trace):
     bare = trace.copy()
     del bare["identifiability"]
     return bare
-
-
-def test_contraction_of_draws(make_result, problem):
-    rng = np.random.default_rng(3)
-    draws = rng.standard_normal((4, 2000, 2)) * [0.5, 2.0]
-    table = contraction(to_trace(make_result(draws), problem))
-    se = 1 / np.sqrt(2000)  # of a variance's logarithm, 2000 draws from the prior, is √2 times that
-    assert table.loc["E1", "contraction"] == pytest.approx(0.75, abs=0.25 * 10 * se)
-    assert table.loc["rho", "contraction"] == pytest.approx(0.0, abs=10 * se)
-    assert table.loc["E1", "posterior_sd"] == pytest.approx(0.5, rel=5 * se)
-
-
-def test_contraction_needs_the_prior(make_trace):
-    with pytest.raises(ValueError, match="draws from the prior"):
-        contraction(make_trace(np.zeros((2, 5, 2))))
 
 
 def test_many_directions_are_counted(found):

@@ -10,7 +10,7 @@ import scipy.linalg as sl
 from fmu import cases
 from fmu.analysis.identifiability import identifiability
 from fmu.analysis.information import left_to_prior
-from fmu.analysis.initial_modes import COUNTERPARTS_GIVEN, initial_modes
+from fmu.analysis.initial_modes import initial_modes
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame.components import DIRECTIONS
 from fmu.fem.pairing.rules import count_rigid
@@ -87,7 +87,6 @@ def test_measured_modes_answer_to_modes_of_their_kind(problem, best):
 
 def test_a_look_at_it_before_updating_takes_the_order_as_given(problem):
     found = initial_modes(problem)
-    assert found.notes[0] == COUNTERPARTS_GIVEN
     assert [found.of(k).number for k in range(10)] == [7, 8, 9, 10, 11, 13, 12, 14, 16, 15]
     assert not any("order" in doubt for doubt in found.doubts)
 

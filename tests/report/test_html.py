@@ -99,8 +99,9 @@ def test_pages_are_small(pages):
 def test_verdicts_come_first(beam_report):
     page = Parsed((beam_report / "hmc.html").read_text())
     titles = [title for _, title in page.headings]
-    assert titles[:4] == [
-        "Hamiltonian Monte Carlo", "Verdict", "Why the run has not converged", "Findings against the model"
+    assert titles[:5] == [
+        "Hamiltonian Monte Carlo", "Verdict", "Assumptions", "Why the run has not converged",
+        "Findings against the model",
     ]  # fmt: skip
     assert page.text.index("✗ Not converged") < page.text.index("Contents") < page.text.index("Updated parameters")
     assert "mode 1: the measured frequency, 31.9 Hz, is outside the 99 % prediction interval" in page.text

@@ -8,7 +8,8 @@ import xarray as xr
 
 from fmu.analysis.convergence.diagnosis import UNSEARCHED
 from fmu.analysis.held_out.modes import leave_one_out
-from fmu.analysis.identifiability import contraction, kept_identifiability
+from fmu.analysis.identifiability import kept_identifiability
+from fmu.analysis.information import CRITERION, information, left_along
 from fmu.analysis.initial_modes import ALIKE
 from fmu.analysis.trace.modal_states import MEASURED
 from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
@@ -86,22 +87,27 @@ def test_maxima(hmc):
 
 
 def test_identifiability(hmc):
+    """What the draws say comes first; the linearised model stands beside it, along its own directions."""
     section = structure.identifiability(hmc)
-    kept = kept_identifiability(hmc.trace)
-    texts = [part.words for part in section.parts if isinstance(part, Text)]
-    assert [text.split(":")[0] for text in texts] == [
-        "Before updating, at the start", "After updating, at the highest maximum"
-    ]  # fmt: skip
-    lists = [part.items for part in section.parts if isinstance(part, Items)]
-    assert lists == [tuple(found.sentences()[1:]) for found in kept.values()]
+    found, kept = information(hmc.trace), kept_identifiability(hmc.trace)
+    (said,) = (part.items for part in section.parts if isinstance(part, Items))
+    assert said[: len(found.sentences())] == tuple(found.sentences())
+    assert said[len(found.sentences())].startswith("The model linearised at the highest maximum ")
+    assert Text(CRITERION) in section.parts
     (details,) = (part for part in section.parts if isinstance(part, Details))
-    first = details.parts[0]
-    assert first.header[:3] == ("direction", "singular value", "sd left")
-    assert [number(row[1]) for row in first.rows] == pytest.approx(kept["start"].singular_values, rel=0.01)
-    expected = contraction(hmc.trace)
-    for row in table(section, "From prior to posterior"):
-        assert number(row["contraction"]) == pytest.approx(expected["contraction"][row["parameter"]], abs=6e-4)
-        assert number(row["prior sd"]) == pytest.approx(expected["prior_sd"][row["parameter"]] / 1e9, abs=0.6)
+    drawn, start, maximum = details.parts
+    assert drawn.header[:3] == ("direction", "sd left", "contraction")
+    assert [number(row[1]) for row in drawn.rows] == pytest.approx(found.remaining_sd, rel=0.01)
+    for state, part in (("start", start), ("maximum", maximum)):
+        assert part.header[:4] == ("direction", "singular value", "sd left", "sd left, draws")
+        s = kept[state].singular_values
+        assert [number(row[1]) for row in part.rows] == pytest.approx(s, rel=0.01)
+        assert [number(row[2]) for row in part.rows] == pytest.approx(1 / np.hypot(1, s), rel=0.01)
+        assert [number(row[3]) for row in part.rows] == pytest.approx(left_along(hmc.trace, kept[state]), rel=0.01)
+    for k, row in enumerate(table(section, "From prior to posterior")):
+        assert number(row["contraction"]) == pytest.approx(found.contraction[k], abs=6e-3)
+        prior_sd = float(hmc.trace["prior"][row["parameter"]].std(ddof=1)) / 1e9
+        assert number(row["prior sd"]) == pytest.approx(prior_sd, abs=0.6)
 
 
 def test_shapes_and_mac(hmc):

@@ -104,9 +104,13 @@ def test_figures_say_which_is_which(run):
 
 
 def test_what_was_not_updated_is_not_among_what_was(run):
-    first, second = (part for part in updating.parameters(run).parts if isinstance(part, PageTable))
-    assert [row[0] for row in first.rows] == ["a", "b"]
-    assert [(row[0], row[-1]) for row in second.rows] == [("c", "the prior")]
+    (table,) = (part for part in updating.parameters(run).parts if isinstance(part, PageTable))
+    rows = [dict(zip(table.header, row, strict=True)) for row in table.rows]
+    assert [row["determined by"] for row in rows] == ["data", "data", "prior"]
+    assert rows[2]["change"] == "prior"
+    assert {row["prior"] for row in rows} == {"normal, mean 0, sd 1"}
+    assert table.greyed == (2,)
+    assert "Grey: not informed by the data" in table.caption
     verdict = updated(run)
     assert (verdict.answer, verdict.is_good) == ("2 of 3", False)
     assert verdict.reasons[0].startswith("c was not updated by the data: ")

@@ -19,7 +19,6 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu import cases
-from fmu.analysis.identifiability import contraction
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.numbers import fixed, significant
@@ -170,7 +169,7 @@ def _frequencies(done: Update, before: Sequence[int]) -> str:
 
 
 def _parameters(done: Update) -> str:
-    shrunk = contraction(done.trace)["contraction"]
+    shrunk = fmu.information(done.trace).table()["contraction"]
     rows = [
         (
             parameter.name,

@@ -3,7 +3,8 @@
 Reading order: base, one_sided, scipy_distributions.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
@@ -18,3 +19,10 @@ PRIORS: dict[str, tuple[Callable[..., Prior], ...]] = {
     "beta": (ScaledBeta, ScaledBeta.from_mean),
 }
 """By the value of ``distribution`` in a problem file: a table has the arguments of one of the constructors."""
+
+
+def prior_of(settings: Mapping[str, Any]) -> Prior | None:
+    """Return the prior that `Prior.as_dict` describes; None if that is not one of the above."""
+    classes = (one for one in PRIORS.get(str(settings["distribution"]), ()) if isinstance(one, type))
+    arguments = {key: value for key, value in settings.items() if key != "distribution"}
+    return next((one(**arguments) for one in classes), None)

@@ -6,8 +6,10 @@ import json
 from typing import Any
 
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
+from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
+from fmu.posterior.assumptions import assumptions as assumed
 from fmu.posterior.train_reduced import Tolerance
-from fmu.report.document import Code, Details, Omitted, PageSection, PageTable, Part, Text
+from fmu.report.document import Code, Details, Items, Omitted, PageSection, PageTable, Part, Text
 from fmu.report.run import ReportedRun
 
 _LONG = 60
@@ -69,6 +71,28 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
     """Return an error and the largest that is allowed."""
     text = significant(found, 2)
     return apart(found, allowed, digits=2)[0] if text == significant(allowed, 2) else text, given(allowed)
+
+
+def assumptions(run: ReportedRun) -> tuple[Part, ...]:
+    """Return what the verdicts on a run rest on; nothing for a density that is not an updating problem."""
+    attrs, mean = run.trace.attrs, run.summary["mean"]
+    reduction = attrs.get("certificate_frequency_tolerance", Tolerance().frequency)
+    noise = run.problem.get("likelihood", {}).get("noise", ())
+    inferred = {name: (float(mean[name]), float(run.summary["sd"][name])) for name in noise}
+    found = assumed(run.problem, float(reduction) if "certificate_draws" in attrs else None, inferred)
+    return () if found is None else assumption_parts(found, "σ at the posterior mean where it is inferred.")
+
+
+def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
+    """Return assumptions as a list and the table of the errors; `inferred` says what an inferred σ stands at."""
+    if not found.errors:
+        return (Items(found.sentences),)
+    caption = (
+        f"Errors of the measured frequencies. {inferred}"
+        if found.has_inferred
+        else "Errors of the measured frequencies"
+    )
+    return Items(found.sentences), PageTable(caption, ERRORS_HEADER, found.errors)
 
 
 def settings(run: ReportedRun) -> PageSection:

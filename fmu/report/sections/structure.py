@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.identifiability import Identifiability, contraction, kept_identifiability
+from fmu.analysis.identifiability import Identifiability, kept_identifiability
+from fmu.analysis.information import CRITERION, Information, compared_with_draws, information, left_along
+from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.pairing_changes import pairing_changes
 from fmu.analysis.prediction import measured_mac
 from fmu.analysis.trace.modal_states import GROUP, MEAN, START
@@ -13,62 +15,92 @@ from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, signific
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import ReportedRun
+from fmu.types import FloatArray
 
 NO_SHAPES = "the trace has no mode shapes: the model gives none, or an older version of fmu sampled it"
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
-    """Return which directions of the parameter space the data constrain."""
+    """Return what the draws say of the directions of the parameter space, and the linearised model beside it."""
     title = "Identifiability"
-    parts: list[Part] = []
-    kept = kept_identifiability(run.trace)
-    for state, found in kept.items():
-        first, *others = found.sentences()
-        parts += [Text(f"{_WHERE.get(state, state)}: {first[0].lower()}{first[1:]}"), Items(tuple(others))]
-    if kept:
-        tables = tuple(directions(found, _WHERE.get(state, state)) for state, found in kept.items())
-        parts.append(Details("Directions and singular values", tables))
-    if has(run.trace, "prior"):
-        parts.append(_contraction(run))
-    if not parts:
+    found, kept = information(run.trace), kept_identifiability(run.trace)
+    if found is None and not kept:
         return Omitted(title, "the trace has neither a linearised model nor draws from the prior")
-    return PageSection("identifiability", title, tuple(parts))
+    if found is None:
+        said = [f"{_WHERE.get(at, at)}. {sentence}" for at, one in kept.items() for sentence in one.sentences()]
+        tables = tuple(directions(one, _WHERE.get(at, at)) for at, one in kept.items())
+        return PageSection("identifiability", title, (Items(tuple(said)), Details("Directions", tables)))
+    said = found.sentences()
+    if kept:
+        at, linearised = list(kept.items())[-1]
+        n_maxima = 1 if run.maxima is None else sum(one.share > NEGLIGIBLE for one in run.maxima)
+        place = {START: "the start"}.get(at, "the highest maximum")
+        said += compared_with_draws(run.trace, linearised, place, n_maxima, run.diagnosis.converged)
+    by_model = (directions(one, _WHERE.get(at, at), left_along(run.trace, one)) for at, one in kept.items())
+    tables = (_drawn_directions(found), *by_model)
+    parts = (Items(tuple(said)), Text(CRITERION), _contraction(run, found), Details("Directions", tables))
+    return PageSection("identifiability", title, parts)
 
 
-def directions(found: Identifiability, lead: str) -> PageTable:
-    """Return the directions of the parameter space and their singular values; the caption begins with `lead`."""
+def _drawn_directions(found: Information) -> PageTable:
+    """Return the principal directions of the draws."""
+    rows = tuple(
+        (str(k), significant(left), fixed(1.0 - left**2, 2), *(fixed(float(x), 2) for x in direction))
+        for k, (left, direction) in enumerate(zip(found.remaining_sd, found.directions, strict=True), 1)
+    )
+    caption = (
+        "By the draws: their principal directions, in prior standard deviations, the least informed first. Sd "
+        "left: part of the prior standard deviation that remains."
+    )
+    return PageTable(
+        caption,
+        ("direction", "sd left", "contraction", *found.names),
+        rows,
+        greyed=tuple(np.flatnonzero(found.is_left)),
+    )
+
+
+def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
+    """Return the directions of a linearised model; the caption begins with `lead`.
+
+    With `drawn` (`fmu.analysis.information.left_along`) what the draws have left along the same directions.
+    """
     rows = tuple(
         (
             str(k),
             significant(s),
             significant(1.0 / float(np.hypot(1.0, s))),
+            *(() if drawn is None else (significant(float(drawn[k - 1])),)),
             *(fixed(float(x), 2) for x in direction),
         )
         for k, (s, direction) in enumerate(zip(found.singular_values, found.directions, strict=True), 1)
     )
     caption = (
-        f"{lead}. Orthonormal directions in units of the prior standard deviations. Sd left: part of the prior "
-        f"standard deviation that remains along each direction."
+        f"{lead}: linearised, the bounds not counted. Orthonormal directions in units of the prior standard "
+        f"deviations. Sd left: part of the prior standard deviation that would remain along each direction"
+        f"{'' if drawn is None else ', and what the draws have along the same direction'}."
     )
-    return PageTable(caption, ("direction", "singular value", "sd left", *found.names), rows)
+    beside = () if drawn is None else ("sd left, draws",)
+    return PageTable(caption, ("direction", "singular value", "sd left", *beside, *found.names), rows)
 
 
-def _contraction(run: ReportedRun) -> PageTable:
-    table, rows = contraction(run.trace), []
-    for name in run.names:
-        unit = run.unit(name)
-        before, after = (float(table[column][name]) / unit.factor for column in ("prior_sd", "posterior_sd"))
-        n = decimals(after)
-        rows.append(
-            (name, unit.name, fixed(before, n), fixed(after, n), fixed(float(table["contraction"][name]), 3))
-        )
+def _contraction(run: ReportedRun, found: Information) -> PageTable:
+    """Return prior and posterior of each parameter; those that the data did not inform are grey."""
+    rows = []
+    for k, name in enumerate(run.names):
+        unit, prior = run.unit(name), run.trace["prior"][name].to_numpy()
+        mean, sd = prior.mean() / unit.factor, prior.std(ddof=1) / unit.factor
+        n = decimals(run.value(name, "sd"))
+        what = "logarithm" if found.of_logarithm[k] else "value"
+        values = (mean, sd, run.value(name, "mean"), run.value(name, "sd"))
+        rows.append((name, unit.name, *(fixed(x, n) for x in values), fixed(float(found.contraction[k]), 2), what))
     caption = (
-        "From prior to posterior: contraction is 1 − the ratio of the variances, near 1 where the data "
-        "determine a parameter, near 0 where they carry no information on it."
+        "From prior to posterior: means and standard deviations within the bounds. Where the prior is "
+        "log-normal, the contraction is that of the logarithm."
     )
-    header = ("parameter", "unit", "prior sd", "posterior sd", "contraction")
-    return PageTable(caption, header, tuple(rows), words=(1,))
+    header = ("parameter", "unit", "prior mean", "prior sd", "posterior mean", "posterior sd", "contraction", "of")
+    return PageTable(caption, header, tuple(rows), words=(1, 7), greyed=tuple(np.flatnonzero(~found.informed)))
 
 
 def mac(run: ReportedRun) -> PageSection | Omitted:

@@ -7,54 +7,56 @@ from collections.abc import Mapping
 import numpy as np
 
 from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences, is_pseudo
-from fmu.analysis.information import COMBINED, DATA, PRIOR, information
+from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.reading import constant
-from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, interval, rounded, share, shown
+from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, interval, rounded, shown
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
 from fmu.report.run import ReportedRun
 
-_RESTS_ON = {PRIOR: "the prior", COMBINED: "the prior, for a combination"}
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
 def parameters(run: ReportedRun) -> PageSection:
-    """Return the updated parameters beside start and bounds, and a second table of those that were not updated."""
+    """Return the updated parameters beside prior, bounds and start; those not informed by the data are grey."""
     found = information(run.trace)
-    basis = dict(zip(found.names, found.basis, strict=True)) if found else {}
-    rows: dict[bool, list[tuple[str, ...]]] = {True: [], False: []}
-    seen = []
+    rows, greyed, seen = [], [], []
     for k, name in enumerate(run.names):
-        unit, rests_on = run.unit(name), basis.get(name, DATA)
+        unit = run.unit(name)
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
         mean, sd, low, high = (run.value(name, c) for c in ("mean", "sd", "eti90_lb", "eti90_ub"))
         n = decimals(sd)
         bounds = interval(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).any() else "none"
         moved = change(mean / start - 1) if start else MISSING
-        if found and rests_on != DATA:
-            moved = share(min(float(found.remaining_sd[k]), 1.0))
-        rows[rests_on == DATA].append(
+        if found and not found.informed[k]:
+            greyed.append(k)
+            moved = PRIOR
+        told = (found.basis[k],) if found else ()
+        rows.append(
             (
-                name, unit.name or MISSING, fixed(start, n), fixed(mean, n), interval(low, high, n), fixed(sd, n),
-                moved, bounds, *(() if rests_on == DATA else (_RESTS_ON[rests_on],)),
+                name, unit.name or MISSING, run.priors.get(name, MISSING), bounds, fixed(start, n), fixed(mean, n),
+                interval(low, high, n), fixed(sd, n), moved, *told,
             )
         )  # fmt: skip
         words = f"{name} {fixed(mean, n)} {unit.name} ({interval(low, high, n)})".replace("  ", " ")
+        words += " from the prior" if k in greyed else ""
         seen.append(f"{words}, start {fixed(start, n)}, bounds {bounds}")
-    header: tuple[str, ...] = ("parameter", "unit", "start", "mean", "90 % interval", "sd", "change", "bounds")
-    parts: list[Part] = []
-    if rows[True]:
-        parts.append(PageTable("Posterior of the parameters", header, tuple(rows[True]), words=(1,)))
-    if rows[False]:
+    header: tuple[str, ...] = (
+        "parameter", "unit", "prior", "bounds", "start", "mean", "90 % interval", "sd", "change",
+        *(("determined by",) if found else ()),
+    )  # fmt: skip
+    caption = "Posterior of the parameters."
+    if greyed:
         caption = (
-            "Not updated by the data. The values come from the prior, alone or where the data determine only "
-            "a combination of parameters. Sd left: part of the prior standard deviation that remains."
+            "Posterior of the parameters. Grey: not informed by the data (contraction below 0.3). What is shown "
+            "there is the prior, whose mean may differ from the start, and no change. Combination: the data "
+            "inform it only together with others."
         )
-        header = (*header[:6], "sd left", "bounds", "determined by")
-        parts.append(PageTable(caption, header, tuple(rows[False]), words=(1, 8)))
+    of_words = (1, 2) if found is None else (1, 2, 9)
+    parts: list[Part] = [PageTable(caption, header, tuple(rows), of_words, tuple(greyed))]
     maximum = run.maxima[0].theta if run.maxima else None
     axes = plot_parameter_updates({run.name: run.trace}, maximum=maximum, summaries={run.name: run.summary})
     drawing = picture(axes, "updates", f"Posterior means with 90 % intervals. {'; '.join(seen)}.",

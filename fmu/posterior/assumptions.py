@@ -1,0 +1,217 @@
+"""What a posterior rests on, in words and numbers, from the configuration of a problem that a trace keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fmu.numbers import MISSING, apart, given, significant, with_sd
+from fmu.posterior.parameters import prior_in_words
+from fmu.posterior.prior_doubts import outside_bounds
+from fmu.types import FloatArray
+
+Inferred = Mapping[str, tuple[float, float]]
+"""Posterior mean and standard deviation of inferred standard deviations, by name."""
+
+
+class Assumptions(NamedTuple):
+    """What the posterior of a problem rests on.
+
+    Attributes
+    ----------
+    sentences : tuple of str
+        The error model, the priors, the pairing and the reduced model.
+    errors : tuple of tuple of str
+        For each measured mode its label, frequency in Hz, and the standard deviation of its error in Hz and in
+        per cent; empty if frequencies have no error of their own.
+    has_inferred : bool
+        Whether standard deviations are inferred.
+    """
+
+    sentences: tuple[str, ...]
+    errors: tuple[tuple[str, str, str, str], ...] = ()
+    has_inferred: bool = False
+
+
+ERRORS_HEADER = ("mode", "measured, Hz", "σ, Hz", "σ, %")
+
+
+def assumptions(
+    problem: Mapping[str, Any], reduction: float | None, inferred: Inferred | None = None
+) -> Assumptions | None:
+    """Return what the posterior of a problem rests on.
+
+    Parameters
+    ----------
+    problem : mapping
+        `UpdatingProblem.configuration`, as it is or from a trace.
+    reduction : float or None
+        Relative error of a frequency that the reduced model may have; None if there is no reduced model.
+    inferred : mapping of str to (float, float), optional
+        Posterior mean and standard deviation of each inferred standard deviation, after a run.
+
+    Returns
+    -------
+    Assumptions or None
+        None for something other than an updating problem.
+    """
+    if not isinstance(problem, Mapping) or not {"likelihood", "parameters", "data"} <= set(problem):
+        return None
+    likelihood, data = problem["likelihood"], problem["data"]
+    said = _errors(likelihood, problem["parameters"], data, inferred)
+    priors = outside_bounds(problem["parameters"])
+    cut = "Priors: independent, cut off at the bounds; both are in the table of the parameters."
+    said += [cut, *priors, _pairing(problem)]
+    if reduction is None:
+        said.append("The full model is solved everywhere; there is no reduced model.")
+    else:
+        said.append(
+            "Within the bounds a reduced model replaces the full one; it may change a frequency by "
+            f"{significant(reduction)} of its value."
+        )
+    errors = _by_mode(likelihood, problem["parameters"], data, inferred)
+    return Assumptions(tuple(said), errors, bool(likelihood.get("noise")))
+
+
+_OF = {
+    "frequency": "Errors of the frequencies",
+    "absolute frequency": "Errors of the frequencies, in Hz",
+    "relative frequency": "Errors of the frequencies, relative to their size",
+    "eigenvalue frequency": "Errors of the eigenvalues, relative to their size",
+    "shape": "Errors of the mode shapes, scaled to unit length at the sensors",
+    "MAC": "Errors 1 − MAC of the mode shapes",
+}
+
+
+def _errors(
+    likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
+) -> list[str]:
+    """Return a sentence on each error model."""
+    if likelihood.get("error") == "modal-residual":
+        size = _range(np.asarray(likelihood["beta"]))
+        return [f"The error is the modal residual of eq. (2), a pseudo-likelihood without noise: β = {size}."]
+    said = []
+    noise = {name: next(p for p in parameters if p["name"] == name) for name in likelihood.get("noise", ())}
+    for one in likelihood.get("errors", [likelihood]):
+        kind = str(one.get("error", "unknown"))
+        what = _OF.get(kind, f"Errors of the kind {kind!r}")
+        shape = "half-Gaussian" if kind == "MAC" else "Gaussian"
+        if "covariance_hz2" in one:
+            said.append(f"{what}: Gaussian and correlated between the modes, with {_source(data)}.")
+            continue
+        if "beta" in one:
+            beta = np.asarray(one["beta"])
+            said.append(
+                f"{what}: Gaussian and independent, with a known σ of {_range(np.sqrt(0.5 / beta))} Hz "
+                f"(β = {_range(beta)} per Hz²)."
+            )
+            continue
+        spread = one.get("spread") or {}
+        sizes = [noise[list(noise)[int(k)]] for k in spread.get("inferred", {})]
+        fixed = np.asarray(spread.get("fixed", ()), dtype=float)
+        parts = [] if not np.any(fixed) else [f"a known σ of {_known(kind, fixed, data)}"]
+        parts += [_inferred(p, inferred) for p in sizes]
+        said.append(f"{what}: {shape} and independent, with {' and '.join(parts) or 'a σ of its own'}.")
+    said.append("These errors stand for all that measurement and model differ by.")
+    if data.get("tests") is not None:
+        said.append("A measured frequency is the mean of repeated tests, and its σ is the error of that mean.")
+    return said
+
+
+def _known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
+    """Return a known standard deviation in the unit in which it is constant."""
+    if name == "relative frequency":
+        return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
+    return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
+
+
+def _inferred(parameter: Mapping[str, Any], inferred: Inferred | None) -> str:
+    prior = prior_in_words(parameter["prior"], parameter["unit"])
+    text = f"a σ that is inferred, {parameter['name']} (prior: {prior}"
+    if inferred and parameter["name"] in inferred:
+        text += f"; posterior: {with_sd(*inferred[parameter['name']])}"
+    return f"{text})"
+
+
+def _source(data: Mapping[str, Any]) -> str:
+    return "the covariance of the tests" if data.get("tests") is not None else "the covariance that is given"
+
+
+def _by_mode(
+    likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
+) -> tuple[tuple[str, str, str, str], ...]:
+    """Return the standard deviation of the frequency error of each mode."""
+    measured = np.asarray(data["frequencies_hz"], dtype=float)
+    sd = frequency_sd(likelihood, parameters, measured, inferred)
+    if sd is None:
+        return ()
+    labels = data.get("labels") or range(1, len(measured) + 1)
+    return tuple(
+        (str(label), given(f), significant(s, 3), significant(100.0 * s / f, 2))
+        for label, f, s in zip(labels, measured, sd, strict=True)
+    )
+
+
+def frequency_sd(
+    likelihood: Mapping[str, Any], parameters: Any, measured: FloatArray, inferred: Inferred | None
+) -> FloatArray | None:
+    """Return the standard deviation of the frequency error of each mode, Hz; None if it is not known.
+
+    An inferred one is taken at its posterior mean, before a run at its start.
+    """
+    named = list(likelihood.get("noise", ()))
+    start = {p["name"]: float(p["start"]) for p in parameters}
+    for one in likelihood.get("errors", [likelihood]):
+        name = str(one.get("error"))
+        if name == "frequency" and "covariance_hz2" in one:
+            return np.sqrt(np.diag(np.asarray(one["covariance_hz2"], dtype=float)))
+        if name == "frequency" and "beta" in one:
+            return np.broadcast_to(np.sqrt(0.5 / np.asarray(one["beta"], dtype=float)), measured.shape)
+        if name.endswith(" frequency") and "spread" in one:
+            variance = np.asarray(one["spread"]["fixed"], dtype=float) ** 2
+            for k, size in one["spread"]["inferred"].items():
+                who = named[int(k)]
+                value = inferred[who][0] if inferred and who in inferred else start[who]
+                variance = variance + (value * np.asarray(size, dtype=float)) ** 2
+            sd = np.sqrt(variance)
+            return np.asarray(0.5 * measured * sd if name == "eigenvalue frequency" else sd)
+    return None
+
+
+def _pairing(problem: Mapping[str, Any]) -> str:
+    """Say how computed modes are paired with the measured ones."""
+    model, data, likelihood = problem["model"], problem["data"], problem["likelihood"]
+    if likelihood.get("error") == "modal-residual":
+        return "The modal residual compares no computed modes, and pairs none."
+    if not isinstance(model, Mapping) or "pairing" not in model:
+        return "The model itself pairs its modes with the measured ones."
+    if model["pairing"] in ("IndexPairing", "index"):
+        order = "in the sorted spectrum" if model["pairing"] == "IndexPairing" else "in the order of the function"
+        return f"Modes are paired by number {order}: {', '.join(map(str, data['numbers']))}."
+    softly = ""
+    if "softness" in likelihood:
+        softly = (
+            f", softly: the likelihood of a measured mode is a mixture over computed ones, with weights "
+            f"exp(MAC/{given(float(likelihood['softness']))})"
+        )
+    if data.get("shapes") is not None:
+        return f"Modes are paired by MAC with the shapes measured at {len(data['shapes'])} sensors{softly}."
+    if data.get("counterparts"):
+        by = "by the numbers given as counterparts"
+    else:
+        by = f"as the lowest {'modes that the sensors see' if data['sensors'] else 'elastic modes'}, in this order"
+    return (
+        "No shapes were measured. Modes are paired by MAC with the model's own shapes before updating, where they "
+        f"are paired {by}{softly}."
+    )
+
+
+def _range(values: FloatArray) -> str:
+    """Return the one value of several, or their range."""
+    values = np.asarray(values, dtype=float)
+    low, high = float(values.min()), float(values.max())
+    if high - low <= 1e-9 * high:
+        return significant(high, 4)
+    return " to ".join(apart(low, high, digits=3)) if low > 0 else MISSING

@@ -1,0 +1,162 @@
+"""Priors that hardly fit their bounds: slips such as a mean left out, or a standard deviation in another unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from fmu.numbers import given, names_in_words, share, shown, significant, with_unit
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors import prior_of
+
+LEAST_MASS = 0.05
+"""Bounds that hold less of a prior than this are doubted."""
+FAR = 1.0
+"""A prior is far outside its bounds if its centre is this many of its standard deviations outside."""
+NARROW = 1e-4
+"""A prior narrower than this part of the range between the bounds (of its centre, without bounds) is fixed."""
+_FLAT = 0.1
+
+
+class Fit(NamedTuple):
+    """How a prior lies in its bounds, in the parameter's unit.
+
+    Attributes
+    ----------
+    mass : float
+        The part of the prior between the bounds.
+    centre, sd : float
+        Median of the prior before the bounds cut it, and half its central 68 % interval.
+    outside : float
+        How many `sd` the centre lies outside the bounds; 0 if it is inside.
+    median, spread : float
+        The same within the bounds.
+    is_flat : bool
+        Whether the prior is about constant between its bounds: its median is near the middle.
+    """
+
+    mass: float
+    centre: float
+    sd: float
+    outside: float
+    median: float
+    spread: float
+    is_flat: bool
+
+
+def fit_to_bounds(parameter: Parameter) -> Fit | None:
+    """Return how a prior lies in its bounds; None for a prior that only bounds make a distribution."""
+    prior, lower, upper = parameter.prior, parameter.lower, parameter.upper
+    if prior.needs_bounds:
+        return None
+    p = ndtr(np.array([-1.0, 0.0, 1.0]))
+    left, centre, right = prior.quantile(p, *prior.support).tolist()
+    low, median, high = prior.quantile(p, lower, upper).tolist()
+    sd = 0.5 * (right - left)
+    outside = max(lower - centre, centre - upper, 0.0) / sd
+    mass = float(np.exp(prior.log_mass(lower, upper)))
+    middle, width = 0.5 * (lower + upper), upper - lower
+    is_flat = bool(np.isfinite(width) and abs(median - middle) < _FLAT * width)
+    return Fit(mass, centre, sd, outside, median, 0.5 * (high - low), is_flat)
+
+
+def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
+    """Return a sentence for each prior that hardly fits its bounds: what is wrong, the value, what to do.
+
+    Doubted are priors of which the bounds hold less than 5 %, whose centre lies more than one of their standard
+    deviations outside the bounds, or that are so narrow that the data cannot move the parameter.
+    """
+    return [said for names, one in _alike(parameters) if (said := _doubt(names, one))]
+
+
+def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return which priors are centred outside their bounds, and what the bounds hold of them: doubted or not.
+
+    Parameters
+    ----------
+    configuration : iterable of dict
+        ``parameters`` of `UpdatingProblem.configuration`.
+    """
+    known = []
+    for p in configuration:
+        prior = prior_of(p["prior"])
+        if prior is not None:
+            known.append(Parameter(p["name"], p["start"], p["lower"], p["upper"], prior, p["unit"]))
+    said = []
+    for names, one in _alike(known):
+        fit = fit_to_bounds(one)
+        if fit is not None and fit.outside > 0.0:
+            said.append(
+                f"{_priors(names)} {_centred(one, fit)}, outside the bounds, which hold {_held(fit)} of "
+                f"{'its' if len(names) == 1 else 'their'} probability; {'its' if len(names) == 1 else 'their'} "
+                f"median within them is {_value(fit.median, one.unit)}."
+            )
+    return said
+
+
+def _alike(parameters: Iterable[Parameter]) -> list[tuple[list[str], Parameter]]:
+    """Return the parameters of equal prior and bounds: their names, and one of them."""
+    groups: dict[str, tuple[list[str], Parameter]] = {}
+    for one in parameters:
+        key = str((one.prior.as_dict(), one.lower, one.upper, one.unit))
+        groups.setdefault(key, ([], one))[0].append(one.name)
+    return list(groups.values())
+
+
+def _doubt(names: list[str], one: Parameter) -> str:
+    fit = fit_to_bounds(one)
+    if fit is None:
+        return ""
+    its = "its" if len(names) == 1 else "their"
+    bounds = f"the bounds, {_bounds(one)}, hold {_held(fit)} of {its} probability"
+    if fit.mass < LEAST_MASS and (fit.is_flat or not fit.outside):
+        return (
+            f"{_priors(names)} {_centred(one, fit)} and much wider than the bounds: {bounds}, so that they limit "
+            f"the parameter, and not the prior. Check the unit of {its} standard deviation; if the bounds are "
+            "what is known, give a uniform prior."
+        )
+    if fit.mass < LEAST_MASS or fit.outside > FAR:
+        side, where = ("lower", "below") if fit.centre < one.lower else ("upper", "above")
+        bound = one.lower if side == "lower" else one.upper
+        slip = " (as it is where no mean is given)" if fit.centre == 0.0 else ""
+        return (
+            f"{_priors(names)} {_centred(one, fit)}{slip}, {significant(fit.outside, 2)} of {its} standard "
+            f"deviations {where} the {side} bound: {bounds}, and {its} median within them is "
+            f"{_value(fit.median, one.unit)}. The prior presses the parameter against the {side} bound, "
+            f"{with_unit(bound, one.unit)}: centre it on the value that is expected, or move the bounds."
+        )
+    scale = one.upper - one.lower if np.isfinite(one.upper - one.lower) else abs(fit.centre)
+    if fit.spread < NARROW * scale:
+        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, where the slip is
+        return (
+            f"{_priors(names)} {_centred(one, fit)} with a standard deviation of {sd}: so narrow that "
+            "the data cannot move the parameter. Check the unit of the standard deviation; if the value is known "
+            "so well, fix it in the model."
+        )
+    return ""
+
+
+def _priors(names: list[str]) -> str:
+    many = len(names) > 1
+    return f"The prior{'s' if many else ''} of {names_in_words(names)} {'are' if many else 'is'}"
+
+
+def _centred(one: Parameter, fit: Fit) -> str:
+    return f"centred on {_value(fit.centre, one.unit)}"
+
+
+def _value(x: float, unit: str) -> str:
+    factor, name = shown(unit)
+    return f"{significant(x / factor, 4)} {name}".rstrip()
+
+
+def _bounds(one: Parameter) -> str:
+    factor, unit = shown(one.unit)
+    return f"{given(one.lower / factor)} to {given(one.upper / factor)} {unit}".rstrip()
+
+
+def _held(fit: Fit) -> str:
+    return share(max(fit.mass, 1e-300))
