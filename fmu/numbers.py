@@ -135,12 +135,22 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
     return tuple(_at(value, place, is_plain) if math.isfinite(value) else _infinite(value) for value in values)
 
 
-def hertz(*values: float, digits: int = 4) -> tuple[str, ...]:
-    """Format computed frequencies, Hz: at least to 0.1 Hz, and to six digits if they differ only there."""
+def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
+    """Format computed frequencies, Hz: at least to 0.1 Hz, and to six digits if they differ only there.
+
+    Beside a `measured` frequency they have at least as many decimals as it.
+    """
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
-    return apart(
-        *values, digits=min(max(digits, _exponent(largest) + 2), _FREQUENCY_DIGITS), most=_FREQUENCY_DIGITS
-    )
+    digits = min(max(4, _exponent(largest) + 2), _FREQUENCY_DIGITS)
+    texts, least = apart(*values, digits=digits, most=_FREQUENCY_DIGITS), given_decimals(measured)
+    if all(len(text.partition(".")[2]) >= least for text in texts):
+        return texts
+    return tuple(fixed(value, least) for value in values)
+
+
+def given_decimals(value: float) -> int:
+    """Return how many decimals `given` shows."""
+    return len(given(value).partition(".")[2])
 
 
 def with_interval(value: float, low: float, high: float, places: int) -> str:
@@ -157,18 +167,14 @@ def given(value: float) -> str:
     """Format a value with the digits that it was given with: ``"0.912"``; a mean of several to six digits."""
     if not math.isfinite(value):
         return _infinite(value)
-    return significant(value, written_digits(value))
+    digits = _digits(value)
+    return significant(value, digits if digits <= _AS_WRITTEN else _FREQUENCY_DIGITS)
 
 
 def typed(value: float) -> str:
     """Format a number as it is typed into a file or a command, with all its digits: ``"1.5e+11"``, ``"-0.1"``."""
     short = f"{value:.6g}"
     return short if float(short) == value or math.isnan(value) else repr(float(value))
-
-
-def written_digits(value: float) -> int:
-    """Return with how many significant digits a value was given; 6 if it was computed, as a mean of several."""
-    return digits if (digits := _digits(value)) <= _AS_WRITTEN else _FREQUENCY_DIGITS
 
 
 def _digits(value: float) -> int:

@@ -126,6 +126,11 @@ def test_frequencies(values, texts):
     assert n.hertz(*values) == texts
 
 
+def test_computed_frequencies_have_the_decimals_of_the_measured_one():
+    assert n.hertz(1.0, 1.0049, measured=0.9872) == ("1.0000", "1.0049")
+    assert n.hertz(32.7, 28.84, measured=31.9) == ("32.70", "28.84")
+
+
 @pytest.mark.parametrize(
     ("value", "sd", "text"),
     [

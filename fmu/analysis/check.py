@@ -18,7 +18,7 @@ from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
-from fmu.fem.frame.drawing import changed_elements, drawing, parameter_colours
+from fmu.fem.frame.drawing import changed_elements, drawn, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import fixed, given, listed, shown, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
@@ -82,8 +82,8 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     structure = problem.model.structure
     if structure is None or not _is_drawable(structure):
         return "", [None] * problem.ndim
-    others = [None] * (problem.ndim - structure.n_parameters)
-    return drawing(structure, problem.data.sensors), [*parameter_colours(structure), *others]
+    found, others = sketch(structure, problem.data.sensors), [None] * (problem.ndim - structure.n_parameters)
+    return drawn(found), [*parameter_colours(found.changed), *others]
 
 
 def _is_drawable(structure: SeparableModel) -> bool:

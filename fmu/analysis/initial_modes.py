@@ -356,7 +356,9 @@ def _one(found: InitialModes, mode: ComputedMode) -> dict[str, str]:
         row["measured mode"] = "not measured" if mode.seen else "moves no sensor"
         return row | {"measured, Hz": MISSING, "error": MISSING, "MAC": MISSING, "moves": mode.moves}
     k = mode.measured
-    row |= {"measured mode": found.labels[k], "measured, Hz": given(found.measured_hz[k])}
+    measured = found.measured_hz[k]
+    row["computed, Hz"] = hertz(mode.frequency_hz, measured=measured)[0]
+    row |= {"measured mode": found.labels[k], "measured, Hz": given(measured)}
     row["error"] = change(found.error_percent(k) / 100.0)
     row["MAC"] = MISSING if found.mac is None else fixed(found.mac[k, found.modes.index(mode)], 2)
     return row | {"moves": mode.moves}

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from fmu.fem.frame.drawing import drawing, parameter_colours
+from fmu.fem.frame.drawing import drawn, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import change, given, rounded, shown, significant
 from fmu.posterior.parameters import prior_in_words
@@ -22,8 +22,9 @@ def problem_card(problem: Problem) -> str:
     colours: list[str | None] = [None] * problem.ndim
     structure = problem.model.structure
     if structure is not None and _is_drawable(structure):
-        parts.append(f"<div>{drawing(structure, problem.data.sensors)}</div>")
-        colours[: structure.n_parameters] = parameter_colours(structure)  # what is inferred of errors comes after
+        drawing = sketch(structure, problem.data.sensors)
+        parts.append(f"<div>{drawn(drawing)}</div>")
+        colours[: structure.n_parameters] = parameter_colours(drawing.changed)  # errors follow
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,6 @@ from markupsafe import Markup
 from fmu.analysis.check import Check
 from fmu.analysis.identifiability import Identifiability
 from fmu.analysis.information import doubts as doubts_of_information
-from fmu.fem.frame.drawing import UNCHANGED
 from fmu.numbers import MISSING, change, given, hertz, listed, significant, with_sd
 from fmu.report.document import (
     Details,
@@ -33,7 +33,7 @@ from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
 from fmu.report.plots.modes import plot_mode
 from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
 from fmu.report.sections.origin import assumption_parts
-from fmu.report.sections.structure import directions
+from fmu.report.sections.structure import directions, legend_of_parameters
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -75,14 +75,17 @@ def check_page(found: Check) -> Page:
     if found.identifiability is not None:
         sections.append(_informed(found.identifiability))
     sections.append(_gradient(found))
-    lead = f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes; before sampling."
+    lead = (
+        f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes. Checked on {date.today()}."
+    )
     footer = "Written by fmu check for the model at the start values, before updating."
     assumed = (
         ()
         if found.assumptions is None
         else assumption_parts(found.assumptions, "σ at the start where it is inferred.")
     )
-    return Page(found.name, lead, _verdicts(found), tuple(sections), (), footer, assumed)
+    what = "Check of the problem before sampling"
+    return Page(found.name, what, lead, _verdicts(found), tuple(sections), (), footer, assumed)
 
 
 def _verdicts(found: Check) -> tuple[Verdict, ...]:
@@ -117,7 +120,10 @@ def _model(found: Check) -> PageSection:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
         caption = "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors."
-        drawing = Markup(found.drawing) + _legend(found)  # fmu.fem.frame.drawing escapes what it writes
+        # fmu.fem.frame.drawing escapes what it writes
+        drawing = Markup(found.drawing) + legend_of_parameters(
+            found.parameters.index, found.colours, found.drawing
+        )
         parts.append(Pictures((Picture(drawing, caption, _DRAWN),)))
     words = ("prior", "changes") if "changes" in found.parameters else ("prior",)
     header = ("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds", *words[1:])
@@ -132,19 +138,6 @@ def _model(found: Check) -> PageSection:
     )
     parts.append(PageTable("Parameters", header, rows, words=(1, *range(5, len(header)))))
     return PageSection("model", "The model", tuple(parts))
-
-
-def _legend(found: Check) -> Markup:
-    """Return the legend of the colours of the parameters."""
-    names: dict[str, list[str]] = {}
-    for name, colour in zip(found.parameters.index, found.colours, strict=True):
-        if colour is not None:
-            names.setdefault(colour, []).append(str(name))
-    entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
-    entries = [entry.format(colour, ", ".join(those)) for colour, those in names.items()]
-    if f'stroke="{UNCHANGED}"' in found.drawing:
-        entries.append(entry.format(UNCHANGED, "no parameter"))
-    return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entries))
 
 
 def _modes(found: Check) -> PageSection:
@@ -172,10 +165,9 @@ def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
         mode = found.modes.of(k)
         node, axis = np.unravel_index(np.argmax(np.abs(displacement)), displacement.shape)
         place = listed(coordinates[node])
-        caption = (
-            f"Mode {label}: computed mode {mode.number}, {hertz(mode.frequency_hz)[0]} Hz, "
-            f"measured {given(found.modes.measured_hz[k])} Hz."
-        )
+        measured = found.modes.measured_hz[k]
+        hz = hertz(mode.frequency_hz, measured=measured)[0]
+        caption = f"Mode {label}: computed mode {mode.number}, {hz} Hz, measured {given(measured)} Hz."
         alt = f"{caption} The largest displacement is in {'xyz'[axis]} at ({place}) m."
         pictures.append(picture(plot_mode(coordinates, ends, displacement), f"mode{k}", alt, caption))
     return tuple(pictures)
@@ -200,7 +192,7 @@ def _prior(found: Check) -> PageSection:
             prior.measured, series, [literal(label) for label in labels], new_figure(NARROW, 4.2)
         )
         said = "; ".join(
-            f"mode {label} measured {given(m)}, at the start {hertz(f)[0]}, prior prediction "
+            f"mode {label} measured {given(m)}, at the start {hertz(f, measured=m)[0]}, prior prediction "
             f"{with_sd(mean, sd)} Hz"
             for label, m, f, mean, sd in zip(labels, prior.measured, start, prior.mean, prior.sd, strict=True)
         )

@@ -169,9 +169,11 @@ class Page:
     Attributes
     ----------
     title : str
-        Its heading.
+        Its heading: the name of the problem.
+    subtitle : str
+        What the page is about, below it.
     lead : str
-        One line below it.
+        One more line.
     verdicts : tuple of Verdict
         Verdicts at the top of the page.
     sections : tuple of PageSection
@@ -180,15 +182,19 @@ class Page:
     footer : str
     assumptions : tuple of Part
         What the verdicts rest on, in a box below them; none if empty.
+    drawing : Markup or str
+        The structure, in the head of the page; empty if there is none to draw.
     """
 
     title: str
+    subtitle: str
     lead: str
     verdicts: tuple[Verdict, ...]
     sections: tuple[PageSection, ...]
     others: tuple[Link, ...]
     footer: str
     assumptions: tuple[Part, ...] = ()
+    drawing: str = ""
 
 
 RASTER_DPI = 110

@@ -16,6 +16,7 @@ from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
 from fmu.report.sections import comparison, of_a_sampler, origin, updating
 from fmu.report.sections.prediction import verdicts
+from fmu.report.sections.structure import structure_drawing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,18 +43,25 @@ def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, 
     """Return the page of one run."""
     others = [Link("All samplers", f"{INDEX}.html")]
     others += [Link(other.title, files[name]) for name, other in runs.items() if name != run.name]
-    lead = f"{run.trace.attrs['problem']}: {run.chains_in_words}."
-    if run.title != run.sampler:
-        lead = f"{run.sampler}, {lead}"
+    subtitle = run.title if run.title == run.sampler else f"{run.title}, by {run.sampler}"
+    lead = f"{run.chains_in_words[0].upper()}{run.chains_in_words[1:]}.{_dates([run])}"
     return Page(
-        run.title,
+        str(run.trace.attrs["problem"]),
+        subtitle,
         lead,
         verdicts(run),
         _without_omissions(of_a_sampler(run)),
         tuple(others),
         _footer(run),
         origin.assumptions(run),
+        structure_drawing(run.trace),
     )
+
+
+def _dates(runs: Iterable[ReportedRun]) -> str:
+    """Return the day on which runs were made, or the first and the last one; nothing if traces do not say it."""
+    days = sorted({str(run.trace.attrs["created_at"])[:10] for run in runs if "created_at" in run.trace.attrs})
+    return f" Sampled on {' to '.join(dict.fromkeys((days[0], days[-1])))}." if days else ""
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
@@ -78,15 +86,16 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
     )
     first = next(iter(runs.values()))
     links = tuple(Link(run.title, files[name]) for name, run in runs.items())
-    lead = f"Bayesian model updating by {len(runs)} sampler{'s' if len(runs) > 1 else ''}."
     return Page(
         str(first.trace.attrs["problem"]),
-        lead,
+        f"Bayesian model updating by {len(runs)} sampler{'s' if len(runs) > 1 else ''}",
+        _dates(runs.values()).strip(),
         _common_verdicts(runs),
         _without_omissions(found),
         links,
         _footer(first),
         origin.assumptions(_told(runs)),
+        structure_drawing(first.trace),
     )
 
 

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import fmu
-from fmu.analysis.trace.modal_states import modal_states
+from fmu.analysis.trace.conversion import save_trace
+from fmu.analysis.trace.modal_states import modal_states, sketch_of
+from fmu.fem.frame.drawing import drawing, drawn
 from fmu.fem.modes.modal import mac
 
 
@@ -64,6 +67,9 @@ def test_measured_shapes_are_the_reference(young):
     found = modal_states(problem, {"start": young.start})
     assert found["mac"].attrs["reference"] == "measured shapes, at the sensors"
     np.testing.assert_allclose(found["mac"][0], mac(shapes, shapes), rtol=1e-9, atol=1e-12)
+    ratio = found["measured"] / found["component"].sel(state="start")
+    np.testing.assert_allclose(ratio, ratio[:, :1] * np.ones(5), rtol=1e-9)
+    np.testing.assert_allclose(found["site"].sel(direction="x"), [0.1, 0.2, 0.3, 0.4, 0.49])
 
 
 def test_a_model_without_shapes_has_frequencies_alone(problem):
@@ -76,7 +82,15 @@ def test_matrices_without_a_place_have_no_drawing(young):
     bare = fmu.SeparableModel(structure.K_terms, structure.M_terms, structure.dofs)
     problem = fmu.UpdatingProblem(bare, young.data, young.parameters)
     found = modal_states(problem, {"start": problem.start})
-    assert set(found.data_vars) == {"theta", "frequency", "mac"}
+    assert set(found.data_vars) == {"theta", "frequency", "mac"}  # too many translations to list
+
+
+def test_a_trace_keeps_what_is_drawn_of_the_structure(young, tmp_path):
+    """The drawing from a file is that of the problem."""
+    trace = fmu.sample(young, "hmc", draws=5, warmup=5, chains=2, init="start")
+    found = sketch_of(fmu.load_trace(save_trace(trace, tmp_path / "hmc.nc")))
+    assert drawn(found) == drawing(young.model.structure, young.data.sensors)
+    assert sketch_of(xr.DataTree()) is None
 
 
 def test_no_state(problem):

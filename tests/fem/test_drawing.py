@@ -43,7 +43,7 @@ def test_which_parameter_changes_which_element():
 
 def test_elements_have_the_colour_of_their_first_parameter():
     model = halves()
-    assert parameter_colours(model) == [COLOURS[0], COLOURS[1], COLOURS[1]]
+    assert parameter_colours(changed_elements(model)) == [COLOURS[0], COLOURS[1], COLOURS[1]]
     drawn = [colour for colour, _ in lines(drawing(model))]
     assert drawn == [COLOURS[0]] * 25 + [COLOURS[1]] * 25
 

@@ -8,6 +8,7 @@ from fmu import sampling
 from fmu.paper.figures import ENOUGH, frequency_series, plot_convergence
 from fmu.paper.plan import SAMPLERS
 from fmu.report.plots import COLOURS, TITLES, Frequencies, plot_corner, plot_frequency_errors, plot_traces
+from fmu.report.plots.style import PALETTE
 
 LABELS = ["Ix1 / mm⁴", "Ix2 / mm⁴", "Ax1 / mm²", "Ax2 / mm²"]
 
@@ -40,7 +41,7 @@ def test_traces_show_the_draws_in_readable_units(result):
     first_chain = axes[2, 1].lines[1]  # drawn last
     expected = np.concatenate([mh["warmup_posterior"]["Ax1"][0], mh["posterior"]["Ax1"][0]]) / 1e-6
     np.testing.assert_allclose(first_chain.get_ydata(), expected)
-    assert to_hex(first_chain.get_color()).upper() == COLOURS["mh"]
+    assert to_hex(first_chain.get_color()).upper() == PALETTE[0]
     assert 100 in paths
     dotted = [line for line in axes[0, 0].lines if line.get_linestyle() == ":"]
     assert [float(line.get_ydata()[0]) for line in dotted] == pytest.approx([7050.0])

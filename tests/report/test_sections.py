@@ -112,7 +112,7 @@ def test_identifiability(hmc):
 
 def test_shapes_and_mac(hmc):
     section = structure.mac(hmc)
-    assert "modes before updating, at all translations" in section.parts[0].words
+    assert section.title == "MAC with the model's modes before updating"
     rows = table(structure.shapes(hmc))
     modes = hmc.trace["modes"].to_dataset()
     one, other = (modes.sel(state=state) for state in ("start", "posterior mean"))
@@ -128,6 +128,7 @@ def test_shapes_beside_measured_ones(hmc, monkeypatch):
     modes["mac"] = modes["mac"].assign_attrs(reference=MEASURED)
     trace["modes"] = xr.DataTree(modes)
     run = replace(hmc, trace=trace)
+    assert structure.mac(run).title == "MAC with the measured shapes"
     rows = table(structure.mac(run))
     before, after = (modes["mac"].sel(state=state).to_numpy() for state in ("start", "posterior mean"))
     assert [number(row["MAC before"]) for row in rows] == pytest.approx(np.diag(before), abs=6e-3)
@@ -255,3 +256,15 @@ def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):
     assert (model_fit(plain).is_good, model_fit(plain).answer) == (None, "Unknown")
     (fitted,) = runs_of({"hmc": hostile_traces["hmc"]}).values()
     assert (model_fit(fitted).is_good, model_fit(fitted).answer) == (True, "Yes")
+
+
+def test_pairs_are_those_of_the_strongest_correlations(hmc, monkeypatch):
+    """The two of the caption are among those drawn, and the text names the others."""
+    monkeypatch.setattr(chains, "_MOST_PAIRS", 2)
+    text, drawn = chains.pairs(hmc).parts
+    draws = np.stack([hmc.trace["posterior"][name].to_numpy().ravel() for name in hmc.names])
+    correlation = np.abs(np.corrcoef(draws)) - np.eye(len(draws))
+    i, j = sorted(np.unravel_index(np.argmax(correlation), correlation.shape))
+    assert f"of {hmc.names[i]} and {hmc.names[j]}" in drawn.caption
+    left = [name for name in hmc.names if name not in (hmc.names[i], hmc.names[j])]
+    assert text.words.endswith(f"Left out: {', '.join(left)}.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, given, hertz, rounded, share, shown, with_unit, written_digits
+from fmu.numbers import apart, given, hertz, rounded, share, shown, with_unit
 from fmu.tables import data_frame, distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
 
@@ -46,9 +46,6 @@ def theta_in_words(
     spread = np.zeros(len(theta)) if sd is None else np.nan_to_num(sd)
     parts = zip(names, theta, spread, units, strict=True)
     return ", ".join(f"{name} = {with_unit(float(x), unit, float(s))}" for name, x, s, unit in parts)
-
-
-_FEWEST_DIGITS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,12 +205,11 @@ class Maxima:
         ]
         for k, (factor, unit) in enumerate(map(shown, self.units)):
             sd = min((float(m.sd[k]) for m in best if m.share > NEGLIGIBLE and m.sd[k] > 0), default=np.nan)
-            values = (float(m.theta[k]) / factor for m in best)
-            rows.append([unit, given(self.start[k] / factor), *apart(*values, sd=sd / factor), ""])
+            values = (float(x[k]) / factor for x in (self.start, *(m.theta for m in best)))
+            rows.append([unit, *apart(*values, sd=sd / factor), ""])
         for k in range(len(self.labels)):
-            hz = (float(f[k]) for f in (self.before, *(m.frequencies for m in best), self.measured))
-            *texts, _ = hertz(*hz, digits=max(_FEWEST_DIGITS, written_digits(self.measured[k])))
-            rows.append(["Hz", *texts, given(self.measured[k])])
+            hz = (float(f[k]) for f in (self.before, *(m.frequencies for m in best)))
+            rows.append(["Hz", *hertz(*hz, measured=self.measured[k]), given(self.measured[k])])
         index = ["log-probability", "share of probability", "starts", *self.names]
         index += [f"mode {label}" for label in self.labels]
         header = ["unit", "before", *(f"maximum {k}" for k in range(1, len(best) + 1)), "measured"]

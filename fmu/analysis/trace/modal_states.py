@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.trace.reading import parameter_draws, with_group
+from fmu.analysis.trace.reading import has, parameter_draws, with_group
+from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from fmu.fem.modes.separable import SeparableModel
     from fmu.fem.pairing.paired_model import PairedStructure
+    from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -28,6 +30,8 @@ START, MEAN, MAXIMUM = "start", "posterior mean", "maximum"
 MEASURED = "measured shapes, at the sensors"
 """Reference of the MAC if shapes were measured."""
 _AXES = ("x", "y", "z")
+_MOST_COMPONENTS = 40
+"""At most so many translations of a structure without geometry are kept; of a larger one, those at the sensors."""
 
 
 def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> xr.DataTree:
@@ -60,9 +64,11 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         ``theta`` (state, parameter); ``frequency`` (state, mode), Hz, paired with the measured modes. Of a
         structure given by its matrices also ``mac`` (state, reference_mode, mode): with the measured shapes at the
         sensors if there are any, else with the shapes of the first state at all translations, as
-        ``mac.attrs["reference"]`` says. Where its geometry is known too, ``displacement`` (state, mode, node,
-        direction), the largest of each mode being 1, ``coordinates`` (node, direction) in m and ``ends``
-        (element, end), the nodes that each element joins.
+        ``mac.attrs["reference"]`` says; and ``component`` (state, mode, place), the shapes at the sensors, beside
+        ``measured`` (mode, place), if shapes were measured.
+        Where its geometry is known too, ``displacement`` (state, mode, node, direction), the largest of each mode
+        being 1 and ``component`` in proportion, and what `sketch_of` draws. Of a structure without geometry
+        ``component`` is at all translations if they are few, the largest of each mode being 1.
 
     Raises
     ------
@@ -103,25 +109,89 @@ def _aligned(shapes: FloatArray) -> FloatArray:
 
 
 def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes: FloatArray) -> dict[str, Any]:
-    if problem.data.shapes is None:
+    data = problem.data
+    if data.shapes is None:
         seen, name = shapes[:, structure.translations], "modes before updating, at all translations"
         reference = seen[0]
     else:
-        seen = structure.observation(problem.data.sensors).toarray() @ shapes
-        reference, name = np.asarray(problem.data.shapes), MEASURED
+        seen = structure.observation(data.sensors).toarray() @ shapes
+        reference, name = np.asarray(data.shapes), MEASURED
     alike = mac(seen, reference)
     variables: dict[str, Any] = {"mac": (("state", "reference_mode", "mode"), alike, {"reference": name})}
     if structure.geometry is None:
-        return variables
-    nodes = np.asarray(structure.geometry.nodes)
-    moved = np.zeros((len(shapes), shapes.shape[2], len(nodes), 3))
+        return variables | _components(structure, data, shapes)
+    sketched = sketch(structure, data.sensors)
+    moved = np.zeros((len(shapes), shapes.shape[2], len(sketched.nodes), 3))
     for (node, direction), i in structure.dof_of.items():
         if direction in _AXES:
             moved[:, :, node, _AXES.index(direction)] = shapes[:, i]
-    size = np.max(np.linalg.norm(moved, axis=3), axis=2)[..., None, None]
-    return variables | {
-        "displacement": (("state", "mode", "node", "direction"), moved / np.where(size > 0, size, 1.0)),
-        "coordinates": (("node", "direction"), nodes, {"units": "m"}),
-        "ends": (("element", "end"), np.asarray(structure.geometry.elements)),
+    size = np.max(np.linalg.norm(moved, axis=3), axis=2)
+    size[size == 0] = 1.0
+    variables |= _sketch_variables(sketched) | _components(structure, data, shapes, size)
+    variables["displacement"] = (("state", "mode", "node", "direction"), moved / size[..., None, None])
+    if "component" in variables:
+        sensors = zip(data.sensors, sketched.places[np.array(sketched.kinds) == "sensor"], strict=True)
+        site = {_unsigned(sensor): place for sensor, place in sensors}
+        variables["site"] = (("place", "direction"), np.array(list(site.values())), {"units": "m"})
+    return variables
+
+
+def _unsigned(sensor: tuple[Any, str]) -> tuple[Any, str]:
+    """Return the name of a degree of freedom that a sensor reads, whatever its polarity."""
+    return sensor[0], sensor[1].removeprefix("-")
+
+
+def _components(
+    structure: SeparableModel, data: ModalData, shapes: FloatArray, size: FloatArray | None = None
+) -> dict[str, Any]:
+    """Return the shapes at single places beside the measured ones; the largest is 1 where no `size` is given."""
+    sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
+    measured: dict[tuple[Any, str], FloatArray] = {}
+    if data.shapes is not None:
+        rows = np.asarray(data.shapes) * np.array(sign)[:, None]
+        measured = dict(zip(map(_unsigned, data.sensors), rows, strict=True))
+    places = list(measured)
+    if structure.geometry is None and len(structure.translations) <= _MOST_COMPONENTS:
+        places = [structure.dofs[i] for i in structure.translations]
+    if not places:
+        return {}
+    seen = structure.observation(places).toarray() @ shapes
+    if size is None:
+        size = np.max(np.abs(seen), axis=1)
+        size[size == 0] = 1.0
+    nothing = np.full(shapes.shape[2], np.nan)
+    found: dict[str, Any] = {
+        "component": (("state", "mode", "place"), (seen / size[:, None]).swapaxes(1, 2)),
+        "place": [f"{node} {direction}" for node, direction in places],
+    }
+    if measured:
+        found["measured"] = (("mode", "place"), np.array([measured.get(place, nothing) for place in places]).T)
+    return found
+
+
+def _sketch_variables(found: Sketch) -> dict[str, Any]:
+    """Return what is drawn of a structure as variables of a dataset, see `sketch_of`."""
+    variables = {
+        "coordinates": (("node", "direction"), found.nodes, {"units": "m"}),
+        "ends": (("element", "end"), found.elements),
+        "changed": (("element", "structural"), found.changed.astype(np.int8)),
         "direction": ("direction", list(_AXES)),
     }
+    if found.kinds:
+        variables["symbol"] = ("symbol", list(found.kinds))
+        variables["symbol_place"] = (("symbol", "direction"), found.places, {"units": "m"})
+        variables["symbol_end"] = (("symbol", "direction"), found.ends)
+    return variables
+
+
+def sketch_of(trace: xr.DataTree) -> Sketch | None:
+    """Return what is drawn of the structure; None if it has no geometry, or an older version of fmu sampled it."""
+    if not has(trace, GROUP, "changed"):
+        return None
+    modes = trace[GROUP].to_dataset()
+    kinds = tuple(map(str, modes["symbol"].to_numpy())) if "symbol" in modes else ()
+    places, ends = (
+        modes[name].to_numpy() if kinds else np.empty((0, 3)) for name in ("symbol_place", "symbol_end")
+    )
+    nodes, elements = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
+    return Sketch(nodes, elements, modes["changed"].to_numpy().astype(bool), kinds, places, ends)

@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import platform
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dic
     """Return the attributes of the root of a trace, all numbers or text, as netCDF requires.
 
     ``n_solves`` and ``n_gradients`` count the retained draws, ``warmup_n_solves`` and ``warmup_n_gradients`` the
-    warm-up. ``wall_s`` is the time of sampling, warm-up included.
+    warm-up. ``wall_s`` is the time of sampling, warm-up included, and ``created_at`` the UTC time after it.
     """
     settings = configuration(result, density, start)
     costs = {
@@ -105,6 +106,7 @@ def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dic
         "configuration": canonical_json(settings),
         "configuration_hash": configuration_hash(settings),
         "versions": canonical_json(versions()),
+        "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "wall_s": float(result.wall_s),
         "warmup_wall_s": float(result.warmup_wall_s),
         **costs,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from fmu.fem.modes.separable import Geometry, SeparableModel
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """Okabe & Ito's colour-blind safe palette."""
@@ -20,45 +22,89 @@ _AXES = ("x", "y", "z")
 _ROTATIONS = ("rx", "ry", "rz")
 
 
-def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
-    """Draw a structure: elements in the colour of the first parameter that changes them, and what is at the nodes.
+@dataclass(frozen=True, eq=False)
+class Sketch:
+    """What is drawn of a structure.
 
-    Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
-
-    Parameters
+    Attributes
     ----------
-    model : SeparableModel
-        With its geometry.
-    sensors : sequence of (place, direction)
-        Translations are marked by arrows, those of a rigid arm at its end.
+    nodes : ndarray, shape (n_nodes, 3), m
+    elements : ndarray of int, shape (n_elements, 2)
+    changed : ndarray of bool, shape (n_elements, n_parameters)
+        Which parameter changes which element, see `changed_elements`.
+    kinds : tuple of str
+        ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``, one for each symbol.
+    places : ndarray, shape (n_symbols, 3), m
+    ends : ndarray, shape (n_symbols, 3)
+        The other end of an arm or a spring, m; the direction of a sensor. NaN for supports, masses, springs to the
+        ground and sensors of rotations.
+    """
 
-    Returns
-    -------
-    str
-        An SVG element.
+    nodes: FloatArray
+    elements: IntArray
+    changed: BoolArray
+    kinds: tuple[str, ...]
+    places: FloatArray
+    ends: FloatArray
+
+
+def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sketch:
+    """Return what is drawn of a structure, with its sensors (place, direction).
 
     Raises
     ------
     ValueError
         If the model does not know its geometry.
     """
-    geometry = _geometry(model)
-    view = _view(geometry.nodes)
-    at_node = {node: geometry.nodes[node] for node in range(len(geometry.nodes))}
-    tips = {name: geometry.nodes[arm.node] + arm.offset for name, arm in model.arms.items()}
-    points = at_node | tips
-    place = dict(zip(points, _fitted(np.array(list(points.values())) @ view.T), strict=True))
-    parts = [_line(place[model.arms[name].node], place[name], UNCHANGED, 1.5) for name in tips]
+    geometry, nowhere = _geometry(model), np.full(3, np.nan)
+    nodes = np.asarray(geometry.nodes, dtype=float)
+    tips = {name: nodes[arm.node] + arm.offset for name, arm in model.arms.items()}
+    place = dict(enumerate(nodes)) | tips
+    symbols = [("arm", nodes[model.arms[name].node], tip) for name, tip in tips.items()]
+    symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
+    symbols += [("support", nodes[node], nowhere) for node in _supported(model)]
+    symbols += [("mass", nodes[node], nowhere) for node in geometry.masses]
+    symbols += [("sensor", place[n], nowhere if d[-2:] in _ROTATIONS else _pointing(d)) for n, d in sensors]
+    kinds = tuple(kind for kind, *_ in symbols)
+    places, ends = (np.array([symbol[k] for symbol in symbols]).reshape(-1, 3) for k in (1, 2))
+    return Sketch(nodes, np.asarray(geometry.elements), changed_elements(model), kinds, places, ends)
+
+
+def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
+    """Draw a structure with its sensors (place, direction), see `drawn`; ValueError if it has no geometry."""
+    return drawn(sketch(model, sensors))
+
+
+def drawn(structure: Sketch) -> str:
+    """Draw elements in the colour of the first parameter that changes them, and what is at the nodes.
+
+    Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
+
+    Returns
+    -------
+    str
+        An SVG element.
+    """
+    view, kinds = _view(structure.nodes).T, np.array(structure.kinds)
+    tips = structure.ends[kinds == "arm"]
+    n, fit = len(structure.nodes), _fit(np.concatenate([structure.nodes, tips]) @ view)
+    place, places, ends = (fit(x @ view) for x in (structure.nodes, structure.places, structure.ends))
+    colours = element_colours(structure.changed)
+    parts = [_line(a, b, UNCHANGED, 1.5) for a, b in zip(places[kinds == "arm"], fit(tips @ view), strict=True)]
     parts += [
-        _line(place[a], place[b], colour, 4)
-        for (a, b), colour in zip(geometry.elements, element_colours(changed_elements(model)), strict=True)
+        _line(place[a], place[b], colour, 4) for (a, b), colour in zip(structure.elements, colours, strict=True)
     ]
-    parts += [_spring(place[a], None if b is None else place[b]) for a, b in geometry.springs]
-    parts += [_support(place[node]) for node in _supported(model)]
-    parts += [_dot(place[node], 6, UNCHANGED) for node in geometry.masses]
-    parts += [_arrow(place[n], _pointing(d) @ view.T) for n, d in sensors if d[-2:] not in _ROTATIONS]
-    words = f"{len(at_node)} nodes, {len(geometry.elements)} elements, {len(sensors)} sensors"
-    height = max(y for _, y in place.values()) + _MARGIN
+    for kind, a, b, pointing in zip(structure.kinds, places, ends, structure.ends @ view, strict=True):
+        if kind == "spring":
+            parts.append(_spring(a, b))
+        elif kind == "support":
+            parts.append(_support(a))
+        elif kind == "mass":
+            parts.append(_dot(a, 6, UNCHANGED))
+        elif kind == "sensor" and not np.isnan(pointing).any():
+            parts.append(_arrow(a, pointing))
+    words = f"{n} nodes, {len(structure.elements)} elements, {np.sum(kinds == 'sensor')} sensors"
+    height = np.concatenate([place, fit(tips @ view)])[:, 1].max() + _MARGIN
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" '
         f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{_WIDTH:.0f}px">'
@@ -72,9 +118,8 @@ def element_colours(changed: BoolArray) -> list[str]:
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
-def parameter_colours(model: SeparableModel) -> list[str | None]:
+def parameter_colours(changed: BoolArray) -> list[str | None]:
     """Return the colour of the elements that each parameter changes, None where it changes none."""
-    changed = changed_elements(model)
     colours = element_colours(changed)
     return [colours[int(np.argmax(column))] if column.any() else None for column in changed.T]
 
@@ -89,20 +134,19 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     ValueError
         If the model does not know its geometry.
     """
-    elements = _geometry(model).elements
-    dofs: dict[Any, list[int]] = {}
-    for (node, _), i in model.dof_of.items():
-        dofs.setdefault(node, []).append(i)
-    ends = [(dofs.get(int(a), []), dofs.get(int(b), [])) for a, b in elements]
-    changed = np.zeros((len(ends), model.n_parameters), dtype=bool)
+    geometry = _geometry(model)
+    a, b = np.asarray(geometry.elements).T
+    nodes, dofs = [node for node, _ in model.dof_of], list(model.dof_of.values())
+    has = sp.csr_array((np.ones(len(dofs)), (nodes, dofs)), shape=(len(geometry.nodes), model.n_dof))
+    free = has.sum(axis=1) > 0
+    changed = np.zeros((len(a), model.n_parameters), dtype=bool)
     for term in (*model.K_terms, *model.M_terms):
-        parameters = np.flatnonzero(term.powers)
-        if not len(parameters):
+        if not any(term.powers):
             continue
-        matrix, diagonal = term.matrix.tocsr(), term.matrix.diagonal()
-        for e, (a, b) in enumerate(ends):
-            if matrix[a][:, b].nnz > 0 if a and b else np.any(diagonal[a or b]):
-                changed[e, parameters] = True
+        joined = (has @ abs(term.matrix) @ has.T).tocsr()
+        loaded = has @ np.abs(term.matrix.diagonal())
+        touched = np.where(free[a] & free[b], joined[a, b], loaded[np.where(free[a], a, b)]) > 0
+        changed[np.ix_(touched, np.flatnonzero(term.powers))] = True
     return changed
 
 
@@ -132,14 +176,18 @@ def _view(nodes: FloatArray) -> FloatArray:
     return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
 
 
-def _fitted(points: FloatArray) -> FloatArray:
-    """Return points (n, 2) in the picture, downwards from its top edge."""
+def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return the map of points (n, 2) into the picture, y upwards, that shows all of `points`."""
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     room = np.array([_WIDTH, _HEIGHT]) - 2.0 * _MARGIN
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
-    placed = _MARGIN + scale * (points - low)
-    placed[:, 1] = placed[:, 1].max() + _MARGIN - placed[:, 1]
-    return np.asarray(placed)
+    bottom = _MARGIN + scale * extent[1]
+
+    def fitted(points: FloatArray) -> FloatArray:
+        x, y = scale * (points - low).T
+        return np.stack([_MARGIN + x, bottom - y], axis=1)
+
+    return fitted
 
 
 def _supported(model: SeparableModel) -> list[int]:
@@ -168,9 +216,10 @@ def _dot(at: FloatArray, radius: float, colour: str) -> str:
     return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:g}" fill="{colour}"/>'
 
 
-def _spring(a: FloatArray, b: FloatArray | None) -> str:
-    """Draw a zigzag, down to a line where it ends in the ground; a ring between two nodes at one place."""
-    end = a + np.array([0.0, 22.0]) if b is None else b
+def _spring(a: FloatArray, b: FloatArray) -> str:
+    """Draw a zigzag, down to a line where it ends in the ground, b being NaN; a ring if a and b are one place."""
+    is_grounded = np.isnan(b).any()
+    end = a + np.array([0.0, 22.0]) if is_grounded else b
     along = end - a
     length = float(np.linalg.norm(along))
     if length < _FLAT:
@@ -179,7 +228,7 @@ def _spring(a: FloatArray, b: FloatArray | None) -> str:
     steps = [(0.0, 0), (0.2, 0), (0.3, 1), (0.5, -1), (0.7, 1), (0.8, 0), (1.0, 0)]
     zigzag = " ".join(f"{x:.1f},{y:.1f}" for x, y in (a + t * along + side * across for t, side in steps))
     half = np.array([8.0, 0.0])
-    ground = _line(end - half, end + half, "#000", 2) if b is None else ""
+    ground = _line(end - half, end + half, "#000", 2) if is_grounded else ""
     return f'<polyline points="{zigzag}" fill="none" stroke="#000" stroke-width="1.5"/>' + ground
 
 

@@ -25,10 +25,14 @@ from fmu.report.plots.style import (
     GREY,
     NARROW,
     PALE,
+    PALETTE,
+    broken,
     chain_colours,
     colour,
     finish,
+    height_of_row,
     legend_below,
+    legend_of_chains,
     literal,
     new_figure,
     stacked,
@@ -66,12 +70,14 @@ def plot_traces(
     ndarray of Axes, shape (parameters, traces)
     """
     names = parameter_names(next(iter(traces.values())))
-    figure = figure or new_figure(5.2 * len(traces) + 0.4, 1.55 * len(names) + 0.8)
+    row = 1.15 * height_of_row(len(names))
+    figure = figure or new_figure(5.2 * len(traces) + 0.4, row * len(names) + 0.8)
+    room = (figure.get_figheight() - 0.8) / len(names)
     axes = figure.subplots(len(names), len(traces), sharex="col", squeeze=False)
     for j, (title, trace) in enumerate(traces.items()):
         walkers = int(trace.attrs["walkers"])
         for i, name in enumerate(names):
-            _plot_path(axes[i, j], trace, name)
+            _plot_path(axes[i, j], trace, name, room)
         if trace["warmup_posterior"].sizes["draw"]:
             _say_above(axes[0, j], 0.5 * trace["warmup_posterior"].sizes["draw"] / walkers, "warm-up")
         axes[0, j].set_title(literal(title), fontsize=FONT + 1)
@@ -80,6 +86,7 @@ def plot_traces(
         for axis, name, value in zip(axes[:, 0], names, np.asarray(published, dtype=float), strict=True):
             _compare(axis, value / unit_of(next(iter(traces.values())), name).factor)
         _say_above(axes[0, 0], axes[0, 0].get_xlim()[1], "dotted: published", "right")
+    legend_of_chains(figure, next(iter(traces.values())))
     figure.align_ylabels(axes)
     return axes
 
@@ -97,8 +104,8 @@ def _compare(axes: Axes, value: float) -> None:
     axes.set_ylim(min(low, value - 0.05 * (high - low)), max(high, value + 0.05 * (high - low)))
 
 
-def _plot_path(axes: Axes, trace: xr.DataTree, name: str) -> None:
-    """Draw the paths of all chains in one parameter."""
+def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
+    """Draw the paths of all chains in one parameter; the label has a room in inches."""
     unit = unit_of(trace, name)
     walkers = int(trace.attrs["walkers"])
     warm, kept = (
@@ -119,7 +126,7 @@ def _plot_path(axes: Axes, trace: xr.DataTree, name: str) -> None:
         value = constant(trace, bound, name) / unit.factor
         if low - margin < value < high + margin:
             axes.axhline(value, color=BLACK, linestyle="--", linewidth=0.8)
-    finish(axes, y=literal(unit.label(name)))
+    finish(axes, y=broken(unit.label(name), room))
 
 
 _RANKED = (20, 500)
@@ -176,8 +183,10 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
         for path in (*axis.lines, *axis.collections):
             path.set_rasterized(True)
         axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        finish(axis, y=f"Δ ECDF of\n{literal(name)}")
+        finish(axis, y=broken(name, height_of_row(len(names))))
+    axes[0].figure.supylabel("Δ ECDF of the ranks", fontsize=FONT)
     axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
+    legend_of_chains(axes[0].figure, trace)
     axes[0].figure.align_ylabels(axes)
     return axes
 
@@ -208,9 +217,11 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
         for values, shade in zip(autocorrelation(draws[..., i], walkers), chain_colours(trace), strict=True):
             axis.plot(values[: _LAGS + 1], color=shade, linewidth=1.2)
         axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        finish(axis, y=f"autocorrelation\nof {literal(name)}")
+        finish(axis, y=broken(name, height_of_row(len(names))))
+    axes[0].figure.supylabel("autocorrelation", fontsize=FONT)
     axes[-1].set_xlabel("lag / steps", fontsize=FONT)
     axes[-1].set_xlim(0, min(_LAGS, draws.shape[1] // walkers - 1) or 1)
+    legend_of_chains(axes[0].figure, trace)
     return axes
 
 
@@ -254,6 +265,7 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 
 
 _DASHES = ("-", "--", "-.", ":")
+_BACKED = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 _FLOOR = 1e-3
 """Least value of R-hat − 1 that is drawn."""
 
@@ -289,12 +301,22 @@ def plot_running_means(
         axis.axhline(mean, color=GREY, linewidth=0.8, zorder=1)
         for chain, shade in enumerate(chain_colours(trace)):
             axis.plot(at, means[:, chain, i] / unit.factor, color=shade, linewidth=1.2)
-        axis.set_xscale("log")
-        axis.minorticks_off()
-        finish(axis, y=literal(unit.label(name)))
-    axes[-1].set_xlabel("steps kept", fontsize=FONT)
+        finish(axis, y=broken(unit.label(name), height_of_row(len(names))))
+    _logarithmic_steps(axes[-1])
+    legend_of_chains(axes[0].figure, trace)
     axes[0].figure.align_ylabels(axes)
     return axes
+
+
+def _logarithmic_steps(axes: Axes) -> None:
+    """Give axes a logarithmic abscissa of steps, with numbers in full."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("steps kept", fontsize=FONT)
 
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
@@ -309,23 +331,22 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     -------
     Axes
     """
-    figure = figure or new_figure(NARROW, 3.4)
+    names = parameter_names(trace)
+    figure = figure or new_figure(NARROW, 3.0 + 0.1 * len(names))
     axes = figure.subplots()
     at, rhat = running_rhat(trace)
-    shades = chain_colours(trace)
-    base = colour(str(trace.attrs["sampler"]))
-    for i, name in enumerate(parameter_names(trace)):
-        dashes = _DASHES[i % len(_DASHES)]
-        shade = base if i < len(_DASHES) else shades[-1]
+    for i, name in enumerate(names):
+        shade, dashes = PALETTE[i % len(PALETTE)], _DASHES[i // len(PALETTE) % len(_DASHES)]
         above = np.maximum(rhat[:, i] - 1.0, _FLOOR)
         axes.plot(at, above, label=literal(name), color=shade, linestyle=dashes, linewidth=1.6)
     axes.plot(at[[0, -1]], [RHAT_LIMIT - 1.0] * 2, color=BLACK, linewidth=1.0)
     axes.annotate(f"limit {given(RHAT_LIMIT)}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
-                  ha="right", fontsize=FONT - 2)  # fmt: skip
+                  ha="right", fontsize=FONT - 2, bbox=_BACKED)  # fmt: skip
     finite = rhat[np.isfinite(rhat)] - 1.0
     axes.set_ylim(_FLOOR, max(3.0 * (RHAT_LIMIT - 1.0), 1.3 * finite.max(initial=0.0)))
-    axes.set(xscale="log", yscale="log")
+    axes.set_yscale("log")
     axes.minorticks_off()
-    finish(axes, "steps kept", f"R-hat − 1 (at least {given(_FLOOR)})")
+    _logarithmic_steps(axes)
+    finish(axes, y=f"R-hat − 1\n(at least {given(_FLOOR)})")
     legend_below(axes)
     return axes

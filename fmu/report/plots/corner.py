@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.trace.reading import constant, parameter_draws, parameter_names
-from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, literal, new_figure, tint, unit_of
+from fmu.report.plots.style import BLACK, FONT, VERMILLION, broken, colour, new_figure, tint, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
 _ROOM, _CLEAR = 0.06, 0.09
+_WIDTH, _SIDE, _EDGE = 10.0, (1.25, 2.0), 1.05
+"""Width of all panels, least and largest side of one, and room for labels to the left and below, inches."""
 
 
 def plot_corner(
@@ -61,14 +63,14 @@ def plot_corner(
     draws = draws[:: max(1, len(draws) // _MAX_DRAWS)]
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
     base = colour(str(trace.attrs["sampler"]))
-    size = 2.0 * len(names) + 0.6
+    side = float(np.clip(_WIDTH / len(names), *_SIDE))
+    size = side * len(names) + _EDGE + 0.2
     figure = figure or new_figure(size, size, layout=None)  # corner arranges the panels
     corner.corner(
         draws,
         fig=figure,
-        labels=[literal(unit.label(name)) for name, unit in zip(names, units, strict=True)],
+        labels=[broken(unit.label(name), side) for name, unit in zip(names, units, strict=True)],
         label_kwargs={"fontsize": FONT + 1},
-        labelpad=-0.04,
         range=_frames(draws, *bounds),
         bins=36,
         smooth=0.9,
@@ -82,6 +84,10 @@ def plot_corner(
         quiet=True,
     )
     axes = np.array(figure.axes).reshape(len(names), len(names))
+    figure.subplots_adjust(left=_EDGE / size, bottom=_EDGE / size, right=1 - 0.1 / size, top=1 - 0.1 / size)
+    for x, y in zip(axes[-1], axes[:, 0], strict=True):
+        x.xaxis.set_label_coords(0.5, -0.3 / side)
+        y.yaxis.set_label_coords(-0.45 / side, 0.5)
     for region in (region for panel in figure.axes for region in panel.collections):
         region.set_rasterized(True)
     marks = {"start": _point(trace, names, "start") / factor}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
+    turned,
 )
 from fmu.types import FloatArray
 
@@ -31,10 +32,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-_LETTER = 0.1
-"""Width in inches of a letter of a tick label, including its share of the gaps."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +91,10 @@ def plot_frequency_errors(
             x, error, linestyle="none", marker="o", markersize=7, color=entry.colour, label=entry.label, zorder=3,
             markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5,
         )  # fmt: skip
-    turned = _turned(labels, figure.get_figwidth())
-    between = ", " if turned else "\n"
+    options = turned(labels, figure.get_figwidth())
+    between = ", " if options else "\n"
     names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
-    axes.set_xticks(centre, names, **turned)
+    axes.set_xticks(centre, names, **options)
     axes.set_xlim(-0.5, len(measured) - 0.5)
     finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")
     legend_below(axes)
@@ -138,7 +135,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
             Frequencies("the same for one more test", table["mean"], BLACK, filled=False, interval_hz=ends)
         )
     labels = [literal(str(mode)) for mode in table.index]
-    figure = figure or new_figure(NARROW, 5.2 if _turned(labels, NARROW) else 4.2)
+    figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
     return plot_frequency_errors(table["measured"], series, labels, figure)
 
 
@@ -209,15 +206,8 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
         axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
     labels = [literal(str(mode)) for mode in narrow.index]
-    axes.set_xticks(x, labels, **_turned(labels, figure.get_figwidth()))
+    axes.set_xticks(x, labels, **turned(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
     finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")
     legend_below(axes)
     return axes
-
-
-def _turned(labels: Sequence[str], width: float) -> dict[str, Any]:
-    """Return the options that rotate tick labels which do not fit side by side in a width in inches."""
-    if max(map(len, labels)) * _LETTER <= width / len(labels):
-        return {}
-    return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

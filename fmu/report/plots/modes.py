@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.trace.modal_states import GROUP, MEAN, START
+from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import has
 from fmu.numbers import fixed, hertz
 from fmu.report.plots.style import (
@@ -22,8 +22,9 @@ from fmu.report.plots.style import (
     literal,
     new_figure,
     stacked,
+    turned,
 )
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,7 +72,8 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     values = modes["mac"].sel(state=state).transpose("reference_mode", "mode").to_numpy()
     n, m = values.shape
     labels = [literal(str(label)) for label in modes["mode"].to_numpy()]
-    is_long = max(map(len, labels)) > _SHORT
+    is_long = max(map(len, labels)) > _SHORT  # those of the rows need room beside the cells
+    is_measured = modes["mac"].attrs["reference"] == MEASURED
     side = max(0.75 * NARROW, _CELL * m)
     figure = figure or new_figure(side + (2.4 if is_long else 0.25 * NARROW), 0.6 + side * n / m + 0.8 * is_long)
     axes = figure.subplots()
@@ -82,28 +84,28 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > _ONE_COLUMN else 0.0)).tolist():
             axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
                       color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
-    turned: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if is_long else {}
-    axes.set_xticks(np.arange(m) + 0.5, labels, **turned)
+    axes.set_xticks(np.arange(m) + 0.5, labels, **turned(labels, side))
     axes.set_yticks(np.arange(n) + 0.5, [literal(str(label)) for label in modes["reference_mode"].to_numpy()])
     axes.invert_yaxis()
     axes.set_aspect("equal")
     axes.set_xlabel(f"mode of the model, {literal(state)}", fontsize=FONT)
-    axes.set_ylabel("mode of the reference", fontsize=FONT)
+    axes.set_ylabel("measured shape" if is_measured else "mode of the model before updating", fontsize=FONT)
     figure.colorbar(mesh, ax=axes, shrink=0.8, label="MAC")
     finish(axes)
     return axes
 
 
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
-    """Draw the structure deformed in each mode, before updating (dashed) and at the posterior mean.
+    """Draw each mode before updating (dashed) and at the posterior mean, and the measured shape (diamonds).
 
-    A straight structure is drawn with its largest displacement upwards; any other one in isometric projection with
-    scaled displacements, many modes in two columns.
+    A straight structure is drawn with its largest displacement upwards, any other one from the side or in
+    isometric projection with scaled displacements, many modes in two columns. Of a structure without geometry the
+    components of the shapes are drawn. Measured shapes are scaled to the posterior mean by least squares.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``displacement`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
+        With ``displacement`` or ``component`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
     figure : Figure, optional
 
     Returns
@@ -115,32 +117,24 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     ValueError
         If the trace has no shapes.
     """
-    modes = _modes(trace, "displacement")
-    coordinates, ends = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
-    labels = [str(label) for label in modes["mode"].to_numpy()]
-    base = colour(str(trace.attrs["sampler"]))
-    is_line = np.linalg.matrix_rank(coordinates - coordinates[0], tol=_FLAT * np.ptp(coordinates)) <= 1
-    draw = _draw_along if is_line else _draw_isometric
-    if is_line or len(labels) <= _ONE_COLUMN:
-        axes = stacked(len(labels), figure, 1.3 if is_line else 2.6)
+    is_placed = has(trace, GROUP, "displacement")
+    modes = _modes(trace, "displacement" if is_placed else "component")
+    labels, base = [str(label) for label in modes["mode"].to_numpy()], colour(str(trace.attrs["sampler"]))
+    is_line = is_placed and np.sum(_is_wide(modes["coordinates"].to_numpy())) == 1
+    draw = _draw_along if is_line else _draw_projected if is_placed else _draw_components
+    if is_line or not is_placed or len(labels) <= _ONE_COLUMN:
+        axes = stacked(len(labels), figure, 1.3 if is_line else 1.6 if not is_placed else 2.6)
     else:
         axes = _in_pairs(len(labels), figure)
-    states = ((START, GREY, "--"), (MEAN, base, "-"))
     for label, axis in zip(labels, axes, strict=True):
         one = modes.sel(mode=label)
-        shapes = [one["displacement"].sel(state=state).to_numpy() for state, *_ in states]
-        draw(axis, coordinates, ends, shapes, [(shade, dashes) for _, shade, dashes in states])
-        for line, words in zip(axis.lines[-2:], ("before updating", "posterior mean"), strict=True):
-            line.set_label(words)
-        before, after = (float(one["frequency"].sel(state=state)) for state, *_ in states)
+        below = draw(axis, one, base)
+        before, after = (float(one["frequency"].sel(state=state)) for state in (START, MEAN))
         hz = hertz(before, after)
         axis.set_title(f"mode {literal(label)}: {hz[0]} Hz before, {hz[1]} Hz after",
                        fontsize=FONT, loc="left")  # fmt: skip
         finish(axis)
-        if not axis.get_subplotspec().is_first_col():
-            axis.set_ylabel("")
-    for axis in axes[-2:] if len(axes) > 1 and axes[-2].get_subplotspec().is_last_row() else axes[-1:]:
-        axis.set_xlabel("position along the structure / m" if is_line else "projected position / m", fontsize=FONT)
+    axes[-1].set_xlabel(below, fontsize=FONT)
     legend_below(axes[0])
     axes[0].figure.align_ylabels(axes)
     return axes
@@ -149,7 +143,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
 def _in_pairs(n: int, figure: Figure | None) -> NDArray[Any]:
     """Return `n` axes in two columns with common ordinate and abscissa, shape (n,)."""
     rows = (n + 1) // 2
-    figure = figure or new_figure(2 * NARROW, 2.8 * rows + 0.5)
+    figure = figure or new_figure(2 * NARROW, 2.2 * rows + 0.5)
     axes = figure.subplots(rows, 2, sharex=True, sharey=True).ravel()
     for spare in axes[n:]:
         spare.remove()
@@ -162,40 +156,104 @@ def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
     return trace[GROUP].to_dataset()
 
 
-def _draw_along(
-    axis: Axes, coordinates: FloatArray, ends: Any, shapes: list[FloatArray], styles: list[tuple[str, str]]
-) -> None:
-    """Draw a straight structure: position to the right, the largest displacement upwards."""
-    centred = coordinates - coordinates[0]
-    along = centred[np.argmax(np.linalg.norm(centred, axis=1))]
-    x = centred @ (along / np.linalg.norm(along))
-    direction = int(np.argmax(np.sum(shapes[0] ** 2, axis=0)))
+def _is_wide(coordinates: FloatArray) -> BoolArray:
+    """Say in which of the directions x, y, z a structure extends, shape (3,)."""
+    extent = np.ptp(coordinates, axis=0)
+    return np.asarray(extent > _FLAT * extent.max())
+
+
+def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
+    """Return state, words, colour and dashes of the shapes drawn."""
+    return (START, "before updating", GREY, "--"), (MEAN, "posterior mean", base, "-")
+
+
+def _measured(one: xr.Dataset) -> FloatArray | None:
+    """Return the measured components of one mode scaled to the posterior mean, NaN where nothing was measured."""
+    if "measured" not in one:
+        return None
+    seen, computed = one["measured"].to_numpy(), one["component"].sel(state=MEAN).to_numpy()
+    return np.asarray(seen * np.nansum(seen * computed) / np.nansum(seen**2))
+
+
+def _measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
+    """Return the places of the sensors and the measured displacements there, shapes (places, 3)."""
+    seen = _measured(one)
+    if seen is None:
+        return None
+    places, at = np.unique(one["site"].to_numpy(), axis=0, return_inverse=True)
+    moved = np.zeros((len(places), 3))
+    for k, label, value in zip(at, one["place"].to_numpy(), seen, strict=True):
+        if str(label)[-2:] in (" x", " y", " z"):
+            moved[k, "xyz".index(str(label)[-1])] = value
+    return places, moved
+
+
+def _mark(axis: Axes, points: FloatArray) -> None:
+    """Mark measured values at points, shape (n, 2)."""
+    axis.plot(*points.T, linestyle="none", marker="D", markersize=5, color=BLACK, markerfacecolor="white",
+              label="measured", zorder=5)  # fmt: skip
+
+
+def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
+    """Draw a straight structure, the largest displacement upwards; return the label below."""
+    coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
+    (along,) = np.flatnonzero(_is_wide(coordinates))
+    first = one["displacement"].sel(state=START).to_numpy()
+    direction = int(np.argmax(np.sum(first**2, axis=0)))
+    upright = np.sign(first[np.argmax(np.abs(first[:, direction])), direction])
     axis.axhline(0.0, color=BLACK, linewidth=0.6, zorder=0)
-    upright = np.sign(shapes[0][np.argmax(np.abs(shapes[0][:, direction])), direction])
-    for shape, style in zip(shapes, styles, strict=True):
-        _lines(axis, np.stack([x, upright * shape[:, direction]], axis=1), ends, *style)
+    for state, words, shade, dashes in _styles(base):
+        shape = one["displacement"].sel(state=state).to_numpy()
+        points = np.stack([coordinates[:, along], upright * shape[:, direction]], axis=1)
+        _lines(axis, points, ends, shade, dashes, words)
+    if (seen := _measured_at(one)) is not None:
+        _mark(axis, np.stack([seen[0][:, along], upright * seen[1][:, direction]], axis=1))
     axis.set_ylim(-1.15, 1.15)
     axis.set_yticks([-1, 0, 1])
     axis.set_ylabel(f"{'xyz'[direction]} displ.\n/ largest", fontsize=FONT)
+    return f"{'xyz'[along]} / m"
 
 
-def _draw_isometric(
-    axis: Axes, coordinates: FloatArray, ends: Any, shapes: list[FloatArray], styles: list[tuple[str, str]]
-) -> None:
-    """Draw a structure in space, undeformed in thin lines and deformed."""
-    project = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0, 1.0]])
+def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
+    """Draw a structure undeformed in thin lines and deformed; return the label below, which is empty."""
+    coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
-    _lines(axis, coordinates @ project, ends, BLACK, "-", 0.6)
-    for shape, style in zip(shapes, styles, strict=True):
-        _lines(axis, (coordinates + swing * shape) @ project, ends, *style)
+    project = _projection(coordinates, one["displacement"].to_numpy())
+    _lines(axis, coordinates @ project, ends, BLACK, "-", width=0.6)
+    for state, words, shade, dashes in _styles(base):
+        moved = coordinates + swing * one["displacement"].sel(state=state).to_numpy()
+        _lines(axis, moved @ project, ends, shade, dashes, words)
+    if (seen := _measured_at(one)) is not None:
+        _mark(axis, (seen[0] + swing * seen[1]) @ project)
     axis.set_aspect("equal")
-    axis.set_ylabel("projected\nheight / m", fontsize=FONT)
+    axis.set_axis_off()
+    return ""
 
 
-def _lines(axis: Axes, nodes: FloatArray, ends: Any, shade: str, dashes: str, width: float = 1.8) -> None:
+def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
+    """Draw the components of the shapes of a structure without geometry; return the label below."""
+    x, places = np.arange(one.sizes["place"]), [str(label) for label in one["place"].to_numpy()]
+    directions = {place.rpartition(" ")[2] for place in places}
+    if len(directions) == 1:
+        places = [place.rpartition(" ")[0] for place in places]
+    axis.axhline(0.0, color=BLACK, linewidth=0.6, zorder=0)
+    for state, words, shade, dashes in _styles(base):
+        axis.plot(x, one["component"].sel(state=state), color=shade, linestyle=dashes, marker="o", markersize=3,
+                  linewidth=1.4, label=words)  # fmt: skip
+    if (seen := _measured(one)) is not None:
+        _mark(axis, np.stack([x, seen], axis=1))
+    axis.set_xticks(x, [literal(place) for place in places], **turned(places, NARROW))
+    direction = f"{directions.pop()} " if len(directions) == 1 else ""
+    axis.set_ylabel(f"{direction}displ.\n/ largest", fontsize=FONT)
+    return "degree of freedom"
+
+
+def _lines(
+    axis: Axes, nodes: FloatArray, ends: Any, shade: str, dashes: str, words: str = "", width: float = 1.8
+) -> None:
     """Draw all elements as one line, with gaps between elements that are not connected in sequence."""
     x, y = _strokes(nodes, ends).T
-    axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width)
+    axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width, label=words or None)
 
 
 def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:
@@ -211,6 +269,13 @@ def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:
 
 
 _ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0, 1.0]])
+
+
+def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray:
+    """Return the picture's axes, shape (3, 2): a plane structure that moves in its plane from the side."""
+    wide = np.flatnonzero(_is_wide(coordinates))
+    in_plane = len(wide) == 2 and np.sum(displacement[..., wide] ** 2) > 0.5 * np.sum(displacement**2)
+    return np.asarray(np.eye(3)[:, wide] if in_plane else _ISOMETRIC)
 
 
 def plot_mode(
@@ -235,9 +300,7 @@ def plot_mode(
     """
     figure = figure or new_figure(NARROW, 2.3)
     axes = figure.subplots()
-    extent = np.ptp(coordinates, axis=0)
-    wide = np.flatnonzero(extent > _FLAT * extent.max())
-    swing = _SWING * float(extent.max())
+    wide, swing = np.flatnonzero(_is_wide(coordinates)), _SWING * float(np.ptp(coordinates, axis=0).max())
     if len(wide) == 1:
         across = int(np.argmax(np.sum(displacement**2, axis=0)))
         x, u = coordinates[:, wide[0]], displacement[:, across]
@@ -246,8 +309,7 @@ def plot_mode(
         axes.set_xlabel(f"{'xyz'[wide[0]]} / m", fontsize=FONT)
         axes.set_ylabel(f"{'xyz'[across]} displacement\n/ largest", fontsize=FONT)
     else:
-        in_plane = len(wide) == 2 and np.sum(displacement[:, wide] ** 2) > 0.5 * np.sum(displacement**2)
-        project = np.eye(3)[:, wide] if in_plane else _ISOMETRIC
+        project = _projection(coordinates, displacement)
         undeformed, deformed = coordinates @ project, (coordinates + swing * displacement) @ project
         axes.set_aspect("equal")
         axes.set_axis_off()

@@ -26,6 +26,7 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
+    turned,
     unit_of,
 )
 
@@ -73,7 +74,8 @@ def plot_parameter_updates(
     for name in names:
         groups.setdefault((unit_of(first, name).name, name in noise), []).append(name)
     tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
-    figure = figure or new_figure(NARROW, 2.5 * len(groups) + 0.6)
+    tilted = sum(bool(turned(members, NARROW)) for members in groups.values())
+    figure = figure or new_figure(NARROW, 2.5 * len(groups) + 0.6 * tilted + 0.6)
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
     points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
     values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
@@ -118,7 +120,7 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
     if np.all(np.isfinite(start)):
         axis.plot(x, start, linestyle="none", marker="_", markersize=24, markeredgewidth=1.8, color=BLACK,
                   label="start", zorder=1)  # fmt: skip
-    axis.set_xticks(x, [literal(name) for name in members])
+    axis.set_xticks(x, [literal(name) for name in members], **turned(members, NARROW))
     axis.set_xlim(-0.6, len(members) - 0.4)
     axis.use_sticky_edges = False
     axis.margins(y=0.06)

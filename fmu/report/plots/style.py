@@ -1,12 +1,15 @@
-"""What all figures share: a colour for each sampler (Okabe & Ito's colour-blind safe palette), sizes, units."""
+"""What all figures share: colours of samplers and chains (Okabe & Ito's, colour-blind safe), sizes, units."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.trace.reading import walkers_of
+from fmu.fem.frame import drawing
 from fmu.numbers import Unit, shown
 from fmu.samplers.registry import SAMPLERS, sampler_class
 
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
 
 COLOURS = {name: sampler_class(name).colour for name in SAMPLERS}
 TITLES = {name: sampler_class(name).title for name in SAMPLERS}
+PALETTE = drawing.COLOURS
 BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
 VERMILLION = "#D55E00"
 FONT = 10
@@ -26,6 +30,10 @@ NARROW = 4.6
 """Width in inches of a figure whose labels are readable on a phone."""
 _LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
 """Width in inches of a legend handle, and of a letter of its label."""
+_LABEL_LETTER = 0.085
+"""Width in inches of a letter of an axis label."""
+_TICK_LETTER = 0.1
+"""Width in inches of a letter of a tick label, including its share of the gaps."""
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
@@ -60,10 +68,21 @@ def tint(base: str, share: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def chain_colours(trace: xr.DataTree) -> list[tuple[float, float, float]]:
-    """Return a tint of the sampler's colour for each chain, from dark to light."""
-    base = colour(str(trace.attrs["sampler"]))
-    return [tint(base, 0.18 * min(chain, 4)) for chain in range(trace["posterior"].sizes["chain"])]
+def chain_colours(trace: xr.DataTree) -> list[str]:
+    """Return a colour for each chain, whatever the sampler; from the seventh chain on they repeat."""
+    return [PALETTE[chain % len(PALETTE)] for chain in range(trace["posterior"].sizes["chain"])]
+
+
+def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
+    """Name the colours of the chains below the figure, if each chain has its own."""
+    from matplotlib.lines import Line2D
+
+    shades = chain_colours(trace)
+    if 1 < len(shades) <= len(PALETTE):
+        kind = "chain" if walkers_of(trace) == 1 else "ensemble"
+        handles = [Line2D([], [], color=shade, label=f"{kind} {k}") for k, shade in enumerate(shades, 1)]
+        columns = max(1, int(figure.get_figwidth() / (_LEGEND_HANDLE + _LEGEND_LETTER * len(f"{kind} 1"))))
+        figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=FONT - 1, frameon=False)
 
 
 def unit_of(trace: xr.DataTree, name: str) -> Unit:
@@ -89,10 +108,28 @@ def finish(axes: Axes, x: str = "", y: str = "") -> None:
         axes.spines[side].set_visible(False)
 
 
-def stacked(n: int, figure: Figure | None, height: float = 1.35, sharey: bool = False) -> NDArray[Any]:
+def height_of_row(n: int) -> float:
+    """Return the height in inches of each of `n` axes in a column: so many as 12 fit on a printed page."""
+    return 1.35 if n <= 8 else 1.1
+
+
+def stacked(n: int, figure: Figure | None, height: float | None = None, sharey: bool = False) -> NDArray[Any]:
     """Return `n` axes in a column with a common abscissa, on a narrow figure if none is given."""
+    height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
     return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
+
+
+def broken(label: str, room: float) -> str:
+    """Return a label in lines that fit into a room in inches, at most three; the unit has a line of its own."""
+    import textwrap
+
+    most = max(6, int(room / _LABEL_LETTER))
+    quantity, slash, unit = label.rpartition(" / ")
+    if not slash or len(label) <= most:
+        quantity, unit = label, ""
+    lines = textwrap.wrap(quantity, most, max_lines=2 if unit else 3, placeholder="…") or [label]
+    return literal("\n".join([*lines, f"/ {unit}"] if unit else lines))
 
 
 def legend_below(axes: Axes) -> None:
@@ -110,3 +147,10 @@ def legend_below(axes: Axes) -> None:
 def literal(text: str) -> str:
     """Escape dollar signs, which matplotlib would take for mathematics."""
     return text.replace("$", r"\$")
+
+
+def turned(labels: Sequence[str], width: float) -> dict[str, Any]:
+    """Return the options that rotate tick labels which do not fit side by side in a width in inches."""
+    if max(map(len, labels)) * _TICK_LETTER <= width / len(labels):
+        return {}
+    return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

@@ -20,7 +20,7 @@ from fmu.report.plots.chains import (
     plot_traces,
 )
 from fmu.report.plots.corner import plot_corner
-from fmu.report.plots.style import NARROW, new_figure
+from fmu.report.plots.style import NARROW, height_of_row, new_figure
 from fmu.report.run import ReportedRun
 
 _MOST_PAIRS, _FEWEST = 8, 50
@@ -58,7 +58,7 @@ def paths(run: ReportedRun) -> PageSection:
     worst = run.summary["rhat"].max()
     alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {fixed(worst, 4)}."
     caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."
-    figure = new_figure(NARROW, 1.35 * len(run.names) + 0.6)
+    figure = new_figure(NARROW, height_of_row(len(run.names)) * len(run.names) + 0.9)
     drawings = [picture(plot_traces({"": run.trace}, figure=figure), "paths", alt, caption)]
     if _has_several_chains(run):
         axes = plot_ranks(run.trace)
@@ -130,13 +130,18 @@ def _running_rhat(run: ReportedRun) -> Picture:
 
 def pairs(run: ReportedRun) -> PageSection | Omitted:
     """Return the posterior in pairs of parameters."""
-    title, names = "Pairs of parameters", run.names[:_MOST_PAIRS]
+    title = "Pairs of parameters"
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
+    names, words = _strongest_correlations(run)
     parts: list[Part] = []
-    if len(run.names) > _MOST_PAIRS:
-        parts.append(Text(f"The first {_MOST_PAIRS} of {len(run.names)} parameters."))
-    words = _strongest_correlation(run)
+    if left := [name for name in run.names if name not in names]:
+        parts.append(
+            Text(
+                f"The {len(names)} of {len(run.names)} parameters with the strongest correlations. "
+                f"Left out: {', '.join(left)}."
+            )
+        )
     axes = plot_corner(run.trace, run.maxima[0].theta if run.maxima else None, names=names)
     drawing = picture(
         axes,
@@ -147,15 +152,21 @@ def pairs(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("pairs", title, (*parts, drawing))
 
 
-def _strongest_correlation(run: ReportedRun) -> str:
-    draws = parameter_draws(run.trace).reshape(-1, len(run.names))
-    moving = [k for k in range(len(run.names)) if np.ptp(draws[:, k]) > 0]
+def _strongest_correlations(run: ReportedRun) -> tuple[tuple[str, ...], str]:
+    """Return the parameters most correlated with another one, at most eight, and a sentence on the first pair."""
+    draws, n = parameter_draws(run.trace).reshape(-1, len(run.names)), len(run.names)
+    moving = np.flatnonzero(np.ptp(draws, axis=0) > 0)
     if len(moving) < 2:
-        return ""
-    correlation = np.triu(np.corrcoef(draws[:, moving].T), 1)
-    i, j = divmod(int(np.argmax(np.abs(correlation))), len(moving))
-    one, other = (run.names[moving[k]] for k in (i, j))
-    return f"Strongest correlation: {fixed(float(correlation[i, j]), 2)}, of {one} and {other}."
+        return run.names[:_MOST_PAIRS], ""
+    correlation = np.zeros((n, n))
+    correlation[np.ix_(moving, moving)] = np.corrcoef(draws[:, moving].T)
+    np.fill_diagonal(correlation, 0.0)
+    strength = np.abs(correlation).max(axis=0)
+    shown = np.sort(np.argsort(-strength, kind="stable")[:_MOST_PAIRS])
+    i, j = np.unravel_index(np.argmax(np.triu(np.abs(correlation))), correlation.shape)
+    r = fixed(float(correlation[i, j]), 2)
+    words = f"Strongest correlation: {r}, of {run.names[i]} and {run.names[j]}."
+    return tuple(run.names[k] for k in shown), words
 
 
 def energies(run: ReportedRun) -> PageSection | Omitted:

@@ -2,23 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
 import numpy as np
+from markupsafe import Markup
 
 from fmu.analysis.identifiability import Identifiability, kept_identifiability
 from fmu.analysis.information import CRITERION, Information, compared_with_draws, information, left_along
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.pairing_changes import pairing_changes
 from fmu.analysis.prediction import measured_mac
-from fmu.analysis.trace.modal_states import GROUP, MEAN, START
-from fmu.analysis.trace.reading import has
+from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START, sketch_of
+from fmu.analysis.trace.reading import has, parameter_names
+from fmu.fem.frame.drawing import UNCHANGED, drawn, parameter_colours
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import ReportedRun
 from fmu.types import FloatArray
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 NO_SHAPES = "the trace has no mode shapes: the model gives none, or an older version of fmu sampled it"
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
+
+
+_MOST_DRAWN = 5000
+"""Elements; a larger structure is not drawn."""
+
+
+def structure_drawing(trace: xr.DataTree) -> Markup:
+    """Return the structure with a legend of its colours; nothing if the trace does not know what it looks like."""
+    found = sketch_of(trace)
+    if found is None or len(found.elements) > _MOST_DRAWN:
+        return Markup("")
+    # no text in it is the user's; inside HTML an SVG has no need of an address
+    svg = Markup(drawn(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
+    return svg + legend_of_parameters(parameter_names(trace), parameter_colours(found.changed), svg)
+
+
+def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
+    """Return the legend of a drawing in which parameters have colours, None for those that change no element."""
+    entries: dict[str, list[str]] = {}
+    for name, colour in zip(names, colours, strict=False):  # inferred errors, after the others, have none
+        if colour is not None:
+            entries.setdefault(colour, []).append(str(name))
+    if f'stroke="{UNCHANGED}" stroke-width="4"' in svg:
+        entries[UNCHANGED] = ["no parameter"]
+    entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
+    items = Markup("").join(entry.format(colour, ", ".join(those)) for colour, those in entries.items())
+    return Markup('<ul class="legend">{}</ul>').format(items)
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
@@ -104,18 +139,25 @@ def _contraction(run: ReportedRun, found: Information) -> PageTable:
 
 
 def mac(run: ReportedRun) -> PageSection | Omitted:
-    """Return the MAC of the mode shapes with the reference."""
-    title = "Modal assurance criterion"
+    """Return the MAC of the model's shapes with the measured ones, or else with its own before updating."""
     if not has(run.trace, GROUP, "mac"):
-        return Omitted(title, NO_SHAPES)
+        return Omitted("Modal assurance criterion", NO_SHAPES)
     criterion = run.trace[GROUP]["mac"]
+    is_measured = criterion.attrs["reference"] == MEASURED
+    title = "MAC with the measured shapes" if is_measured else "MAC with the model's modes before updating"
     values = criterion.sel(state=MEAN).transpose("reference_mode", "mode").to_numpy()
     diagonal = ", ".join(fixed(x, 2) for x in np.diag(values))
     others = values[~np.eye(len(values), dtype=bool)]
     most = f" and at most {fixed(others.max(), 2)} off the diagonal" if len(others) else ""
-    drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.",
-                      f"MAC at the posterior mean. Reference: {criterion.attrs['reference']}.")  # fmt: skip
-    said = Text(f"Reference: {criterion.attrs['reference']}. On the diagonal {diagonal}{most}.")
+    caption = (
+        "Modal assurance criterion of the modes at the posterior mean with the measured shapes, at the sensors."
+        if is_measured
+        else "Modal assurance criterion of the modes at the posterior mean with those before updating, at all "
+        "translations. It tells how much updating changed the modes, not whether they are right: no shapes were "
+        "measured."
+    )
+    drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.", caption)
+    said = Text(f"On the diagonal {diagonal}{most}.")
     return PageSection("mac", title, (said, *_mac_before_and_after(run), Pictures((drawing,))))
 
 
@@ -165,18 +207,19 @@ def pairing(run: ReportedRun) -> PageSection | Omitted:
 
 
 def shapes(run: ReportedRun) -> PageSection | Omitted:
-    """Return the structure deformed in its modes."""
+    """Return the modes of the structure before and after updating, and the measured shapes."""
     title = "Mode shapes before and after"
-    if not has(run.trace, GROUP, "displacement"):
-        return Omitted(title, "the trace has no geometry to draw them on")
+    kind = next((name for name in ("displacement", "component") if has(run.trace, GROUP, name)), None)
+    if kind is None:
+        return Omitted(title, "the trace has no geometry to draw them on, and no shapes were measured")
     modes = run.trace[GROUP].to_dataset()
-    moved = modes["displacement"]
-    turned = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).max(axis=(1, 2))
+    moved = modes[kind]
+    turned = np.abs((moved.sel(state=MEAN) - moved.sel(state=START)).to_numpy()).reshape(len(modes["mode"]), -1)
     rows, seen = [], []
     for k, label in enumerate(map(str, modes["mode"].to_numpy())):
         before, after = (float(modes["frequency"].sel(state=state)[k]) for state in (START, MEAN))
         hz = hertz(before, after)
-        rows.append((label, *hz, change(after / before - 1), share(float(turned[k]))))
+        rows.append((label, *hz, change(after / before - 1), share(float(turned[k].max()))))
         seen.append(f"mode {label} from {hz[0]} to {hz[1]} Hz, its shape by up to {rows[-1][-1]}")
     caption = (
         "At the start and at the posterior mean. Change of shape: largest change, relative to the "
@@ -184,7 +227,9 @@ def shapes(run: ReportedRun) -> PageSection | Omitted:
     )
     header = ("mode", "before, Hz", "after, Hz", "change", "change of shape")
     alt = f"Deformed structure in each mode, before and after: {'; '.join(seen)} of the largest displacement."
-    drawing = picture(
-        plot_mode_shapes(run.trace), "shapes", alt, "Dashed grey: before updating. Solid: at the posterior mean."
-    )
+    words = "Dashed grey: before updating. Solid: at the posterior mean."
+    if "measured" in modes:
+        words += " Diamonds: measured, each mode scaled to the posterior mean."
+        alt += " The measured shapes are marked at the sensors."
+    drawing = picture(plot_mode_shapes(run.trace), "shapes", alt, words)
     return PageSection("shapes", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))

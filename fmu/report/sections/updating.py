@@ -11,7 +11,18 @@ from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.reading import constant
-from fmu.numbers import MISSING, change, decimals, fixed, given, hertz, interval, rounded, shown
+from fmu.numbers import (
+    MISSING,
+    change,
+    decimals,
+    fixed,
+    given,
+    given_decimals,
+    hertz,
+    interval,
+    rounded,
+    shown,
+)
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
@@ -75,7 +86,7 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     has_tests = "test_eti90_lb" in table
     rows, seen = [], []
     for (mode, row), f in zip(table.iterrows(), before, strict=True):
-        n = max(1, decimals(row["sd"]))
+        n = max(1, decimals(row["sd"]), given_decimals(row["measured"]))
         errors = [change(value / row["measured"] - 1) for value in (f, row["mean"])]
         noisy = interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
         single = (interval(row["test_eti90_lb"], row["test_eti90_ub"], n),) if has_tests else ()
@@ -143,7 +154,7 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     mean = [np.nan] * len(found.labels) if run.prediction is None else list(run.prediction["mean"])
     for k, label in enumerate(found.labels):
         values = [found.before[k], *(m.frequencies[k] for m in best), mean[k]]
-        rows.append((f"mode {label}", "Hz", *hertz(*values), given(found.measured[k])))
+        rows.append((f"mode {label}", "Hz", *hertz(*values, measured=found.measured[k]), given(found.measured[k])))
     header = ("quantity", "unit", "start", *names, "posterior mean", "measured")
     return PageTable(
         "Model at the start, at the maxima and at the posterior mean", header, tuple(rows), words=(1,)

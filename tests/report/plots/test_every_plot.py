@@ -9,20 +9,21 @@ from matplotlib.colors import to_hex
 from fmu.report import plots
 from fmu.report.document import inline_svg
 from fmu.report.plots import COLOURS, plot_corner
-from fmu.report.plots.style import new_figure
+from fmu.report.plots.style import PALETTE, new_figure
 
+NAMES = tuple(f"E{k}" for k in range(1, 6))
 GPA = tuple(f"E{k} / GPa" for k in range(1, 6))
 Y_LABELS = {
     "plot_parameter_updates": ("value / GPa",),
     "plot_frequency_updates": ("(computed − measured)/measured, %",),
     "plot_predictive_check": ("(frequency − predicted mean)\n/ predictive sd",),
-    "plot_mac": ("mode of the reference",),
+    "plot_mac": ("mode of the model before updating",),
     "plot_mode_shapes": ("z displ.\n/ largest",) * 5,
     "plot_traces": GPA,
-    "plot_ranks": tuple(f"Δ ECDF of\nE{k}" for k in range(1, 6)),
-    "plot_autocorrelation": tuple(f"autocorrelation\nof E{k}" for k in range(1, 6)),
+    "plot_ranks": NAMES,
+    "plot_autocorrelation": NAMES,
     "plot_running_means": GPA,
-    "plot_running_rhat": ("R-hat − 1 (at least 0.001)",),
+    "plot_running_rhat": ("R-hat − 1\n(at least 0.001)",),
     "plot_energy": ("density / nat⁻¹",),
     "plot_efficiency": ("sampler",),
 }
@@ -31,7 +32,7 @@ X_LABELS = {
     "plot_frequency_updates": "mode, measured frequency",
     "plot_predictive_check": "mode",
     "plot_mac": "mode of the model, posterior mean",
-    "plot_mode_shapes": "position along the structure / m",
+    "plot_mode_shapes": "x / m",
     "plot_traces": "step",
     "plot_ranks": "rank among the draws of all chains / their number",
     "plot_autocorrelation": "lag / steps",
@@ -43,6 +44,9 @@ X_LABELS = {
 SEVERAL = ("plot_parameter_updates", "plot_traces", "plot_efficiency")
 ONE_AXES = ("plot_frequency_updates", "plot_predictive_check", "plot_mac", "plot_running_rhat", "plot_energy",
             "plot_efficiency")  # fmt: skip
+BY_CHAIN = ("plot_traces", "plot_ranks", "plot_autocorrelation", "plot_running_means")
+BESIDE = {"plot_ranks": "Δ ECDF of the ranks", "plot_autocorrelation": "autocorrelation"}
+NO_SAMPLER = ("plot_energy", "plot_mac", "plot_running_rhat", *BY_CHAIN)
 SHAPES = ("plot_mac", "plot_mode_shapes")  # a black-box model has none
 NAMELESS = ("plot_energy", "plot_efficiency")
 
@@ -75,7 +79,7 @@ def test_a_figure_handed_in_is_drawn_on(name, beam_traces):
     assert {axis.figure for axis in np.ravel(np.asarray(found, dtype=object))} == {figure}
 
 
-@pytest.mark.parametrize("name", [name for name in Y_LABELS if name not in ("plot_energy", "plot_mac")])
+@pytest.mark.parametrize("name", [name for name in Y_LABELS if name not in NO_SAMPLER])
 def test_the_sampler_has_its_colour(name, beam_traces):
     axes = np.ravel(np.asarray(draw(name, beam_traces["emcee"]), dtype=object))
     shades = [line.get_color() for axis in axes for line in axis.lines]
@@ -83,6 +87,20 @@ def test_the_sampler_has_its_colour(name, beam_traces):
     shades += [patch.get_edgecolor() for axis in axes for patch in axis.patches]
     assert COLOURS["emcee"] in {to_hex(shade).upper() for shade in shades}
     assert not {to_hex(shade).upper() for shade in shades} & {COLOURS["hmc"], COLOURS["mh"], COLOURS["slice"]}
+
+
+@pytest.mark.parametrize("name", BY_CHAIN)
+def test_each_chain_has_its_colour_and_the_legend_names_it(name, beam_traces):
+    axes = np.ravel(np.asarray(draw(name, beam_traces["hmc"]), dtype=object))
+    for axis in axes:
+        shades = [to_hex(line.get_color()).upper() for line in axis.lines]
+        assert set(PALETTE[:2]) <= set(shades)
+        assert not set(PALETTE[2:]) & set(shades)
+    (legend,) = axes[0].figure.legends
+    entries = zip(legend.texts, legend.legend_handles, strict=True)
+    named = {text.get_text(): line.get_color() for text, line in entries}
+    assert named == {"chain 1": PALETTE[0], "chain 2": PALETTE[1]}
+    assert (axes[0].figure.get_supylabel() or None) == BESIDE.get(name)
 
 
 @pytest.mark.parametrize("name", [name for name in Y_LABELS if name not in SHAPES])

@@ -14,7 +14,7 @@ from fmu.numbers import hertz
 from fmu.report import plots
 from fmu.report.plots import COLOURS
 from fmu.report.plots.modes import _strokes
-from fmu.report.plots.style import legend_below, literal, new_figure
+from fmu.report.plots.style import broken, legend_below, literal, new_figure
 
 
 def labelled(axes):
@@ -142,7 +142,7 @@ def test_a_structure_in_space_is_drawn_isometric(beam_traces):
     modes["coordinates"] = (("node", "direction"), np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1))
     trace["modes"] = xr.DataTree(modes)
     axes = plots.plot_mode_shapes(trace)
-    assert axes[0].get_ylabel() == "projected\nheight / m"
+    assert not any(axis.axison for axis in axes)
     assert [len(axis.lines) for axis in axes] == [3] * 5  # undeformed, before, after
     undeformed = axes[0].lines[0].get_ydata()
     np.testing.assert_allclose(np.nanmax(undeformed), 1.0, atol=0.15)  # top of the arch, x = 0
@@ -246,3 +246,55 @@ def test_legends_stand_in_as_many_columns_as_fit():
 
 def test_names_are_shown_as_they_are():
     assert literal("$E_1$") == r"\$E_1\$"
+
+
+def test_labels_are_broken_where_they_do_not_fit():
+    assert broken("E1 / GPa", 1.1) == "E1 / GPa"
+    assert broken("m drum weights / kg", 1.1) == "m drum\nweights\n/ kg"
+    assert broken("k pitch / kN·m/rad", 1.25) == "k pitch\n/ kN·m/rad"
+    assert max(map(len, broken("a name " * 20, 1.1).split("\n"))) <= 12
+    assert broken("x" * 90, 1.1).count("\n") == 2
+
+
+@pytest.fixture(scope="module")
+def measured_beam():
+    """A cantilever whose modes were measured at six places, one accelerometer upside down."""
+    young = fmu.cases.load("cantilever-young")
+    sensors = [(20, "z"), (30, "-z"), (40, "z"), (49, "z")]
+    exact = young.model.structure.observation(sensors).toarray() @ young.model.full_shapes(young.start)
+    data = fmu.ModalData(young.data.frequencies_hz, sensors=sensors, shapes=-2.0 * exact)
+    problem = fmu.UpdatingProblem(young.model.structure, data, young.parameters)
+    return fmu.sample(problem, "hmc", draws=20, warmup=20, chains=2, init="start")
+
+
+def test_measured_shapes_stand_on_the_structure(measured_beam):
+    """Those of the model at the start, of another scale and sign, lie on its curves before updating."""
+    axes = plots.plot_mode_shapes(measured_beam)
+    for axis in axes:
+        lines = {line.get_label(): np.asarray(line.get_xydata(), dtype=float) for line in axis.lines}
+        curve = lines["before updating"][~np.isnan(lines["before updating"][:, 0])]
+        expected = np.interp(lines["measured"][:, 0], *curve.T)
+        assert lines["measured"][:, 0] == pytest.approx([0.2, 0.3, 0.4, 0.49])
+        ratio = lines["measured"][:, 1] / expected
+        np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
+        assert ratio[0] == pytest.approx(1.0, abs=0.2)  # scaled to the posterior mean
+    assert plots.plot_mac(measured_beam).get_ylabel() == "measured shape"
+
+
+@pytest.mark.parametrize("case", ["shear-10dof", "shear-2dof"])
+def test_shapes_of_matrices_are_drawn_over_their_degrees_of_freedom(case):
+    problem = fmu.cases.load(case)
+    trace = fmu.sample(problem, "hmc", draws=5, warmup=5, chains=2, init="start")
+    for k, axis in enumerate(plots.plot_mode_shapes(trace)):
+        drawn = {line.get_label(): np.asarray(line.get_ydata(), dtype=float) for line in axis.lines}
+        assert len(drawn["before updating"]) == len(drawn["posterior mean"]) == problem.model.structure.n_dof
+        if problem.data.shapes is None:
+            assert "measured" not in drawn
+        else:
+            seen = drawn["measured"]
+            assert np.flatnonzero(~np.isnan(seen)).tolist() == [2, 5, 8, 9]  # floors 3, 6, 9 and 10
+            shape = np.asarray(problem.data.shapes)[:, k]
+            np.testing.assert_allclose(seen[[2, 5, 8, 9]] / seen[9], shape / shape[3])
+            np.testing.assert_allclose(seen[[2, 5, 8, 9]], drawn["posterior mean"][[2, 5, 8, 9]], atol=0.25)
+    assert axis.get_xlabel() == "degree of freedom"
+    assert axis.get_ylabel() == "x displ.\n/ largest"
