@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 _DECIMALS = {
     "rhat": 4, "rhat_max": 4, "ess_bulk": 0, "ess_tail": 0, "ess_bulk_min": 0, "ess_tail_min": 0, "wall_s": 1,
 }  # fmt: skip
-_WORDS = ("", "unit", "updated")
+_WORDS = ("", "unit", "from")
 
 
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     """Print the summary of a sampler's trace; the sd decides how many digits of means and intervals are shown.
 
-    A last column says whether the data updated each parameter, if that is known.
+    A last column says what each value comes from, if that is known; those that the data did not inform are dim.
     """
-    from fmu.analysis.information import COMBINED, DATA, PRIOR, information
+    from fmu.analysis.information import information
 
     columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
     for column in map(str, table.columns):
@@ -37,12 +37,15 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
         columns[column] = [_summary_cell(column, x / scale, sd / scale) for x, sd, scale in cells]
     columns["unit"] = [unit.name for unit in units]
     found = information(trace)
+    dim: set[str] = set()
     if found is not None:
-        words = {DATA: "yes", PRIOR: "no", COMBINED: "combined"}
-        columns["updated"] = [words[basis] for basis in found.basis]
+        columns["from"] = list(found.basis)
+        dim = {name for name, informed in zip(found.names, found.informed, strict=True) if not informed}
     rows = list(zip(*columns.values(), strict=True))
     text = text_table(list(columns), rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
-    click.echo(f"{name}\n{text}\n")
+    width = max(map(len, table.index))
+    lines = [click.style(line, dim=True) if line[:width].strip() in dim else line for line in text.splitlines()]
+    click.echo("\n".join([name, *lines, ""]))
 
 
 def echo_comparison(

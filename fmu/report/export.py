@@ -6,7 +6,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
 from fmu.config.kept import kept
 from fmu.fem.modes.separable import SeparableModel
-from fmu.numbers import significant
+from fmu.numbers import names_in_words, significant
 from fmu.report.files import OutputDirectory
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -87,7 +88,8 @@ def export(
     Returns
     -------
     Exported
-        ``theta.csv``: each parameter's unit, start, mean, standard deviation and the value chosen, SI units.
+        ``theta.csv``: each parameter's unit, start, mean, standard deviation and the value chosen, SI units, and
+        what determined it: the data, the prior or a combination.
         ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
         that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
         ``dofs.csv``, the degrees of freedom of their rows.
@@ -110,17 +112,19 @@ def export(
     names = parameter_names(trace)
     output = OutputDirectory(Path(out) if out is not None else directory / FOLDER)
     with output.staged() as stage:
-        _values(trace, theta).to_csv(stage / VALUES)
+        found = information(trace)
+        left = () if found is None else tuple(np.array(names)[~found.informed].tolist())
+        _values(trace, theta, found).to_csv(stage / VALUES)
         built = described.model.build(source.folder, described.parameters)
         if isinstance(built.model, SeparableModel):
             write_matrices(built.model, built.places, theta[: built.model.n_parameters], f"At the {what}", stage)
         starts = dict(zip(names, theta.tolist(), strict=True))
-        text, words = updated_text(
-            source.file.read_text(encoding="utf-8"), starts, source.pairing, f"The start values are the {what}"
-        )
+        original, about = source.file.read_text(encoding="utf-8"), f"The start values are the {what}"
+        text, words = updated_text(original, starts, source.pairing, about, left)
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
-        remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_incomplete(stage / PROBLEM)]
+        remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_from_prior(left)]
+        remarks += _incomplete(stage / PROBLEM)
         files = tuple(sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file()))
     return Exported(output.root, files, name, tuple(remarks))
 
@@ -179,8 +183,7 @@ def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
         )
 
 
-def _values(trace: xr.DataTree, theta: FloatArray) -> pd.DataFrame:
-
+def _values(trace: xr.DataTree, theta: FloatArray, found: Information | None) -> pd.DataFrame:
     names, draws = parameter_names(trace), parameter_draws(trace)
     columns = {
         "unit": parameter_units(trace),
@@ -188,7 +191,7 @@ def _values(trace: xr.DataTree, theta: FloatArray) -> pd.DataFrame:
         "mean": draws.mean(axis=(0, 1)),
         "sd": draws.std(axis=(0, 1), ddof=1),
         "value": theta,
-    }
+    } | ({} if found is None else {"determined_by": found.basis})
     return data_frame(columns, "name", names)
 
 
@@ -207,6 +210,14 @@ def _remarks(
     return remarks
 
 
+def _from_prior(names: Sequence[str]) -> list[str]:
+    """Return a warning if the data did not inform some of the values."""
+    if not names:
+        return []
+    come = "their values come from their priors" if len(names) > 1 else "its value comes from its prior"
+    return [f"The data did not inform {names_in_words(names)}: {come} alone."]
+
+
 def _incomplete(file: Path) -> list[str]:
     """Return a warning if the updated file needs files that were not copied, such as imported modules."""
     from fmu.config import ConfigurationError
@@ -222,6 +233,7 @@ def _incomplete(file: Path) -> list[str]:
 VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
 RESERVED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM)
 _EDITOR = "#:schema"
+_FROM_PRIOR = "from the prior: the data did not inform it"
 
 
 def write_matrices(
@@ -264,7 +276,9 @@ def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, about: str) -> tuple[str, list[str]]:
+def updated_text(
+    text: str, starts: Mapping[str, float], pairing: str | None, about: str, from_prior: Collection[str] = ()
+) -> tuple[str, list[str]]:
     """Return a problem file with new start values, otherwise unchanged, and the strings in it that may name files.
 
     Parameters
@@ -276,12 +290,19 @@ def updated_text(text: str, starts: Mapping[str, float], pairing: str | None, ab
         Written to the file, if the file has another or none.
     about : str
         Source of the values: a comment at the top.
+    from_prior : collection of str
+        Parameters that the data did not inform: a comment beside their values says so.
     """
     import tomlkit
 
     document = tomlkit.parse(text)
     for table in (*document["parameters"], *document.get("noise", ())):
         table["start"] = tomlkit.value(_toml_number(starts[str(table["name"])]))
+        if str(table["name"]) in from_prior:
+            trivia = table["start"].trivia
+            before = trivia.comment.removeprefix("#").strip()
+            trivia.comment = f"# {before}; {_FROM_PRIOR}" if before else f"# {_FROM_PRIOR}"
+            trivia.comment_ws = trivia.comment_ws or "  "
     if pairing is not None and document.get("pairing", "shape") != pairing:
         document["pairing"] = pairing
     lines = tomlkit.dumps(document).splitlines(keepends=True)

@@ -262,6 +262,27 @@ def test_a_problem_whose_gradient_is_no_number_is_doubtful():
     assert "The gradient is not finite for a at the start." in found.doubts
 
 
+def test_a_prior_that_misses_its_bounds_is_a_warning():
+    """A mean left out; with it the warning is gone."""
+    data = ModalData([101.0, 99.5, 102.0])
+    for prior, is_doubted in ((fmu.Normal(0.1), True), (fmu.Normal(0.1, 1.0), False)):
+        parameters = [Parameter(name, 1.0, 0.5, 1.5, prior) for name in ("a", "b")]
+        found = check(UpdatingProblem(LinearModel(), data, parameters), draws=20)
+        assert any("a and b are centred on 0" in doubt for doubt in found.doubts) == is_doubted
+        assert ("presses the parameter against" in str(found)) == is_doubted
+
+
+def test_assumptions_are_part_of_what_is_found():
+    parameters = [Parameter(name, 1.0, 0.5, 1.5, fmu.Normal(0.1, 1.0)) for name in ("a", "b")]
+    problem = UpdatingProblem(LinearModel(), ModalData([101.0, 99.5, 102.0], sd_hz=0.2), parameters)
+    found = check(problem, draws=20)
+    text = " ".join(str(found).split())
+    assert all(sentence in text for sentence in found.assumptions.sentences)
+    assert "Assumptions mode measured, Hz σ, Hz σ, % 1 101 0.2 0.2" in text
+    assert "The model itself pairs its modes" in text
+    assert "<h4>Assumptions</h4>" in found._repr_html_()
+
+
 def test_what_is_no_problem():
     with pytest.raises(ValueError, match=r"problem: must be an UpdatingProblem \(got int\)"):
         check(3)

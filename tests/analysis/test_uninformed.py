@@ -7,7 +7,16 @@ import fmu
 from fmu.analysis.check import check
 from fmu.analysis.convergence.diagnosis import judge
 from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
-from fmu.analysis.information import COMBINED, DATA, PRIOR, doubts, information, left_to_prior
+from fmu.analysis.information import (
+    COMBINED,
+    DATA,
+    PRIOR,
+    compared_with_draws,
+    doubts,
+    information,
+    left_along,
+    left_to_prior,
+)
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.frequency import FrequencyErrors
@@ -15,6 +24,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Uniform
 from fmu.posterior.priors.one_sided import LogNormal
 from fmu.posterior.problem import UpdatingProblem
+from tests.linear import LinearModel
 
 
 class Storeys:
@@ -165,6 +175,89 @@ def test_an_identifiable_problem_says_nothing(problem, posterior):
     assert doubts(identifiability(problem)) == []
     exact = information(posterior(problem, n=400))
     assert exact.warnings() == []
+
+
+def wide(prior=None):
+    """Two parameters of which the frequencies of the tests of `to_trace` are to be ignored."""
+    prior = prior or Normal(1.0)
+    parameters = [
+        Parameter(name, 1.0 if isinstance(prior, LogNormal) else 0.0, prior=prior) for name in ("a", "b")
+    ]
+    return UpdatingProblem(LinearModel(), ModalData([101.0, 99.5, 102.0]), parameters)
+
+
+@pytest.mark.parametrize(("sd", "informed"), [(0.5, True), (0.8, True), (0.88, False), (1.0, False)])
+def test_contraction_turns_at_three_tenths(sd, informed, make_result):
+    """√0.7 = 0.837 of the prior's standard deviation."""
+    draws = np.random.default_rng(3).normal(size=(4, 2000, 2)) * [sd, 0.1]
+    told = information(to_trace(make_result(draws), wide()))
+    assert told.contraction == pytest.approx([1 - sd**2, 0.99], abs=0.08)
+    assert list(told.informed) == [informed, True]
+    assert told.basis == (DATA if informed else PRIOR, DATA)
+    assert told.n_informed == 1 + informed
+    assert told.table()["informed"]["a"] == informed
+    assert ("a was not updated by the data" in str(told)) == (not informed)
+
+
+def test_contraction_of_a_log_normal_prior_is_that_of_the_logarithm(make_result):
+    """Half of its width, but at six times the median: the variance itself is larger than the prior's."""
+    draws = np.exp(np.random.default_rng(4).normal(size=(4, 2000, 2)) * 0.5 + [np.log(6.0), 0.0])
+    trace = to_trace(make_result(draws), wide(LogNormal(1.0, 1.0)))
+    told = information(trace)
+    assert told.of_logarithm == (True, True)
+    assert told.contraction == pytest.approx([0.75, 0.75], abs=0.05)
+    assert draws[..., 0].var() > float(trace["prior"]["a"].var())
+
+
+def test_a_parameter_at_its_bound_is_informed_as_much_as_its_variance_says(make_result, problem):
+    """Within the last hundredth of the range of a flat prior; normal scores would leave 35 % of the sd there."""
+    parameters = [Parameter(name, 0.5, 0.0, 1.0) for name in ("a", "b")]
+    flat = UpdatingProblem(LinearModel(), problem.data, parameters)
+    draws = np.random.default_rng(5).uniform(0.99, 1.0, size=(4, 500, 2))
+    assert information(to_trace(make_result(draws), flat)).contraction.min() > 0.999
+
+
+def linear_draws(problem, rng, lower=-np.inf):
+    """Exact draws of a linear model with normal priors, those above `lower` alone."""
+    one = identifiability(problem)
+    precision = np.diag(one.prior_sd**-2.0) + one.fisher_information
+    draws = rng.multivariate_normal([0.0, 0.0], np.linalg.inv(precision), size=400_000)
+    return draws[(draws > lower).all(axis=1)][:8000].reshape(4, -1, 2)
+
+
+def test_draws_and_a_linearised_model_agree_where_the_model_is_linear(make_result):
+    problem = wide()
+    trace = to_trace(make_result(linear_draws(problem, np.random.default_rng(6))), problem)
+    one = identifiability(problem)
+    np.testing.assert_allclose(left_along(trace, one), 1 / np.hypot(1, one.singular_values), rtol=0.08)
+    (said,) = compared_with_draws(trace, one, "the start", 1, converged=True)
+    assert said.startswith("The model linearised at the start agrees with the draws")
+
+
+def weak():
+    """Bounds at 0 and 4, errors so large that the prior remains but for the bounds."""
+    parameters = [Parameter(name, 1.0, 0.0, 4.0, Normal(2.0)) for name in ("a", "b")]
+    return UpdatingProblem(LinearModel(), ModalData([101.0, 99.5, 102.0], sd_hz=3.0), parameters)
+
+
+@pytest.mark.parametrize(
+    ("at_bound", "maxima", "converged", "words"),
+    [
+        (True, 1, True, "of the draws of a lie at its lower bound"),
+        (True, 1, False, "Neither is to be relied on before the draws have converged."),
+        (True, 2, True, "and the posterior has 2 maxima, of which a linearised model sees one."),
+        (False, 1, True, "frequencies are not linear in the parameters, or priors not normal"),
+    ],
+)  # fmt: skip
+def test_why_draws_and_a_linearised_model_differ(at_bound, maxima, converged, words, make_result):
+    problem, rng = weak(), np.random.default_rng(7)
+    size = (4, 500, 2)
+    position = rng.exponential(0.04, size=size) if at_bound else 2.0 + 0.02 * rng.normal(size=size)
+    trace = to_trace(make_result(position), problem)
+    first, second = compared_with_draws(trace, identifiability(problem), "the start", maxima, converged)
+    assert first.startswith("The model linearised at the start differs from the draws: along ")
+    assert words in second
+    assert ("at its lower bound" in second) == (at_bound and converged)
 
 
 def test_nothing_can_be_said_without_a_prior(make_trace):

@@ -64,6 +64,7 @@ def test_values_are_those_of_the_trace(done):
     np.testing.assert_allclose(table["sd"], summary["sd"])
     np.testing.assert_array_equal(table["start"], problem.start)
     np.testing.assert_array_equal(table["value"], table["mean"])
+    assert tuple(table["determined_by"]) == fmu.information(trace).basis
 
 
 def test_the_updated_file_starts_where_the_posterior_is(done):

@@ -6,7 +6,7 @@ import pytest
 
 import fmu
 from fmu.analysis.trace.conversion import save_trace
-from fmu.report.export import export
+from fmu.report.export import _from_prior, export, updated_text
 from tests.report.exported import run
 
 MODULE = """
@@ -139,3 +139,21 @@ def test_other_files_are_left_alone(function):
     with pytest.raises(ValueError, match="does not replace"):
         export(function / "out", out=function / "precious")
     assert (function / "precious" / "theta.csv").read_text() == "precious"
+
+
+def test_a_value_that_the_data_did_not_inform_says_so_beside_it():
+    """After the comment that was there, if there was one."""
+    text, _ = updated_text(PYTHON, {"a": 0.7, "b": 0.8}, None, "about", ["a"])
+    assert "start = 0.7   # as it was; from the prior: the data did not inform it\n" in text
+    assert "start = 0.8\n" in text
+    text, _ = updated_text(PYTHON, {"a": 0.7, "b": 0.8}, None, "about", ["b"])
+    assert "start = 0.7   # as it was\n" in text
+    assert "start = 0.8  # from the prior: the data did not inform it\n" in text
+
+
+def test_what_the_data_did_not_inform_is_a_remark():
+    assert _from_prior(["b"]) == ["The data did not inform b: its value comes from its prior alone."]
+    assert _from_prior(["a", "b"]) == [
+        "The data did not inform a and b: their values come from their priors alone."
+    ]
+    assert _from_prior([]) == []

@@ -5,6 +5,7 @@ import pytest
 
 import fmu
 from fmu.analysis.prediction import predict_frequencies
+from fmu.cli.tables import echo_summary
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
@@ -13,8 +14,9 @@ from fmu.report import plots
 from fmu.report.check_page import check_page
 from fmu.report.document import Items, PageTable
 from fmu.report.pages import write_pages
+from fmu.report.plots.style import GREY
 from fmu.report.run import runs_of
-from fmu.report.sections import prediction, updating
+from fmu.report.sections import origin, prediction, updating
 from fmu.report.sections.prediction import model_fit, updated
 from tests.linear import LinearModel
 
@@ -119,12 +121,39 @@ def test_what_was_not_updated_is_not_among_what_was(run):
     assert "(the mean of 40 tests), is outside the 99 % prediction interval" in model_fit(run).reasons[0]
 
 
+def test_what_was_not_informed_is_grey_in_the_picture(run):
+    axes = plots.plot_parameter_updates({"hmc": run.trace})[0]
+    drawn = {line.get_label(): line for line in axes.lines}
+    mean = run.summary["mean"]
+    np.testing.assert_allclose(drawn["Hamiltonian Monte Carlo"].get_ydata(), mean[["a", "b"]])
+    np.testing.assert_allclose(drawn["prior: not informed by the data"].get_ydata(), mean[["c"]])
+    assert drawn["prior: not informed by the data"].get_color() == GREY
+
+
+def test_what_was_not_informed_is_said_in_the_terminal(run, capsys):
+    echo_summary("hmc", run.trace, run.summary)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split()[-1] == "from"
+    assert [line.split()[-1] for line in lines[2:5]] == ["data", "data", "prior"]
+
+
+def test_assumptions_stand_below_the_verdicts(run, problem):
+    errors, table = origin.assumptions(run)
+    assert isinstance(errors, Items)
+    assert "The model itself pairs its modes with the measured ones." in errors.items
+    assert [row[0] for row in table.rows] == ["W1", "W2", "T1"]
+    assert [float(row[2]) for row in table.rows] == pytest.approx(problem.data.sd_hz, rel=5e-3)
+    assert check_page(fmu.check(problem, draws=20)).assumptions[1] == table  # one source for both
+
+
 def test_the_pages_have_it(traces, problem, tmp_path):
     index = write_pages(traces, tmp_path / "report")
     for page in (index, index.parent / "hmc.html"):
         text = page.read_text(encoding="utf-8")
         assert "Did the data update the parameters?" in text
         assert "c was not updated by the data" in text
+        assert 0 < text.index("Did the data update") < text.index(">Assumptions<") < text.index("Contents")
+    assert '<tr class="greyed"><th scope="row">c</th>' in (index.parent / "hmc.html").read_text(encoding="utf-8")
     found = fmu.check(problem, draws=20)
     verdicts = {verdict.question: verdict for verdict in check_page(found).verdicts}
     assert verdicts["Are the tests independent?"].is_good is False

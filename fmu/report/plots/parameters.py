@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.convergence.diagnosis import CONVERGED, compare
 from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.information import information
 from fmu.analysis.trace.reading import constant, parameter_names
 from fmu.numbers import significant
 from fmu.report.plots.style import (
@@ -130,13 +131,21 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
 def _intervals(
     axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
 ) -> None:
-    """Draw means with their intervals at the abscissae x."""
+    """Draw means with their intervals at the abscissae x, in grey where the data did not inform the parameter."""
     factor = np.array([unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
-    shade = colour(str(trace.attrs["sampler"]))
-    axis.vlines(x, low, high, color=shade, linewidth=4.5, alpha=0.5, zorder=2)
-    words = TITLES.get(label, literal(label))
-    axis.plot(x, mean, linestyle="none", marker="o", markersize=5, color=shade, label=words, zorder=3)
+    found = information(trace)
+    informed = dict(zip(found.names, found.informed, strict=True)) if found else {}
+    is_told = np.array([informed.get(name, True) for name in members])
+    for of, shade, words in (
+        (is_told, colour(str(trace.attrs["sampler"])), TITLES.get(label, literal(label))),
+        (~is_told, GREY, "prior: not informed by the data"),
+    ):
+        if of.any():
+            axis.vlines(x[of], low[of], high[of], color=shade, linewidth=4.5, alpha=0.5, zorder=2)
+            axis.plot(
+                x[of], mean[of], linestyle="none", marker="o", markersize=5, color=shade, label=words, zorder=3
+            )
 
 
 _ROOM = 1.25

@@ -1,0 +1,135 @@
+"""What a posterior rests on is said of every error model and pairing, and follows what is configured."""
+
+import json
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis.trace.provenance import canonical_json
+from fmu.config import read
+from fmu.posterior.assumptions import assumptions
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.frequency import FrequencyErrors
+from fmu.posterior.errors.mac import MACErrors
+from fmu.posterior.errors.shape import ShapeErrors
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal
+from fmu.posterior.priors.one_sided import LogNormal
+from fmu.posterior.problem import UpdatingProblem
+
+MEASURED = np.array([1.0, 2.0])
+NOISE = Parameter("noise", 0.02, 0.0, prior=LogNormal(0.02, 0.5))
+SHAPES = np.array([[1.0, 1.0], [1.5, -0.7]])
+
+
+def storeys(error=None, pairing="shape", shapes=None, beta=None, **data):
+    model = fmu.SeparableModel.from_terms(
+        ["k"], [(np.array([[2.0, -1.0], [-1.0, 1.0]]), "k")], [np.diag([0.02, 0.01])], [("1", "x"), ("2", "x")]
+    )
+    sensors = [("1", "x"), ("2", "x")] if shapes is not None else []
+    modes = ModalData(MEASURED, sensors=sensors, shapes=shapes, **data)
+    parameters = [Parameter("k", 1.0, 0.5, 2.0, Normal(0.2, 1.0))]
+    settings = {} if error is None else {"error": error}
+    return UpdatingProblem(model, modes, parameters, pairing=pairing, beta=beta, **settings)
+
+
+def found(problem, inferred=None, reduction=None):
+    """Return the assumptions as they are read from a trace: through JSON."""
+    return assumptions(json.loads(canonical_json(problem.configuration())), reduction, inferred)
+
+
+def said(problem, **options):
+    return " ".join(found(problem, **options).sentences)
+
+
+def sd(problem, **options):
+    return [float(row[2]) for row in found(problem, **options).errors]
+
+
+def test_beta():
+    problem = storeys(beta=[0.5, 2.0])
+    assert "a known σ of 0.50 to 1.00 Hz (β = 0.50 to 2.00 per Hz²)" in said(problem)
+    assert found(problem).errors == (("1", "1", "1", "100"), ("2", "2", "0.5", "25"))
+
+
+@pytest.mark.parametrize(
+    ("error", "words", "expected"),
+    [
+        (FrequencyErrors("relative", 0.01), "a known σ of 1 %", [0.01, 0.02]),
+        (FrequencyErrors("absolute", 0.05), "a known σ of 0.05 Hz", [0.05, 0.05]),
+        (FrequencyErrors("eigenvalue", 0.04), "relative to their size: Gaussian and independent, with a known σ",
+         [0.02, 0.04]),
+        (FrequencyErrors("relative", 0.03, discrepancy=NOISE), "a known σ of 3 % and a σ that is inferred, noise",
+         [0.0361, 0.0721]),
+    ],
+)  # fmt: skip
+def test_errors_of_frequencies(error, words, expected):
+    problem = storeys(error)
+    assert words in said(problem)
+    assert sd(problem) == pytest.approx(expected, rel=5e-3)
+    for row, f in zip(found(problem).errors, MEASURED, strict=True):
+        assert float(row[3]) == pytest.approx(100 * float(row[2]) / f, rel=0.01)
+
+
+def test_an_inferred_sd_is_said_with_its_prior_and_after_a_run_with_its_posterior():
+    problem = storeys(FrequencyErrors("relative", NOISE))
+    assert "a σ that is inferred, noise (prior: log-normal, median 0.02, sigma 0.5)." in said(problem)
+    assert sd(problem) == pytest.approx([0.02, 0.04])  # at the start
+    after = {"noise": (0.035, 0.004)}
+    assert "sigma 0.5; posterior: 0.0350 ± 0.0040)" in said(problem, inferred=after)
+    assert sd(problem, inferred=after) == pytest.approx([0.035, 0.07])
+    assert found(problem).has_inferred
+    assert not found(storeys()).has_inferred
+
+
+def test_covariance():
+    problem = storeys(covariance_hz2=np.array([[0.04, 0.01], [0.01, 0.09]]))
+    assert "Gaussian and correlated between the modes, with the covariance that is given" in said(problem)
+    assert sd(problem) == [0.2, 0.3]
+
+
+def test_repeated_tests():
+    rng = np.random.default_rng(1)
+    tests = MEASURED + 0.01 * rng.standard_normal((20, 2))
+    data = ModalData.from_tests(tests)
+    problem = UpdatingProblem(storeys().model.structure, data, [Parameter("k", 1.0, 0.5, 2.0)], pairing="index")
+    assert "is the mean of repeated tests, and its σ is the error of that mean" in said(problem)
+    assert sd(problem) == pytest.approx(tests.std(axis=0, ddof=1) / np.sqrt(20), rel=0.3)
+
+
+def test_shapes_and_their_pairing():
+    errors = [FrequencyErrors("relative", 0.01), ShapeErrors(0.05)]
+    words = said(storeys(errors, shapes=SHAPES))
+    assert "Errors of the mode shapes, scaled to unit length at the sensors: Gaussian" in words
+    assert "Modes are paired by MAC with the shapes measured at 2 sensors." in words
+    words = said(storeys([FrequencyErrors("relative", 0.01), MACErrors(0.02)], shapes=SHAPES))
+    assert "Errors 1 − MAC of the mode shapes: half-Gaussian" in words
+    assert found(storeys([ShapeErrors(0.05)], shapes=SHAPES)).errors == ()
+
+
+def test_pairing_by_number_and_by_shapes_of_the_model():
+    assert "Modes are paired by number in the sorted spectrum: 1, 2." in said(storeys(pairing="index"))
+    words = said(storeys())
+    assert "MAC with the model's own shapes before updating" in words
+    assert "as the lowest elastic modes, in this order" in words
+    soft = storeys(FrequencyErrors("relative", 0.01), "soft", SHAPES)
+    assert ", softly: the likelihood of a measured mode is a mixture" in said(soft)
+    assert "exp(MAC/0.02)" in said(soft)
+
+
+def test_shipped_cases():
+    path = fmu.cases.path("garteur")
+    garteur = read(path).model_copy(update={"reduction": False}).build("garteur", path.parent, None)
+    assert "by the numbers given as counterparts" in said(garteur)
+    assert "as the lowest modes that the sensors see" in said(fmu.cases.load("cantilever-young"))
+    assert found(fmu.cases.load("cantilever-young")).errors[0] == ("1", "31.9", "0.707", "2.2")
+
+
+def test_the_reduced_model():
+    assert "The full model is solved everywhere" in said(storeys())
+    assert "it may change a frequency by 1e-6 of its value" in said(storeys(), reduction=1e-6)
+
+
+def test_a_plain_density_has_none():
+    assert assumptions({"density": "Gaussian", "lower": [0.0], "upper": [1.0]}, None) is None
