@@ -121,9 +121,10 @@ def sample(
     -------
     xarray.DataTree
         The trace, see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
-        solves after the last draw (for predictions and the like), and the certificate of the reduced model, if
-        there is one (`fmu.analysis.certificate.certify`). The trace of an updating problem also has the groups
-        ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
+        solves after the last draw (for predictions and the like); ``gradient_cost``, how many times as long as a
+        log-probability its exact gradient took, if the sampler takes some; and the certificate of the reduced
+        model, if there is one (`fmu.analysis.certificate.certify`). The trace of an updating problem also has the
+        groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
         ``identifiability`` (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`).
 
     Raises
@@ -143,6 +144,7 @@ def sample(
     """
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
     from fmu.analysis.convergence.effective import live_diagnostics
+    from fmu.analysis.estimate import gradient_cost
     from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import starts
     from fmu.analysis.trace.conversion import to_trace
@@ -225,8 +227,11 @@ def sample(
         stack.close()
 
         # 4. What is computed from the draws.
-        solved_before = solves()
         trace = as_trace(result)
+        if _takes_exact_gradients(trace, problem, settings):
+            last = result.posterior.position[: result.chains // result.groups, -1]
+            trace.attrs["gradient_cost"] = gradient_cost(problem, last)
+        solved_before = solves()
         if maxima is not None:
             trace = with_maxima(trace, maxima)
         if of_model is not None:
@@ -307,6 +312,16 @@ def default_sampler(problem: LogDensity) -> str:
     """
     has_gradient = hasattr(problem, "log_prob_and_grad") and getattr(problem, "solves_per_gradient", 1) == 1
     return "hmc" if has_gradient else "mh"
+
+
+def _takes_exact_gradients(trace: xr.DataTree, problem: Any, settings: Sampler) -> bool:
+    """Return whether gradients were taken that cost more than the solves counted for them.
+
+    Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
+    """
+    is_function = getattr(getattr(problem, "model", None), "black_box", None) is not None
+    differences = getattr(settings, "gradient", "exact") != "exact"
+    return bool(trace.attrs["n_gradients"]) and not is_function and not differences
 
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, full_solves: int) -> xr.DataTree:

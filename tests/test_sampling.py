@@ -316,3 +316,27 @@ def test_a_function_is_not_called_again_for_its_draws():
     assert len(called) <= attrs["n_solves"] + attrs["warmup_n_solves"] + attrs["after_n_solves"]
     # before updating and at the mean, and four for the derivatives before it
     assert attrs["after_n_solves"] <= 6
+
+
+@pytest.mark.parametrize(
+    ("settings", "is_measured"),
+    [
+        (samplers.HamiltonianMonteCarlo(), True),
+        (samplers.HamiltonianMonteCarlo(gradient="central-difference"), False),
+        (samplers.MetropolisHastings(), False),
+    ],
+)
+def test_what_an_exact_gradient_costs_is_measured(settings, is_measured):
+    """Those of differences are solves that are counted."""
+    trace = fmu.sample(fmu.cases.load("shear-2dof"), settings, draws=4, warmup=4, init="prior")
+    assert ("gradient_cost" in trace.attrs) == is_measured
+    if is_measured:
+        assert 1.0 < trace.attrs["gradient_cost"] < 20.0
+
+
+def test_a_function_gives_value_and_gradient_in_one_call(problem):
+    model = fmu.BlackBoxModel(lambda theta: (100.0 + SLOPES @ theta, None, SLOPES), 2)
+    by_function = UpdatingProblem(model, problem.data, problem.parameters)
+    trace = fmu.sample(by_function, "hmc", draws=4, warmup=4, init="prior")
+    assert trace.attrs["n_gradients"] > 0
+    assert "gradient_cost" not in trace.attrs

@@ -1,4 +1,4 @@
-"""Estimate of what a run will cost: model solves, and seconds at the measured cost of one."""
+"""What a run will cost: model solves, and seconds at the measured cost of one; what a gradient costs."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from fmu.samplers.registry import named
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
     from fmu.samplers.kernel import Sampler
+    from fmu.types import FloatArray, LogDensity
 
 _CLIMB = 12  # evaluations with gradient
 _WEIGHED = 1024  # draws for each maximum
@@ -22,6 +23,7 @@ _SLOW_S = 0.005
 _OVERHEAD_S = 1e-4  # of a step beside a solve
 _PROBES, _PROBE_S = 5, 0.04
 _CERTIFIED = 64
+_FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 
 class Estimate(NamedTuple):
@@ -88,6 +90,32 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
 def estimates_in_words(parts: list[Estimate]) -> str:
     """Return the estimates in one line: ``hmc: about 36 000 solves, 12 s``."""
     return "; ".join(f"{part.name}: about {_rounded(part.solves)} solves, {_time(part.seconds)}" for part in parts)
+
+
+def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
+    """Return how many times as long a gradient takes as a log-probability.
+
+    The least time of each counts, of at least five, taken in turns: a machine that does other things makes none
+    shorter.
+
+    Parameters
+    ----------
+    density : LogDensity
+        With exact gradients.
+    theta : ndarray, shape (n, ndim)
+        Where it is evaluated, in one batch; of more than 16 points the first 16.
+    """
+    theta = theta[:_AT_ONCE]
+    took: list[tuple[float, float]] = []
+    end = time.perf_counter() + _MEASURED_S
+    while len(took) < _FEWEST or (len(took) < _MOST and time.perf_counter() < end):
+        began = time.perf_counter()
+        density.log_prob_and_grad(theta)
+        between = time.perf_counter()
+        density.log_prob(theta)
+        took.append((between - began, time.perf_counter() - between))
+    gradient_s, value_s = np.min(took, axis=0)
+    return float(gradient_s / value_s)
 
 
 def _seconds_of_one(problem: UpdatingProblem) -> float:

@@ -1,4 +1,8 @@
-"""The reference posterior, running errors against it, and the length at which a run passed for converged."""
+"""The reference posterior, running errors against it, and the length at which a run passed for converged.
+
+A solve is a log-probability here, and an exact gradient counts as many as it takes the time of
+(`fmu.analysis.trace.reading.in_solves`).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.convergence.diagnostics import ESS_LIMIT, summary
-from fmu.analysis.trace.reading import array_of, parameter_draws, walkers_of
+from fmu.analysis.trace.reading import array_of, in_solves, parameter_draws, walkers_of
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -95,16 +99,21 @@ class Curve:
 class Needed:
     """The length from which on a run passed for converged, at every longer length examined too.
 
+    None where the run never passed.
+
     Attributes
     ----------
     draws : int or None
-        Retained steps; None if the run never passed.
-    solves : int or None
-        Model solves of all chains up to there, warm-up included.
+        Retained steps.
+    samples : int or None
+    solves, seconds : float or None
+        Steps of all chains or walkers up to there, their solves and the time they took; warm-up included.
     """
 
-    draws: int | None
-    solves: int | None
+    draws: int | None = None
+    samples: int | None = None
+    solves: float | None = None
+    seconds: float | None = None
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
@@ -139,11 +148,14 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
     solves = solves_by_step(trace).sum(axis=0)
-    needed = Needed(None, None)
+    attrs, before_s = trace.attrs, float(trace.attrs["warmup_wall_s"])
+    step_s = (float(attrs["wall_s"]) - before_s) / steps
+    needed = Needed()
     for length in lengths_up_to(steps, GROWTH, SHORTEST)[::-1]:
         if failures(shortened(trace, int(length) * walkers)):
             break
-        needed = Needed(int(length), int(solves[length - 1]))
+        samples = trace["posterior"].sizes["chain"] * walkers * (int(attrs["warmup"]) + int(length))
+        needed = Needed(int(length), samples, float(solves[length - 1]), before_s + step_s * int(length))
     return needed
 
 
@@ -157,12 +169,14 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
     return round(solves * ESS_LIMIT / ess) if ess > 0 else None
 
 
-def solves_by_step(trace: xr.DataTree) -> IntArray:
+def solves_by_step(trace: xr.DataTree) -> FloatArray:
     """Return each chain's model solves up to every step kept, warm-up included, shape (chains, steps)."""
-    kept = array_of(trace, "sample_stats", "n_solves")
+    kept, before = (
+        in_solves(trace, *(array_of(trace, group, name) for name in ("n_solves", "n_gradients")))
+        for group in ("sample_stats", "warmup_sample_stats")
+    )
     kept = kept.reshape(len(kept), -1, walkers_of(trace)).sum(axis=2)
-    before = trace["warmup_sample_stats"]["n_solves"].sum("draw").to_numpy()
-    return before[:, np.newaxis] + np.cumsum(kept, axis=1)
+    return before.sum(axis=1, keepdims=True) + np.cumsum(kept, axis=1)
 
 
 def shortened(trace: xr.DataTree, draws: int) -> xr.DataTree:

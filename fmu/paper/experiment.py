@@ -14,7 +14,7 @@ from fmu.analysis.convergence.diagnostics import convergence_failures, interval_
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.prediction import predict_frequencies
-from fmu.analysis.trace.reading import parameter_draws
+from fmu.analysis.trace.reading import in_solves, parameter_draws
 from fmu.paper.convergence import (
     Curve,
     Needed,
@@ -164,7 +164,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
 def _needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
     """Return the length from which on a run passed for converged."""
     if not diagnosis.converged:
-        return Needed(None, None)
+        return Needed()
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
 
 
@@ -261,9 +261,11 @@ def frequency_table(result: Result) -> pd.DataFrame:
 def comparison_table(result: Result) -> pd.DataFrame:
     """Return `fmu.compare` of the long runs with what the paper's protocol cost beside it, one row per sampler.
 
+    Solves are log-probabilities, and an exact gradient counts as ``gradient_cost`` of them.
     ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
-    ``needed_solves``: model solves, warm-up counted, after which the long run passed for converged at every length
-    examined, missing if it never did; ``paper_solves``: what the paper's protocol took; ``paper_needed_solves``:
+    ``needed_samples``, ``needed_solves``, ``needed_s``: steps of all chains, model solves and seconds, warm-up
+    counted, after which the long run passed for converged at every length examined, missing if it never did;
+    ``paper_solves``: what the paper's protocol took; ``paper_needed_solves``:
     what the paper's settings would take, at the pace they have in the posterior, for the effective sample size
     that the verdict asks for, missing where no run tells where the posterior is; ``paper_error``: how far
     its means lie from the reference (the largest over the parameters, in posterior sd); ``published_error``:
@@ -273,14 +275,19 @@ def comparison_table(result: Result) -> pd.DataFrame:
     off = {s: _distance(result, posterior_mean(trace)) for s, trace in result.paper.items()}
     published = {s: _distance(result, result.published.columns[s].theta) for s in PAPER_SAMPLERS}
     cost = {s: int(trace.attrs["n_solves"]) for s, trace in result.paper.items()}
-    table["sampling_solves"] = [int(trace.attrs["n_solves"]) for trace in result.long.values()]
+    table["sampling_solves"] = [
+        round(in_solves(trace, *(int(trace.attrs[n]) for n in ("n_solves", "n_gradients"))))
+        for trace in result.long.values()
+    ]
     table["ess_per_sampling_solve"] = table["ess_bulk_min"] / table["sampling_solves"]
-    table["needed_solves"] = [result.needed[s].solves for s in table.index]
-    table["needed_draws"] = [result.needed[s].draws for s in table.index]
+    needed = [result.needed[s] for s in table.index]
+    table["needed_solves"] = [None if n.solves is None else round(n.solves) for n in needed]
+    table["needed_draws"], table["needed_samples"] = [n.draws for n in needed], [n.samples for n in needed]
+    table["needed_s"] = [np.nan if n.seconds is None else n.seconds for n in needed]
     table["paper_solves"] = [cost.get(s) for s in table.index]
     pace = {s: solves_at_this_pace(trace) for s, trace in result.pace.items()}
     table["paper_needed_solves"] = [pace.get(s) for s in table.index]
-    for column in ("needed_solves", "needed_draws", "paper_solves", "paper_needed_solves"):
+    for column in ("needed_solves", "needed_draws", "needed_samples", "paper_solves", "paper_needed_solves"):
         table[column] = table[column].astype("Int64")
     table["paper_error"] = [off.get(s, np.nan) for s in table.index]
     table["published_error"] = [published.get(s, np.nan) for s in table.index]

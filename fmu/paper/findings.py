@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fmu.analysis.convergence.diagnosis import CONVERGED
 from fmu.numbers import fixed, significant, whole
@@ -171,52 +172,61 @@ class Findings:
         return float(f"1e{exponent}"), f"1e{exponent} {unit}"
 
 
+SHORT = {"hmc": "HMC", "mh": "MH", "slice": "slice sampling"}
+"""Names of the samplers in the paper."""
+FASTER, BETTER = "converges faster than", "gives better results than"
 CLAIMS = {
-    "cantilever-young": (
-        ("HMC converges faster than MH", "hmc", "mh"),
-        ("HMC converges faster than slice sampling", "hmc", "slice"),
-        ("MH converges faster than slice sampling", "mh", "slice"),
-    ),
-    "cantilever-section": (
-        ("HMC converges faster than MH", "hmc", "mh"),
-        ("HMC converges faster than slice sampling", "hmc", "slice"),
-        ("MH gives better results than slice sampling", "mh", "slice"),
-    ),
+    "cantilever-young": (("hmc", FASTER, "mh"), ("hmc", FASTER, "slice"), ("mh", FASTER, "slice")),
+    "cantilever-section": (("hmc", FASTER, "mh"), ("hmc", FASTER, "slice"), ("mh", BETTER, "slice")),
 }
 """Sections 5.1, 5.2 and 6: which sampler is said to beat which."""
+CRITERIA = {
+    FASTER: {
+        "samples to converge": "needed_samples",
+        "solves to converge": "needed_solves",
+        "seconds to converge": "needed_s",
+    },
+    BETTER: {"worst mean of the paper's protocol, sd off": "paper_error"},
+}
+"""By what a statement is judged: a column of the comparison; the smaller number wins."""
 
 
 CLOSE = 1.25
 """Efficiencies with a smaller ratio are not distinguished: an estimated ESS scatters by about a tenth."""
+CLOSE_LENGTHS = 2.0
+"""Lengths and errors with a smaller ratio are not distinguished: each is that of one run."""
 SEPARATED = (
     "The posterior has separated modes and each run reports the ones it fell into: results that differ between "
     "samplers here say nothing about the samplers. "
 )
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """A statement of the paper and the judgement on it.
+class Judgement(NamedTuple):
+    """A statement of the paper, a criterion and the judgement by it.
 
     `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
     """
 
     statement: str
+    criterion: str
     outcome: str
     evidence: str
 
 
 def judge(findings: Findings) -> list[Judgement]:
-    """Judge the paper's statements on one experiment by its long runs.
+    """Judge the paper's statements on one experiment, by each criterion that could be meant.
 
-    If the long run of only one of two samplers converged, that one is the better; efficiencies are compared if
-    both converged.
+    If the long run of only one of two samplers converged, that one is the better; if both did, the numbers of the
+    table of costs are compared.
     """
-    return [Judgement(statement, *_decide(findings, a, b)) for statement, a, b in CLAIMS[findings.case]]
+    return [
+        Judgement(f"{SHORT[a]} {verb} {SHORT[b]}", criterion, *_decide(findings, a, b, column))
+        for a, verb, b in CLAIMS[findings.case]
+        for criterion, column in CRITERIA[verb].items()
+    ]
 
 
-def _decide(findings: Findings, better: str, worse: str) -> tuple[str, str]:
-    rate = {s: findings.value(s, "ess_per_solve") for s in (better, worse)}
+def _decide(findings: Findings, better: str, worse: str, column: str) -> tuple[str, str]:
     done = {s: findings.is_converged(s) for s in (better, worse)}
     if not any(done.values()):
         return "cannot be judged", "neither long run is converged"
@@ -226,14 +236,16 @@ def _decide(findings: Findings, better: str, worse: str) -> tuple[str, str]:
         spent = whole(findings.value(loser, "n_solves"))
         words = f"{TITLES[winner]} converged, {TITLES[loser]} did not in {spent} solves"
         return ("agrees" if winner == better else "disagrees"), words
-    words = f"{significant(rate[better], 2)} against {significant(rate[worse], 2)} effective draws per solve"
-    if max(rate.values()) < CLOSE * min(rate.values()):
+    mine, other = (findings.value(s, column) for s in (better, worse))
+    as_text = whole if column in ("needed_samples", "needed_solves") else partial(fixed, places=1)
+    words = f"{as_text(mine)} against {as_text(other)}"
+    if max(mine, other) < CLOSE_LENGTHS * min(mine, other):
         return "too close to call", words
-    return ("agrees" if rate[better] > rate[worse] else "disagrees"), words
+    return ("agrees" if mine < other else "disagrees"), words
 
 
 def statement(findings: Findings) -> str:
-    """Return a paragraph: which sampler is best here, by how much, and whether the converged ones agree."""
+    """Return a paragraph: which sampler has most effective draws per solve, and whether converged ones agree."""
     heading = f"**Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}.** "
     samplers = list(findings.comparison.index)
     ranked = sorted(filter(findings.is_converged, samplers), key=lambda s: -findings.value(s, "ess_per_solve"))
@@ -246,8 +258,8 @@ def statement(findings: Findings) -> str:
         for s in ranked
         if findings.value(s, "ess_per_solve") * CLOSE > findings.value(ranked[0], "ess_per_solve")
     ]
-    words = heading + f"Best: {', '.join(TITLES[s] for s in first)}{' (too close to call)' if first[1:] else ''}. "
-    words += f"Converged, with their effective draws per solve: {rates}. "
+    words = heading + f"Most: {', '.join(TITLES[s] for s in first)}{' (too close to call)' if first[1:] else ''}. "
+    words += f"Effective draws per solve of the converged: {rates}. "
     if len(ranked) < len(samplers):
         words += f"Not converged: {', '.join(TITLES[s] for s in samplers if s not in ranked)}. "
     if "hmc" in ranked:

@@ -7,7 +7,7 @@ from typing import Any
 
 from fmu.numbers import MISSING, about, fixed, given, share, significant, whole, with_interval
 from fmu.paper.experiment import CI_PROB, PAIRED_BY, rows_of
-from fmu.paper.findings import SEPARATED, Findings, judge, statement
+from fmu.paper.findings import CLOSE_LENGTHS, SEPARATED, Findings, judge, statement
 from fmu.paper.plan import PAPER_SAMPLERS
 from fmu.report.plots import TITLES
 from fmu.tables import markdown_table
@@ -139,10 +139,18 @@ WOULD_NEED = (
     "400, from chains that start in the posterior."
 )
 _REACHED = ("sampler", "converged", "R-hat", "bulk ESS", "tail ESS", "mcse/sd", "moved", "divergences")
+SOLVE = (
+    "A *solve* is a log-probability. An exact gradient counts as many solves as it takes the time of, measured at "
+    "the end of each run (*a gradient costs*); the paper's central difference consists of 2 solves a parameter. "
+)
+TO_CONVERGE = (
+    "*To converge*: samples of all chains, solves and seconds, warm-up included, from which on the long run "
+    "passes for converged at every length examined. "
+)
 _COST = (
-    "sampler", "model solves", "of them gradients", "to converge", "ESS per solve", "without warm-up",
-    "ESS per s", "time, s", "the paper's protocol: solves", "its mean, sd off", "would need",
-    "published, sd off",
+    "sampler", "evaluations", "of them gradients", "a gradient costs, solves", "samples to converge",
+    "solves to converge", "seconds to converge", "ESS per solve", "without warm-up", "ESS per s", "time, s",
+    "the paper's protocol: solves", "its worst mean, sd off", "would need", "published, sd off",
 )  # fmt: skip
 
 
@@ -159,7 +167,8 @@ def reached_and_cost(findings: Findings) -> str:
     ]  # fmt: skip
     cost = [
         (
-            TITLES[name], whole(row.n_solves), whole(row.n_gradients), whole(row.needed_solves),
+            TITLES[name], whole(row.n_solves), whole(row.n_gradients), significant(row.gradient_cost, 2),
+            whole(row.needed_samples), whole(row.needed_solves), fixed(row.needed_s, 1),
             *_efficiency(findings, name), fixed(row.wall_s, 1), whole(row.paper_solves),
             fixed(row.paper_error, 1), about(row.paper_needed_solves), fixed(row.published_error, 1),
         )
@@ -175,9 +184,8 @@ def reached_and_cost(findings: Findings) -> str:
         + markdown_table(_REACHED, reached, words=(0, 1))
         + ("\n" if failed else "")
         + "".join(failed)
-        + "\nCost of the long runs, all chains and the warm-up included, beside that of the paper's protocol. An "
-        "exact gradient counts as one solve. *To converge*: number of solves from which on the long run passes "
-        f"for converged at every length examined; {MISSING} if it never does, and its ESS is then meaningless. "
+        + "\nCost of the long runs, all chains and the warm-up included, beside that of the paper's protocol. "
+        f"{SOLVE}{TO_CONVERGE}{MISSING} if it never does, and its ESS is then meaningless. "
         f"{WOULD_NEED} *Off*: distance of the worst parameter's mean from the reference, in posterior standard "
         f"deviations. Reference: {findings.origin}.\n\n" + markdown_table(_COST, cost)
     )
@@ -190,10 +198,17 @@ def _efficiency(findings: Findings, sampler: str) -> list[str]:
     return [significant(findings.value(sampler, name) if is_known else None, n) for name, n in columns.items()]
 
 
+JUDGED_BY = (
+    "The paper does not say by what a sampler converges faster; each way to count is judged for itself, by the "
+    "figures of the table of costs. Each is that of one run: less than a factor of "
+    f"{CLOSE_LENGTHS:g} between two is too close to call.\n"
+)
+
+
 def claims(findings: Findings) -> str:
     """Return the paper's statements on its samplers and the judgements on them."""
-    rows = [(j.statement, j.outcome, j.evidence) for j in judge(findings)]
-    return markdown_table(("the paper", "this run", "why"), rows, words=range(3))
+    rows = [(j.statement, j.criterion, j.outcome, j.evidence) for j in judge(findings)]
+    return f"{JUDGED_BY}\n" + markdown_table(("the paper", "by", "this run", "figures"), rows, words=range(4))
 
 
 def maxima(findings: Findings) -> str:

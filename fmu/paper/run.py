@@ -12,7 +12,7 @@ from fmu.analysis.trace.provenance import versions
 from fmu.engines import default_workers, engine
 from fmu.fem.modes.modal import single_thread
 from fmu.numbers import fixed, share
-from fmu.paper.errata import Erratum, computed_errata, errata_page, recompute, recomputed_page
+from fmu.paper.errata import Erratum, computed_errata, errata_page, recompute, recomputed_page, reproduced
 from fmu.paper.experiment import Result, compute, directory_of
 from fmu.paper.figures import write_figures
 from fmu.paper.findings import Findings
@@ -150,11 +150,10 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
     recomputed.to_csv(stage / "recomputed.csv", index=False)
     errata = computed_errata(by_number, by_shape, plan.box_points)
     errata += [erratum for findings in everything for erratum in separated_modes(findings)]
-    passed = int(recomputed["within"].sum()), len(recomputed)
     pages = {
         "recomputed.md": recomputed_page(recomputed),
-        "errata.md": errata_page(errata),
-        "README.md": summary_page(everything, passed, plan.seed, versions()),
+        "errata.md": errata_page(errata, reproduced(recomputed)),
+        "README.md": summary_page(everything, reproduced(recomputed), plan.seed, versions()),
     }
     for name, text in pages.items():
         (stage / name).write_text(text, encoding="utf-8")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from fmu.numbers import about, fixed, share, significant, whole, with_interval
 from fmu.paper.experiment import PAIRED_BY
 from fmu.paper.findings import Findings, judge, statement
-from fmu.paper.page import ENDS, WOULD_NEED
+from fmu.paper.page import ENDS, JUDGED_BY, SOLVE, TO_CONVERGE, WOULD_NEED
 from fmu.paper.vector_beta import RELATIVE, VectorBeta, outcome
 from fmu.report.plots import TITLES
 from fmu.tables import markdown_table
@@ -26,16 +26,14 @@ FILES = {
 }
 
 
-def summary_page(
-    everything: Sequence[Findings], recomputed: tuple[int, int], seed: int, versions: Mapping[str, str]
-) -> str:
+def summary_page(everything: Sequence[Findings], recomputed: str, seed: int, versions: Mapping[str, str]) -> str:
     """Return results/README.md.
 
     Parameters
     ----------
     everything : sequence of Findings
-    recomputed : tuple of int
-        Number of published frequencies that were reproduced, and their total number.
+    recomputed : str
+        How many published frequencies were reproduced (`fmu.paper.errata.reproduced`).
     seed : int
     versions : mapping of str to str
     """
@@ -43,18 +41,17 @@ def summary_page(
         "# Results\n",
         "Both experiments of Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in "
         "Bayesian Finite Element Model Updating*, repeated. Written by `fmu paper`; every number is computed.\n",
-        f"- {recomputed[0]} of {recomputed[1]} published frequencies come out of one model "
-        "([recomputed.md](recomputed.md)); [errata.md](errata.md) lists the errors of the paper.\n"
+        f"- {recomputed} ([recomputed.md](recomputed.md)). [errata.md](errata.md) lists the errors of the paper.\n"
         + "".join(f"- [{f.name}]({f.name}/tables.md): {_in_a_line(f)}\n" for f in everything),
         "## Posterior means\n",
     ]
     for findings in everything:
         parts += [_means(findings)]
     parts += ["## What a converged run costs\n", _costs(everything)]
-    parts += ["## Which sampler is best\n"]
+    parts += ["## Which sampler draws most per solve\n"]
     parts += [
-        "By effective draws per model solve: smallest bulk ESS over the parameters, divided by all solves, "
-        "warm-up counted.\n"
+        "Effective draws: smallest bulk ESS over the parameters. Solves: of the whole long run, warm-up counted, "
+        "a gradient at what it costs.\n"
     ]
     parts += [statement(findings).strip() + "\n" for findings in everything]
     parts += ["### Against the paper's conclusions\n", _claims(everything)]
@@ -108,34 +105,38 @@ def _costs(everything: Sequence[Findings]) -> str:
     rows = []
     for findings in everything:
         for name in findings.comparison.index:
-            needed = findings.value(name, "needed_solves")
+            samples, solves = (findings.value(name, f"needed_{of}") for of in ("samples", "solves"))
             rows.append((
                 findings.name, TITLES[name], "yes" if findings.is_converged(name) else "**no**",
-                whole(needed) if needed == needed else f"more than {whole(findings.value(name, 'n_solves'))}",
+                significant(findings.value(name, "gradient_cost"), 2), whole(samples),
+                whole(solves) if solves == solves else f"more than {whole(findings.value(name, 'n_solves'))}",
+                fixed(findings.value(name, "needed_s"), 1),
                 significant(findings.value(name, "ess_per_solve") if findings.is_converged(name) else None, 2),
                 whole(findings.value(name, "paper_solves")), fixed(findings.value(name, "paper_error"), 1),
                 about(findings.value(name, "paper_needed_solves")),
             ))  # fmt: skip
     header = (
-        "experiment", "sampler", "converged", "solves to converge", "ESS per solve",
-        "the paper's protocol: solves", "its worst mean, sd off", "would need",
+        "experiment", "sampler", "converged", "a gradient costs, solves", "samples to converge",
+        "solves to converge", "seconds to converge", "ESS per solve", "the paper's protocol: solves",
+        "its worst mean, sd off", "would need",
     )  # fmt: skip
     return (
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
         "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
-        f"differences there, as the paper does, and exact gradients in the long runs. {WOULD_NEED}\n\n"
-        + markdown_table(header, rows, words=(0, 1, 2))
+        f"differences there, as the paper does, and exact gradients in the long runs. {SOLVE}{TO_CONVERGE}"
+        f"{WOULD_NEED}\n\n" + markdown_table(header, rows, words=(0, 1, 2))
     )
 
 
 def _claims(everything: Sequence[Findings]) -> str:
     rows = [
-        (f"{findings.published.section}, {PAIRED_BY[findings.pairing]}", j.statement, j.outcome, j.evidence)
+        (f"{findings.published.section}, {PAIRED_BY[findings.pairing]}", *j)
         for findings in everything
         for j in judge(findings)
     ]
     return (
-        markdown_table(("experiment", "the paper", "this run", "why"), rows, words=range(4))
+        f"{JUDGED_BY}\n"
+        + markdown_table(("experiment", "the paper", "by", "this run", "figures"), rows, words=range(5))
         + "\nThe paper also compares its samplers by how well their means fit the data. Samplers of one "
         "posterior have one mean: where their tables differ by more than Monte-Carlo error, a run was too "
         "short, or sat in another mode.\n"

@@ -17,6 +17,7 @@ COLUMNS = [
     "divergences",
     "n_solves",
     "n_gradients",
+    "gradient_cost",
     "wall_s",
     "ess_per_solve",
     "ess_per_s",
@@ -48,8 +49,17 @@ def test_row_by_hand(make_trace, good):
     assert row["n_solves"] == 4 * (500 + 2) * 3  # 3 a draw, two draws of warm-up
     assert row["n_gradients"] == 4 * (500 + 2) * 2
     assert row["wall_s"] == 2.0
+    assert np.isnan(row["gradient_cost"])
     assert row["ess_per_solve"] == pytest.approx(row["ess_bulk_min"] / 6024)
     assert row["ess_per_s"] == pytest.approx(row["ess_bulk_min"] / 2.0)
+
+
+def test_per_solve_a_gradient_counts_as_what_it_costs(make_trace, good):
+    trace = make_trace(good)
+    trace.attrs["gradient_cost"] = 2.5
+    row = compare({"hmc": trace}).loc["hmc"]
+    assert (row["n_solves"], row["n_gradients"], row["gradient_cost"]) == (6024, 4016, 2.5)
+    assert row["ess_per_solve"] == pytest.approx(row["ess_bulk_min"] / (6024 + 1.5 * 4016))
 
 
 def test_verdict_names_the_first_reason(make_trace, good):

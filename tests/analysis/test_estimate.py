@@ -1,10 +1,12 @@
 """What a run is said to cost, against what it costs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.estimate import Estimate, estimates, estimates_in_words
+from fmu.analysis.estimate import Estimate, estimates, estimates_in_words, gradient_cost
 
 ORDERS = {"draws": 150, "warmup": 150, "chains": 4, "groups": None}
 
@@ -52,3 +54,22 @@ def test_in_words():
     assert estimates_in_words(parts) == (
         "hmc: about 36 000 solves, 12 s; certificate: about 64 solves, under 1 s; mh: about 7 solves, 3.3 h"
     )
+
+
+def test_a_gradient_is_timed_against_a_log_probability_on_a_busy_machine(monkeypatch):
+    """Four of five calls are held up for a hundred times as long as they take."""
+    now, calls = [0.0], []
+
+    def takes(seconds, answer):
+        def call(theta):
+            calls.append(len(theta))
+            now[0] += seconds if len(calls) % 5 == 0 else 100 * seconds
+            return answer
+
+        return call
+
+    density = SimpleNamespace(log_prob=takes(0.002, 0.0), log_prob_and_grad=takes(0.005, (0.0, 0.0)))
+    monkeypatch.setattr("fmu.analysis.estimate.time.perf_counter", lambda: now[0])
+    assert gradient_cost(density, np.zeros((20, 2))) == pytest.approx(2.5)
+    assert set(calls) == {16}
+    assert len(calls) == 2 * 5

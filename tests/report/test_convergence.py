@@ -22,8 +22,11 @@ from fmu.paper.convergence import (
 REFERENCE = Reference(np.array([1.0, 20.0]), np.array([2.0, 10.0]), np.array([0.1, 0.1]), "given")
 
 
-def make_trace(a, b, walkers=1, warm_solves=7, lp=0.0):
-    """A trace of two parameters whose step k (from 0) took k + 1 solves in every walker."""
+def make_trace(a, b, walkers=1, warm_solves=7, lp=0.0, gradients=0):
+    """A trace of two parameters whose step k (from 0) took k + 1 solves in every walker.
+
+    Every step, that of the warm-up too, took `gradients`; warm-up took 0.5 s, draws as long.
+    """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     steps = np.arange(a.shape[1]) // walkers + 1
     dims = ("chain", "draw")
@@ -31,12 +34,21 @@ def make_trace(a, b, walkers=1, warm_solves=7, lp=0.0):
         {
             "posterior": xr.Dataset({"a": (dims, a), "b": (dims, b)}),
             "sample_stats": xr.Dataset(
-                {"n_solves": (dims, np.broadcast_to(steps, a.shape)), "lp": (dims, np.full(a.shape, lp))}
+                {
+                    "n_solves": (dims, np.broadcast_to(steps, a.shape)),
+                    "n_gradients": (dims, np.full(a.shape, gradients)),
+                    "lp": (dims, np.full(a.shape, lp)),
+                }
             ),
-            "warmup_sample_stats": xr.Dataset({"n_solves": (dims, np.full((len(a), 1), warm_solves))}),
+            "warmup_sample_stats": xr.Dataset(
+                {
+                    "n_solves": (dims, np.full((len(a), 1), warm_solves)),
+                    "n_gradients": (dims, np.full((len(a), 1), gradients)),
+                }
+            ),
         }
     )
-    trace.attrs = {"walkers": walkers, "sampler": "mh", "wall_s": 1.0}
+    trace.attrs = {"walkers": walkers, "sampler": "mh", "wall_s": 1.0, "warmup_wall_s": 0.5, "warmup": 1}
     return trace
 
 
@@ -45,6 +57,13 @@ def test_solves_count_the_warmup_and_all_walkers():
     np.testing.assert_array_equal(solves_by_step(trace), [[8, 10, 13]] * 2)
     ensemble = make_trace(np.zeros((1, 6)), np.zeros((1, 6)), walkers=2)
     np.testing.assert_array_equal(solves_by_step(ensemble), [[9, 13, 19]])
+
+
+def test_a_gradient_counts_as_the_solves_that_it_takes_the_time_of():
+    trace = make_trace(np.zeros((2, 3)), np.zeros((2, 3)), gradients=1)
+    np.testing.assert_array_equal(solves_by_step(trace), [[8, 10, 13]] * 2)  # not measured: one
+    trace.attrs["gradient_cost"] = 2.5
+    np.testing.assert_array_equal(solves_by_step(trace), [[8 + 3, 10 + 4.5, 13 + 6]] * 2)
 
 
 def test_running_error_of_a_chain():
@@ -89,6 +108,8 @@ def test_solves_needed_is_where_the_verdict_turned_good_for_good(walkers):
     assert 200 <= needed.draws <= 250
     cost = 7 + walkers * needed.draws * (needed.draws + 1) // 2
     assert needed.solves == 2 * cost
+    assert needed.samples == 2 * walkers * (1 + needed.draws)
+    assert needed.seconds == pytest.approx(0.5 + 0.5 * needed.draws / steps)
 
 
 def test_pace_is_in_proportion_to_the_worst_ess():

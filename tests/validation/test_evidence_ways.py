@@ -6,6 +6,7 @@ import pytest
 import fmu
 from tests.two_storeys import quadrature
 from tests.validation.evidence import Estimate, Region, weighed
+from tests.validation.evidence_page import PAGE
 
 
 def test_importance_sampling_of_two_modes():
@@ -41,3 +42,8 @@ def test_a_region_needs_no_gradient(section):
     region = Region(section, section.start)
     with pytest.raises(AttributeError):
         region.log_prob_and_grad(section.start)
+
+
+def test_the_factor_at_beta_one_stands_beside_that_at_one_percent():
+    (sentence,) = (part for part in PAGE.split("\n- ") if "{by_shape" in part)
+    assert "exp({at_one_percent:.1f})" in sentence

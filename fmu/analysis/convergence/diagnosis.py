@@ -23,7 +23,7 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, with_group
+from fmu.analysis.trace.reading import check_trace, has, in_solves, parameter_names, walkers_of, with_group
 from fmu.tables import data_frame
 
 if TYPE_CHECKING:
@@ -248,7 +248,8 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     """Compare the traces of several samplers on one problem.
 
     The costs ``n_solves``, ``n_gradients`` and ``wall_s`` include the warm-up, and so do ``ess_per_solve`` and
-    ``ess_per_s``. The attributes of each trace give the counts without it.
+    ``ess_per_s``. The attributes of each trace give the counts without it. In ``ess_per_solve`` a solve is a
+    log-probability, and an exact gradient counts as ``gradient_cost`` of them.
 
     Parameters
     ----------
@@ -268,7 +269,9 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         - ``mcse_over_sd_max``: largest standard error of a posterior mean over the posterior's sd;
         - ``accept_rate``: share of the retained draws that left the previous position;
         - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
-        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included;
+        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
+        - ``gradient_cost``: time of an exact gradient over that of a log-probability, measured at the end of the
+          run; NaN if there are none;
         - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of that cost.
 
     Raises
@@ -326,7 +329,8 @@ def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[
         "divergences": int(stats["diverging"].sum()) if "diverging" in stats else pd.NA,
         "n_solves": solves,
         "n_gradients": gradients,
+        "gradient_cost": float(trace.attrs.get("gradient_cost", np.nan)),
         "wall_s": wall_s,
-        "ess_per_solve": ess / solves if solves else np.nan,
+        "ess_per_solve": ess / in_solves(trace, solves, gradients) if solves else np.nan,
         "ess_per_s": ess / wall_s if wall_s > 0 else np.nan,
     }

@@ -69,6 +69,15 @@ def constant(trace: xr.DataTree, which: str, name: str) -> float:
     )
 
 
+def in_solves(trace: xr.DataTree, n_solves: Any, n_gradients: Any) -> Any:
+    """Return a cost in solves, the log-probabilities that would have taken the time.
+
+    An exact gradient, counted among the solves as one, is worth ``trace.attrs["gradient_cost"]`` of them. That was
+    measured at the end of the run; a trace without it counts a gradient as one.
+    """
+    return n_solves + (float(trace.attrs.get("gradient_cost", 1.0)) - 1.0) * n_gradients
+
+
 def walkers_of(trace: xr.DataTree) -> int:
     """Return the number of walkers of an ensemble; 1 if each chain is a single point."""
     return int(trace.attrs["walkers"])

@@ -11,7 +11,7 @@ from fmu.report.plots.style import DPI, FONT, GREY, PALE, colour, finish, new_fi
 
 
 def draw(rows: dict[str, list[Any]], out: str) -> None:
-    """Draw ESS per evaluation and per second, a bar a sampler: logarithmic, the best per second on top.
+    """Draw ESS per solve and per second, a bar a sampler: logarithmic, the best per second on top.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ def draw(rows: dict[str, list[Any]], out: str) -> None:
     axes = figure.subplots(len(rows), 2, squeeze=False, height_ratios=[len(of_case) for of_case in rows.values()])
     for pair, (case, of_case) in zip(axes, rows.items(), strict=True):
         ordered = sorted(of_case, key=lambda row: row.per_second())
-        _bars(pair[0], ordered, lambda row, warmup_in=False: row.per_evaluation(warmup_in))
+        _bars(pair[0], ordered, lambda row, warmup_in=False: row.per_solve(warmup_in))
         _bars(pair[1], ordered, lambda row, warmup_in=False: row.per_second(warmup_in))
         pair[0].set_yticks(range(len(ordered)), [row.name for row in ordered], fontsize=FONT - 1)
         pair[1].set_yticks([])
         pair[0].set_title(case, loc="left", fontsize=FONT + 1)
-        pair[0].set_xlabel("ESS per evaluation (gradient or log-probability)", fontsize=FONT)
+        pair[0].set_xlabel("ESS per solve (a gradient counts as what it costs)", fontsize=FONT)
         pair[1].set_xlabel("ESS per second on one core", fontsize=FONT)
     handles = [
         Patch(facecolor=GREY, label="fmu, default settings (in colour)"),

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro.distributions as dist
 from jax.scipy.linalg import solve_triangular
 
+from fmu.analysis.estimate import gradient_cost
 from fmu.fem.pairing.rules import RankPairing
 from fmu.types import FloatArray
 from tests.benchmarks.peers.target import Target
@@ -44,7 +47,49 @@ class JaxBlock:
 
 
 class JaxPosterior:
-    """Prior and likelihood of a target in u = (θ − lower)/(upper − lower).
+    """Prior and likelihood of a target in coordinates x = (θ − lower)/scale.
+
+    Parameters
+    ----------
+    target : Target
+
+    Attributes
+    ----------
+    prior : numpyro.distributions.Distribution
+        Of x.
+    """
+
+    prior: dist.Distribution
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self._compiled = jax.jit(self.log_prob)
+
+    def log_likelihood(self, x: Any) -> Any:
+        """Return the log-likelihood at x (ndim,), a constant apart."""
+        raise NotImplementedError
+
+    def log_prob(self, x: Any) -> Any:
+        """Return the log-density at x (ndim,), a constant apart."""
+        return self.prior.log_prob(x) + self.log_likelihood(x)
+
+    def at(self, theta: FloatArray) -> float:
+        """Return the log-density at θ in SI units."""
+        return float(self._compiled(jnp.asarray(self.target.to_unit(theta))))
+
+    def gradient_cost(self, n: int) -> float:
+        """Return how many times as long a gradient takes as a log-density, in batches of `n`."""
+        x = jnp.asarray(self.target.to_unit(self.target.starts(0, n)))
+        value, gradient = (jax.jit(jax.vmap(of)) for of in (self.log_prob, jax.value_and_grad(self.log_prob)))
+        compiled = SimpleNamespace(
+            log_prob=lambda x: jax.block_until_ready(value(x)),
+            log_prob_and_grad=lambda x: jax.block_until_ready(gradient(x)),
+        )
+        return gradient_cost(compiled, x)
+
+
+class JaxBeam(JaxPosterior):
+    """A beam of the paper: errors of frequencies, Gaussian priors cut off at the box.
 
     Parameters
     ----------
@@ -54,30 +99,57 @@ class JaxPosterior:
     """
 
     def __init__(self, target: Target, reduced: bool = True) -> None:
+        super().__init__(target)
         problem = target.problem
-        self.target, self.ndim = target, problem.ndim
+        loc, sd = (np.array([getattr(p.prior, name) for p in problem.parameters]) for name in ("mean", "sd"))
+        loc, sd = target.to_unit(loc), sd / problem.scale
+        self.prior = dist.TruncatedNormal(jnp.asarray(loc), jnp.asarray(sd), low=0.0, high=1.0).to_event(1)
         self.offset = problem.lower / problem.scale
-        self.loc = jnp.asarray(
-            (np.array([p.prior.mean for p in problem.parameters]) - problem.lower) / problem.scale
-        )
-        self.sd = jnp.asarray(np.array([p.prior.sd for p in problem.parameters]) / problem.scale)
         self.measured = jnp.asarray(problem.data.frequencies_hz)
         self.noise = jnp.asarray(problem.likelihood.error.sd)
         self.eigenvalues = _paired(target, reduced)
-        self._compiled = jax.jit(self.log_prob)
 
-    def frequencies(self, u: Any) -> Any:
-        """Return the paired frequencies in Hz."""
-        return jnp.sqrt(self.eigenvalues(self.offset + u)) / (2.0 * jnp.pi)
+    def log_likelihood(self, x: Any) -> Any:
+        """Return the log-likelihood at x (ndim,), a constant apart."""
+        f = jnp.sqrt(self.eigenvalues(self.offset + x)) / (2.0 * jnp.pi)
+        return -0.5 * jnp.sum(((f - self.measured) / self.noise) ** 2)
 
-    def log_prob(self, u: Any) -> Any:
-        """Return the log-density at u, a constant apart; bounds are the caller's."""
-        error = (self.frequencies(u) - self.measured) / self.noise
-        return -0.5 * jnp.sum(error**2) - 0.5 * jnp.sum(((u - self.loc) / self.sd) ** 2)
 
-    def at(self, theta: FloatArray) -> float:
-        """Return the log-density at θ in SI units."""
-        return float(self._compiled(jnp.asarray(self.target.to_unit(theta))))
+class JaxBuilding(JaxPosterior):
+    """The ten storeys: errors of frequencies (relative) and shapes, both sizes inferred, log-normal priors."""
+
+    def __init__(self, target: Target) -> None:
+        super().__init__(target)
+        problem, model = target.problem, target.structure.structure
+        self.scale = jnp.asarray(problem.scale)
+        median, sigma = (
+            np.array([getattr(p.prior, name) for p in problem.parameters]) for name in ("median", "sigma")
+        )
+        self.prior = dist.LogNormal(jnp.asarray(np.log(median / problem.scale)), jnp.asarray(sigma)).to_event(1)
+        self.K = jnp.asarray(np.stack([term.matrix.toarray() for term in model.K_terms]))
+        (mass,) = {float(m) for term in model.M_terms for m in term.matrix.diagonal()}  # every floor's is the same
+        self.K /= mass
+        self.measured = jnp.asarray(problem.data.frequencies_hz)
+        shapes = np.asarray(problem.data.shapes)
+        self.unit = jnp.asarray(shapes / np.linalg.norm(shapes, axis=0))
+        self.rows = np.array([model.dofs.index(sensor) for sensor in problem.data.sensors])
+
+    def log_likelihood(self, x: Any) -> Any:
+        """Return the log-likelihood at x (12,), a constant apart."""
+        *factors, sd_frequency, sd_shape = self.scale * x
+        n = len(self.measured)
+        lam, phi = jnp.linalg.eigh(jnp.tensordot(jnp.stack(factors), self.K, 1), symmetrize_input=False)
+        error = jnp.sqrt(lam[:n]) / (2.0 * jnp.pi) / self.measured - 1.0
+        seen = phi[self.rows, :n]
+        sine2 = 1.0 - jnp.sum(self.unit * seen, axis=0) ** 2 / jnp.sum(seen**2, axis=0)
+        of_frequencies = -0.5 * jnp.sum(error**2) / sd_frequency**2 - n * jnp.log(sd_frequency)
+        free = n * (len(self.rows) - 1)  # a direction has one dimension less than its components
+        return of_frequencies - 0.5 * jnp.sum(sine2) / sd_shape**2 - free * jnp.log(sd_shape)
+
+
+def in_jax(target: Target) -> JaxPosterior:
+    """Return the posterior of a target on the model that fmu samples on."""
+    return JaxBeam(target) if target.is_box else JaxBuilding(target)
 
 
 def _paired(target: Target, reduced: bool) -> Callable[[Any], Any]:

@@ -1,4 +1,4 @@
-"""The no-U-turn sampler of NumPyro and of nutpie: in logit coordinates, as their libraries treat bounds."""
+"""The no-U-turn sampler of NumPyro and of nutpie: in coordinates without bounds, as their libraries treat them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro
-import numpyro.distributions as dist
 import nutpie
 from numpyro.infer import MCMC, NUTS
 from nutpie.compiled_pyfunc import from_pyfunc
@@ -20,19 +19,19 @@ from tests.benchmarks.peers.target import Target
 CHAINS = 4
 
 
-def numpyro_nuts(posterior: JaxPosterior, length: Length) -> Callable[[int], Outcome]:
+def numpyro_nuts(posterior: JaxPosterior, length: Length, dense: bool = False) -> Callable[[int], Outcome]:
     """Return what runs NumPyro's NUTS for a seed; compiled beforehand, so that no run pays for it.
 
-    Its chains are vectorized: on one core that was measured to be faster than one chain after the other.
+    Its chains are vectorized: on one core that was measured to be faster than one chain after the other. `dense`
+    asks for a dense mass matrix; the default of NumPyro is a diagonal one.
     """
 
     def model() -> None:
-        u = numpyro.sample("u", dist.TruncatedNormal(posterior.loc, posterior.sd, low=0.0, high=1.0).to_event(1))
-        predicted = dist.Normal(posterior.frequencies(u), posterior.noise)
-        numpyro.sample("f", predicted.to_event(1), obs=posterior.measured)
+        x = numpyro.sample("x", posterior.prior)
+        numpyro.factor("likelihood", posterior.log_likelihood(x))
 
     mcmc = MCMC(
-        NUTS(model),
+        NUTS(model, dense_mass=dense),
         num_warmup=length.warmup,
         num_samples=length.draws,
         num_chains=CHAINS,
@@ -41,29 +40,29 @@ def numpyro_nuts(posterior: JaxPosterior, length: Length) -> Callable[[int], Out
     )
 
     def once(seed: int) -> Outcome:
-        start = jnp.asarray(posterior.target.to_logit(posterior.target.starts(seed, CHAINS)))
+        start = jnp.asarray(posterior.target.to_free(posterior.target.starts(seed, CHAINS)))
         keys = jax.random.split(jax.random.PRNGKey(seed))
         stopwatch = Stopwatch()
         mcmc.warmup(
             keys[0],
-            init_params={"u": start},
+            init_params={"x": start},
             extra_fields=("num_steps",),
             collect_warmup=True,
         )
         n_warmup = int(mcmc.get_extra_fields()["num_steps"].sum())
         warmed = stopwatch.read(n_warmup)
         mcmc.run(keys[1], extra_fields=("num_steps", "diverging"))
-        u = np.asarray(mcmc.get_samples(group_by_chain=True)["u"])
+        x = np.asarray(mcmc.get_samples(group_by_chain=True)["x"])
         extra = mcmc.get_extra_fields()
         drawn = stopwatch.read(int(extra["num_steps"].sum()))
-        return Outcome(posterior.target.from_unit(u), warmed, drawn, divergences=int(extra["diverging"].sum()))
+        return Outcome(posterior.target.from_unit(x), warmed, drawn, divergences=int(extra["diverging"].sum()))
 
     once(0)
     return once
 
 
 def numpyro_full(
-    target: Target, posterior: JaxPosterior, run: Callable[[int], Outcome], points: int = 20
+    posterior: JaxPosterior, run: Callable[[int], Outcome], points: int = 20
 ) -> Callable[[int], Outcome]:
     """Return NumPyro's NUTS on the full model.
 
@@ -71,9 +70,9 @@ def numpyro_full(
     gradient by itself, timed at draws from the prior: what the sampler takes besides is left out.
     """
     gradient = jax.value_and_grad(posterior.log_prob)
-    at_all = jax.jit(lambda u: jax.lax.map(gradient, u))
-    u = jnp.asarray(target.to_unit(target.starts(0, points)))
-    seconds = per_call(lambda: jax.block_until_ready(at_all(u))) / points
+    at_all = jax.jit(lambda x: jax.lax.map(gradient, x))
+    x = jnp.asarray(posterior.target.to_unit(posterior.target.starts(0, points)))
+    seconds = per_call(lambda: jax.block_until_ready(at_all(x))) / points
     return lambda seed: run(seed).at(seconds)
 
 
@@ -86,12 +85,12 @@ def nutpie_nuts(target: Target, length: Length) -> Callable[[int], Outcome]:
     ndim = target.problem.ndim
 
     def once(seed: int) -> Outcome:
-        density = Counted(target.logit_log_prob_and_grad)
-        starts = iter(target.to_logit(target.starts(seed, CHAINS)))
+        density = Counted(target.free_log_prob_and_grad)
+        starts = iter(target.to_free(target.starts(seed, CHAINS)))
         model = from_pyfunc(
             ndim,
             lambda: lambda z, **_: density(z),
-            lambda *_: lambda z, **_: {"theta": target.from_logit(np.asarray(z))},
+            lambda *_: lambda z, **_: {"theta": target.from_free(np.asarray(z))},
             [np.dtype("float64")],
             [(ndim,)],
             ["theta"],

@@ -20,10 +20,6 @@ class Length:
     warmup: int
     draws: int
 
-    def quick(self) -> Length:
-        """Return a quarter of it, for trying things out."""
-        return Length(self.warmup // 4, self.draws // 4)
-
 
 @dataclass(frozen=True)
 class Cost:

@@ -54,31 +54,43 @@ class Target:
         """Return starting points, shape (n, ndim), drawn from the prior; the same for every sampler."""
         return self.problem.sample_prior(np.random.default_rng([seed, 20]), n)
 
-    def to_logit(self, theta: FloatArray) -> FloatArray:
-        """Return the coordinates without bounds, log((θ − lower)/(upper − θ))."""
-        problem = self.problem
-        return np.log(theta - problem.lower) - np.log(problem.upper - theta)
-
-    def from_logit(self, z: FloatArray) -> FloatArray:
-        """Return θ."""
-        problem = self.problem
-        return np.clip(problem.lower + (problem.upper - problem.lower) * expit(z), problem.lower, problem.upper)
+    @property
+    def is_box(self) -> bool:
+        """Whether every parameter has two bounds; otherwise each has a lower one."""
+        return bool(np.all(np.isfinite(self.problem.upper)))
 
     def to_unit(self, theta: FloatArray) -> FloatArray:
-        """Return u = (θ − lower)/(upper − lower)."""
-        return (theta - self.problem.lower) / (self.problem.upper - self.problem.lower)
+        """Return u = (θ − lower)/scale; in a box the scale is upper − lower."""
+        return (theta - self.problem.lower) / self.problem.scale
 
     def from_unit(self, u: FloatArray) -> FloatArray:
         """Return θ."""
-        return self.problem.lower + (self.problem.upper - self.problem.lower) * u
+        return self.problem.lower + self.problem.scale * u
 
-    def logit_log_prob_and_grad(self, z: FloatArray) -> tuple[float, FloatArray]:
-        """Return the log-density in logit coordinates and its gradient, at z (ndim,), by fmu's exact gradient."""
-        u = expit(z)
-        width = self.problem.upper - self.problem.lower
-        value, gradient = self.problem.log_prob_and_grad(self.from_logit(z))
-        jacobian = np.sum(log_expit(z) + log_expit(-z))
-        return float(value + jacobian), gradient * width * u * (1.0 - u) + 1.0 - 2.0 * u
+    def to_free(self, theta: FloatArray) -> FloatArray:
+        """Return the coordinates without bounds: log(u/(1 − u)) in a box, otherwise log u."""
+        u = self.to_unit(theta)
+        return np.log(u) - np.log1p(-u) if self.is_box else np.log(u)
+
+    def from_free(self, z: FloatArray) -> FloatArray:
+        """Return θ."""
+        u = expit(z) if self.is_box else np.exp(z)
+        return np.clip(self.from_unit(u), self.problem.lower, self.problem.upper)
+
+    def free_log_prob_and_grad(self, z: FloatArray) -> tuple[float, FloatArray]:
+        """Return the log-density in the coordinates without bounds and its gradient, at z (ndim,), by fmu's."""
+        value, gradient = self.problem.log_prob_and_grad(self.from_free(z))
+        if self.is_box:
+            u = expit(z)
+            log_du, slope, du = log_expit(z) + log_expit(-z), 1.0 - 2.0 * u, u * (1.0 - u)
+        else:
+            log_du, slope, du = z, np.ones_like(z), np.exp(z)
+        return float(value + np.sum(log_du)), gradient * self.problem.scale * du + slope
+
+    def near_a_bound(self, theta: FloatArray) -> float:
+        """Return which share of the draws (n, ndim) is within 0.1 sd of a bound, of the parameter with most."""
+        distance = np.minimum(theta - self.problem.lower, self.problem.upper - theta)
+        return float(np.max(np.mean(distance < 0.1 * theta.std(axis=0), axis=0)))
 
 
 class SciPyLogProb:
