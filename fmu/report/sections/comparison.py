@@ -32,10 +32,19 @@ def overview(runs: Mapping[str, ReportedRun], pages: Mapping[str, str]) -> PageS
         "sampler", "verdict", "R-hat", "bulk ESS", "tail ESS", "solves", "time, s", "ESS / 1000 solves", "ESS / s"
     )  # fmt: skip
     caption = (
-        "R-hat and ESS of the worst parameter; model solves and time with the warm-up. The ESS of a run that "
-        "has not converged is not reliable."
+        "R-hat and ESS of the worst parameter; model solves and time with the warm-up. "
+        f"{_gradients(runs)}The ESS of a run that has not converged is not reliable."
     )
     return PageSection("overview", "Samplers side by side", (PageTable(caption, header, tuple(rows), words=(1,)),))
+
+
+def _gradients(runs: Mapping[str, ReportedRun]) -> str:
+    """Say how many solves an exact gradient counts as in ESS per solve; empty if none was taken."""
+    costs = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
+    listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in costs.items() if not np.isnan(cost))
+    return f"ESS per solve counts an exact gradient as the solves that it takes the time of: {listed}. " * bool(
+        listed
+    )
 
 
 def efficiency(runs: Mapping[str, ReportedRun]) -> PageSection:
@@ -49,8 +58,8 @@ def efficiency(runs: Mapping[str, ReportedRun]) -> PageSection:
     axes = plot_efficiency({name: run.trace for name, run in runs.items()}, costs)
     alt = f"Effective draws per 1000 model solves: {seen}."
     caption = (
-        "Effective draws of the worst parameter per 1000 model solves, warm-up included. Outline only: not "
-        "converged."
+        f"Effective draws of the worst parameter per 1000 model solves, warm-up included. {_gradients(runs)}"
+        "Outline only: not converged."
     )
     return PageSection("efficiency", "Efficiency", (Pictures((picture(axes, "efficiency", alt, caption),)),))
 

@@ -27,6 +27,7 @@ def cost(run: ReportedRun) -> PageSection:
     spent = PageTable("Computational cost", ("quantity", "warm-up", "draws kept", "both"), tuple(counts))
     rows = (
         ("smallest bulk ESS", fixed(float(costs["ess_bulk_min"]), 0)),
+        ("time of an exact gradient, in solves", significant(float(costs["gradient_cost"]), 2)),
         ("effective draws per 1000 solves", significant(1000 * float(costs["ess_per_solve"]))),
         ("effective draws per second", significant(float(costs["ess_per_s"]))),
         ("share of draws that moved", share(float(costs["accept_rate"]))),
