@@ -187,7 +187,7 @@ def _smoothed(trace: xr.DataTree) -> dict[str, _Smoothed]:
             labels = trace["log_likelihood"]["mode"].to_numpy()
             for label, log_w, k, of_mode in zip(labels, weights, shapes, log_p, strict=True):
                 elpd = float(logsumexp(log_w + of_mode))
-                spread = np.exp(log_w) * (np.exp(of_mode - elpd) - 1.0)
+                spread = np.exp(log_w + of_mode - elpd) - np.exp(log_w)
                 mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
                 found[str(label)] = _Smoothed(log_w, float(k), bool(k <= most), elpd, mcse)
     return found
