@@ -97,7 +97,8 @@ def sample(
         Continue after `draws`, with the settings learnt in warm-up, until the verdict of `fmu.diagnose` is good
         and the bulk and tail ESS of every parameter are at least this. The number of missing draws is predicted
         from those so far (`fmu.analysis.convergence.remedies.draws_to_come`). The draws are, bit for bit, those
-        of a run with as many `draws`.
+        of a run with as many `draws`. An ensemble needs 50 autocorrelation times of steps whatever is asked for:
+        four of 32 walkers then have an ESS of at least 6400.
     max_draws : int, optional
         The most steps kept, whatever the verdict. Default: 32 times `draws`.
     maxima : Maxima, optional

@@ -7,6 +7,7 @@ from fmu.analysis.convergence.diagnostics import (
     convergence_failures,
     rhat_over_walkers,
     summary,
+    walkers_stay_apart,
 )
 from fmu.analysis.trace.conversion import to_trace
 
@@ -127,7 +128,8 @@ def test_tail_counts_by_itself(make_trace):
     table = summary(make_trace(position))
     table.loc["x1", "ess_tail"] = 399.0
     assert convergence_failures(make_trace(position), table) == [
-        "x1: tail ESS is 399; at least 400 are needed; about 510 draws are needed: --draws 510, or --until-ess 400"
+        "x1: tail ESS is 399; at least 400 are needed; about 560 draws are needed: --until-ess 400 or --draws 560 "
+        "(Python: until_ess=400 or draws=560)"
     ]
 
 
@@ -164,8 +166,10 @@ def test_three_ensembles_are_too_few(make_trace, good_ensembles):
 def test_short_ensembles_have_not_converged(make_trace, good_ensembles):
     # 300 steps are about 33 autocorrelation times: R-hat and ESS alone would let this pass.
     failures = convergence_failures(make_trace(flat(good_ensembles[:, :300]), walkers=10))
-    assert len(failures) == 1
+    assert len(failures) == 1  # R-hat over walkers, also above its limit, would say nothing else
     assert failures[0].startswith("x0: the run is 25")
+    assert "; about " in failures[0]
+    assert " steps are needed: --until-ess 400 or --draws " in failures[0]
 
 
 def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_trace, good_ensembles):
@@ -173,8 +177,34 @@ def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_t
     trace = make_trace(flat(good_ensembles), walkers=10)
     assert summary(trace)["rhat"].max() < 1.01  # the false calm of R-hat over ensembles
     failures = convergence_failures(trace)
-    assert any(": R-hat over walkers is " in f for f in failures)
+    assert ": R-hat over walkers is 1." in failures[0]
+    assert failures[0].endswith(
+        "; it must be below 1.05: walkers stay in separate places; use "
+        "parallel tempering, which moves between maxima: --sampler tempering"
+    )
     assert any(": the run is " in f and "autocorrelation times long" in f for f in failures)
+    assert not any("--draws" in f for f in failures)
+
+
+@pytest.mark.parametrize("steps", [80, 300, 900])
+def test_walkers_that_mix_and_walkers_that_do_not_are_told_apart(make_trace, good_ensembles, steps):
+    x = good_ensembles[:, :steps]
+    for offset, are_apart in ((0.0, False), (30.0, True)):
+        trace = make_trace(flat(x + offset * np.arange(10)[:, None]), walkers=10)
+        assert walkers_stay_apart(trace, autocorrelation_times_run(trace)) is are_apart
+
+
+def test_a_run_too_short_to_tell_has_one_maximum_to_be_around(make_trace, good_ensembles):
+    trace = make_trace(flat(good_ensembles[:, :40]), walkers=10)  # less than three autocorrelation times
+    assert "walkers stay in separate places" in convergence_failures(trace)[0]
+    (failure,) = [f for f in convergence_failures(trace, places="one") if "--draws" in f]
+    assert "; at least " in failure
+
+
+def test_no_number_of_draws_is_promised_where_a_maximum_was_missed(make_trace, good_ensembles):
+    trace = make_trace(flat(good_ensembles[:, :300]), walkers=10)
+    (failure,) = convergence_failures(trace, places="missed")
+    assert failure.endswith("autocorrelation times long; 50 are needed")
 
 
 def test_chain_that_stands_still_for_long_is_named(make_trace, good):
@@ -202,8 +232,8 @@ def test_standard_error_is_held_against_the_sd(make_trace, good):
     table = summary(trace)
     table.loc["x1", "mcse_mean"] = 0.11 * table.loc["x1", "sd"]
     assert convergence_failures(trace, table) == [
-        "x1: MCSE over sd is 0.110; it must be below 0.1; about 610 draws are needed: --draws 610, or "
-        "--until-ess 400"
+        "x1: MCSE over sd is 0.110; it must be below 0.1; about 670 draws are needed: --until-ess 400 or "
+        "--draws 670 (Python: until_ess=400 or draws=670)"
     ]
     table.loc["x1", "mcse_mean"] = np.nan
     assert convergence_failures(trace, table) == ["x1: MCSE over sd is nan; it must be below 0.1"]

@@ -327,8 +327,8 @@ IN_THE_VERDICT = (
     Fault(
         "ensembles: walkers that do not mix are not asked about",
         "fmu/analysis/convergence/diagnostics.py",
-        "short += _above(walker_rhat, WALKER_RHAT_LIMIT,",
-        "short += _above(0.0 * walker_rhat, WALKER_RHAT_LIMIT,",
+        "unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT,",
+        "unmixed = _above(0.0 * rhat_over_walkers(trace), WALKER_RHAT_LIMIT,",
         DIAGNOSTICS,
     ),
     Fault(

@@ -13,13 +13,21 @@ import numpy as np
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
-    rhat_over_walkers,
     summary,
 )
-from fmu.analysis.convergence.remedies import draws_to_come, required_ess
+from fmu.analysis.convergence.remedies import (
+    MIN_AUTOCORRELATION_TIMES,
+    RELIABLE_ESS,
+    Places,
+    draws_to_come,
+    fewest,
+    growth_needed,
+    required_ess,
+    rhat_excess,
+)
 from fmu.analysis.information import information_warnings
-from fmu.analysis.maxima.missed import compared, missed_places
-from fmu.analysis.maxima.results import Maxima
+from fmu.analysis.maxima.missed import Comparison, compared, missed_places
+from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
@@ -158,18 +166,25 @@ def judge(
         ``summary(trace)``, if already computed.
     """
     best = max(known, key=lambda maxima: maxima.log_evidence, default=None)
-    reasons, warnings = [], []
+    reasons, warnings = _reasons(trace, best, others or {}, table)
     if best is not None:
-        against = compared(trace, best)
-        reasons += against.reasons
-        warnings += against.outweighed + search_warnings(trace, best[0].log_prob)
-    reasons += missed_places(trace, others or {}, best)
-    reasons += convergence_failures(trace, table)
+        warnings += search_warnings(trace, best[0].log_prob)
     warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
     warnings += information_warnings(trace) + repeatability_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
     return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped)
+
+
+def _reasons(
+    trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
+) -> tuple[list[str], list[str]]:
+    """Return why a run has not converged, and what is doubtful of the shares of the maxima."""
+    against = Comparison([], []) if best is None else compared(trace, best)
+    reasons = against.reasons + missed_places(trace, others, best)
+    is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
+    places: Places = "missed" if reasons else "one" if is_single else "unknown"
+    return reasons + convergence_failures(trace, table, places), against.outweighed
 
 
 def diagnose_all(
@@ -203,7 +218,7 @@ def diagnose_all(
 
 def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
     """Say whether a run has converged and every ESS of its summary is at least `until_ess`; NaN is not."""
-    return found.converged and bool(table[["ess_bulk", "ess_tail"]].to_numpy().min() >= until_ess)
+    return found.converged and fewest(table) >= until_ess
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> int:
@@ -218,14 +233,16 @@ def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | 
     """
     if until_ess is None:
         return 0
+    draws = int(trace.attrs["draws"])
+    if walkers_of(trace) > 1:  # their length, which takes least time, is what they lack longest
+        growth = MIN_AUTOCORRELATION_TIMES / float(np.min(autocorrelation_times_run(trace)))
+        if growth > 1:
+            return draws_to_come(draws, growth)
     table = summary(trace)
-    if is_enough(judge(trace, [] if maxima is None else [maxima], table=table), table, until_ess):
+    growth = growth_needed(table, max(until_ess, required_ess(trace["posterior"].sizes["chain"])))
+    if not growth > 1 and not _reasons(trace, maxima, {}, table)[0]:
         return 0
-    required = max(until_ess, required_ess(trace["posterior"].sizes["chain"]))
-    ensembles = walkers_of(trace) > 1
-    lengths = autocorrelation_times_run(trace) if ensembles else None
-    walker_rhat = rhat_over_walkers(trace) if ensembles else None
-    return draws_to_come(int(trace.attrs["draws"]), table, required, lengths, walker_rhat)
+    return draws_to_come(draws, growth, fewest(table) >= RELIABLE_ESS, rhat_excess(table))
 
 
 def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,11 +23,16 @@ MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
 MCSE_LIMIT = 0.1
 
+Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0
 """An effective sample size below this is too uncertain for a prediction: its error is a third or more."""
-_SLACK, _LEAST, _MOST_BLIND, _MOST = 1.02, 1.05, 2.0, 4.0
-_FIRST_PART = 0.8
-_MOST_FOR_RHAT = 1.15
+RELIABLE_TIMES = 3.0
+"""A run of fewer autocorrelation times underestimates them: of one, by a half."""
+_MOST = 2.0
+_NEAR, _SLACK, _LEAST, _FIRST_PART = 1.1, 1.01, 1.02, 0.8
+_LEAST_FOR_RHAT, _MOST_FOR_RHAT = 1.05, 1.15
+_MARGIN = 1.1
+"""By how much more draws are recommended than predicted, as the prediction is as often too low as too high."""
 
 
 def required_ess(chains: int) -> int:
@@ -54,51 +59,48 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     float
         At most 1 if they suffice; NaN if one of them is undefined.
     """
-    ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
     errors = (table["mcse_mean"] / table["sd"]).to_numpy() / MCSE_LIMIT
-    factors = [required / ess, float(np.max(errors)) ** 2]
+    factors = [required / fewest(table), float(np.max(errors)) ** 2]
     if lengths is not None:
         factors.append(MIN_AUTOCORRELATION_TIMES / float(np.min(lengths)))
     return float(np.max(factors))
 
 
-def draws_to_come(
-    draws: int, table: pd.DataFrame, required: float, lengths: FloatArray | None, walker_rhat: FloatArray | None
-) -> int:
+def fewest(table: pd.DataFrame) -> float:
+    """Return the smallest bulk or tail ESS of a summary; NaN if one is NaN."""
+    return float(table[["ess_bulk", "ess_tail"]].to_numpy().min())
+
+
+def rhat_excess(table: pd.DataFrame) -> float:
+    """Return how many times as far above 1 the worst R-hat is as it may be; that falls as the draws grow."""
+    return float(np.max(table["rhat"].to_numpy() - 1.0)) / (RHAT_LIMIT - 1.0)
+
+
+def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return how many steps to draw before an insufficient run is judged again.
 
-    As many as `growth_needed` asks for, and 2 % more. If that more than doubles the run, first four fifths of
-    it, and at most four times the present length: the effective sample size is then better known. If the ESS is
-    below 50, too uncertain for a prediction, the run is doubled. If only R-hat is too high, which scatters too
-    much for a prediction, the run grows by 5 to 15 %. In all other cases the run is doubled.
+    Four fifths of those that `growth` asks for, and at the end all with 1 % more; but no more than the run has, as
+    the effective sample size is then better known. If only R-hat is too high, which scatters too much for a
+    prediction, the run grows by 5 to 15 %. In all other cases it is doubled.
 
     Parameters
     ----------
     draws : int
         Steps drawn so far.
-    table : pandas.DataFrame
-        ``fmu.summary(trace)``.
-    required : float
-        Bulk and tail ESS that every parameter must have.
-    lengths, walker_rhat : ndarray, shape (ndim,), or None
-        For ensembles: the length of the run in autocorrelation times, and R-hat over walkers.
+    growth : float
+        `growth_needed`.
+    is_reliable : bool
+        Whether the smallest ESS is at least `RELIABLE_ESS`.
+    excess : float
+        `rhat_excess`.
     """
-    growth = growth_needed(table, required, lengths)
-    ess = table[["ess_bulk", "ess_tail"]].to_numpy().min()
-    excess = [np.max(table["rhat"].to_numpy() - 1.0) / (RHAT_LIMIT - 1.0)]
-    if walker_rhat is not None:
-        excess.append(np.max(walker_rhat - 1.0) / (WALKER_RHAT_LIMIT - 1.0))
-    if not (np.isfinite(growth) and ess >= RELIABLE_ESS):
-        factor = _MOST_BLIND
-    elif growth > 1.0:
-        factor = _SLACK * growth
-        if factor > _MOST_BLIND:
-            factor = min(max(_MOST_BLIND, _FIRST_PART * factor), _MOST)
-    elif np.max(excess) >= 1.0:
-        factor = min(float(np.max(excess)), _MOST_FOR_RHAT)
-    else:  # no number of draws is known to help, or R-hat is NaN
-        factor = _MOST_BLIND
-    return math.ceil((max(factor, _LEAST) - 1.0) * draws)
+    factor = _MOST
+    if is_reliable and growth > 1.0:
+        part = _SLACK * growth if growth < _NEAR else 1.0 + _FIRST_PART * (growth - 1.0)
+        factor = min(max(_LEAST, part), _MOST)
+    elif is_reliable and growth <= 1.0 <= excess:
+        factor = min(max(excess, _LEAST_FOR_RHAT), _MOST_FOR_RHAT)
+    return math.ceil((factor - 1.0) * draws)
 
 
 APART = 1.2
@@ -128,7 +130,8 @@ def for_too_few_draws(
     table: pd.DataFrame,
     required: float,
     lengths: FloatArray | None = None,
-    walker_rhat: FloatArray | None = None,
+    are_apart: bool = False,
+    places: Places = "unknown",
 ) -> str:
     """Return about how many draws a run needs; for chains that are far apart, how to bring them together.
 
@@ -141,22 +144,31 @@ def for_too_few_draws(
         ``fmu.summary(trace)``.
     required : float
         Bulk and tail ESS that every parameter must have.
-    lengths, walker_rhat : ndarray, shape (ndim,), optional
-        For ensembles: the length of the run in autocorrelation times, and R-hat over walkers.
+    lengths : ndarray, shape (ndim,), optional
+        For ensembles: the length of the run in autocorrelation times.
+    are_apart : bool
+        For ensembles: whether walkers stay in separate places.
+    places : {"unknown", "one", "missed"}
+        As for `fmu.analysis.convergence.diagnostics.convergence_failures`.
     """
     if len(trace["posterior"]["chain"]) < 2:
         return ""  # another message already asks for more chains
-    rhat = float(np.max(table["rhat"].to_numpy()))
-    over_walkers = 1.0 if walker_rhat is None else float(np.max(walker_rhat))
-    growth = growth_needed(table, required, lengths)
-    if rhat > APART or over_walkers > APART:
+    if are_apart or (places != "one" and np.max(table["rhat"].to_numpy()) > APART):
         return for_missed_maximum(trace)
-    if not np.isfinite(rhat + over_walkers + growth):
+    growth = max(growth_needed(table, required, lengths), rhat_excess(table))
+    if not np.isfinite(growth):
         return ""
-    excess = max((rhat - 1.0) / (RHAT_LIMIT - 1.0), (over_walkers - 1.0) / (WALKER_RHAT_LIMIT - 1.0))
-    number = in_two_digits(int(trace.attrs["draws"]) * max(growth, excess))
-    what = "draws" if lengths is None else "steps"
-    return f"; about {number} {what} are needed: --draws {number}, or --until-ess {typed(required)}"
+    number = in_two_digits(_MARGIN * growth * int(trace.attrs["draws"]))
+    is_reliable = fewest(table) >= RELIABLE_ESS if lengths is None else np.min(lengths) >= RELIABLE_TIMES
+    about, what, ess = (
+        "about" if is_reliable else "at least",
+        "draws" if lengths is None else "steps",
+        typed(required),
+    )
+    return (
+        f"; {about} {number} {what} are needed: --until-ess {ess} or --draws {number} "
+        f"(Python: until_ess={ess} or draws={number})"
+    )
 
 
 def in_two_digits(draws: float) -> int:
