@@ -31,8 +31,8 @@ RELIABLE_TIMES = 3.0
 _MOST = 2.0
 _NEAR, _SLACK, _LEAST, _FIRST_PART = 1.1, 1.01, 1.02, 0.8
 _LEAST_FOR_RHAT, _MOST_FOR_RHAT = 1.05, 1.15
-_MARGIN = 1.1
-"""By how much more draws are recommended than predicted, as the prediction is as often too low as too high."""
+_MARGIN, _MARGIN_OF_STEPS = 1.3, 1.1
+"""How many times the predicted draws are recommended, for chains and for ensembles, as predictions scatter."""
 
 
 def required_ess(chains: int) -> int:
@@ -158,7 +158,8 @@ def for_too_few_draws(
     growth = max(growth_needed(table, required, lengths), rhat_excess(table))
     if not np.isfinite(growth):
         return ""
-    number = in_two_digits(_MARGIN * growth * int(trace.attrs["draws"]))
+    margin = _MARGIN if lengths is None else _MARGIN_OF_STEPS
+    number = in_two_digits(margin * growth * int(trace.attrs["draws"]))
     is_reliable = fewest(table) >= RELIABLE_ESS if lengths is None else np.min(lengths) >= RELIABLE_TIMES
     about, what, ess = (
         "about" if is_reliable else "at least",
