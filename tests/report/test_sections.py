@@ -154,17 +154,32 @@ def test_predictive_check(hmc):
     assert section.parts[0].words.startswith(f"{inside} of 5 measured frequencies lie in the 90 % interval")
 
 
-def test_leaving_one_out_warns_in_words(hmc):
+def test_each_mode_is_predicted_by_the_others(hmc):
     expected = leave_one_out(hmc.trace)
     section = prediction.left_out(hmc)
-    doubtful = [str(mode) for mode in expected.index[~expected["reliable"]]]
-    assert len(doubtful) > 1
-    warnings = section.parts[0].items
-    assert warnings[0].startswith(f"Not reliable for modes {', '.join(doubtful)}:")
-    assert "as many parameters as modes" in warnings[1]
-    assert [number(row["elpd, nats"]) for row in table(section)] == pytest.approx(
-        list(expected["elpd"]), abs=0.006
-    )
+    rows = table(section)
+    assert [row["mode"] for row in rows] == list(expected.index)
+    for row, (_, exact) in zip(rows, expected.iterrows(), strict=True):
+        assert row["how"] == prediction.HOW[exact["method"]]
+        if exact["method"]:
+            value, error = row["elpd, nats"].split(" ± ")
+            assert number(value) == pytest.approx(exact["elpd"], abs=0.6 * 10.0 ** -len(value.partition(".")[2]))
+            assert number(error) == pytest.approx(exact["mcse_elpd"], rel=0.5)
+        else:
+            assert {row[key] for key in ("predicted, 90 %, Hz", "p", "elpd, nats")} == {"–"}
+            assert exact[["mean", "p", "elpd"]].isna().all()
+
+
+def test_modes_not_used_are_marked(hmc):
+    trace = hmc.trace.copy()
+    used = np.array([True, True, True, True, False])
+    trace["observed_data"] = xr.DataTree(trace["observed_data"].to_dataset().assign(used=("mode", used)))
+    (run,) = runs_of({"hmc": trace}).values()
+    label = f"{trace['observed_data']['mode'].to_numpy()[4]} (not used)"
+    for section in (updating.frequencies(run), prediction.predictive(run), prediction.left_out(run)):
+        assert table(section)[4]["mode"] == label
+    assert "used in updating" in prediction.predictive(run).parts[0].words
+    assert "1 lie in it" in prediction.predictive(run).parts[0].words
 
 
 def test_cost_counts_the_warm_up(hmc):

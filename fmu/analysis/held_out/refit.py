@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from fmu.analysis.maxima.mode_weights import (
     TEMPERATURES,
     LocalQuadratic,
+    Proposal,
     SequentialNormal,
     log_shares,
     mixture_draws,
@@ -25,12 +26,12 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-ERROR = 0.03
-"""Wanted standard error of a log-density."""
+ERROR, ACCEPTED = 0.03, 0.05
+"""Wanted standard error of a log-density, and the largest that is accepted."""
 GOOD_K = 0.7
 """Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
-SOLVES = 12_000
-"""What leaving a mode out takes as a rule, in solves."""
+SOLVES, MOST_SOLVES = 12_000, 120_000
+"""What leaving a mode out takes at least, as a rule, and at most, in solves."""
 _STARTS = 32
 _HOPELESS = 30.0
 _MOST_MAXIMA = 8
@@ -38,7 +39,9 @@ _PILOT = 512
 _FITS = 2
 _WIDER = (1.0, 2.0)
 _FLATTER = 4.0
-_FIRST, _MOST = 512, 16_384
+_FIRST = 512
+_ROUNDS, _RESAMPLED = 3, 2048
+_GROUPS, _A_GROUP = 8, 20
 _EFFECTIVE = 400.0
 
 
@@ -52,31 +55,35 @@ class LeftOut:
         Draws, SI units.
     hz : ndarray, shape (n, n_modes)
         The model's frequencies there.
-    log_weight : ndarray, shape (n,)
-        Logarithms of weights that sum to 1 and make the draws those of the posterior without the mode.
+    log_weights : ndarray, shape (2, n)
+        Logarithms of weights that sum to 1 and make the draws those of the posterior without the mode, or with it.
     elpd, error : float
         log p(y_k | y_-k) in nats, and its standard error.
-    pareto_k : float
-        Shape of the tail of the weights, the larger of those without and with the mode.
+    pareto_k : ndarray, shape (2,)
+        Shape of the tail of the weights without and with the mode.
     """
 
     theta: FloatArray
     hz: FloatArray
-    log_weight: FloatArray
+    log_weights: FloatArray
     elpd: float
     error: float
-    pareto_k: float
+    pareto_k: FloatArray
 
     @property
-    def is_good(self) -> bool:
-        """Whether the weights can be relied on."""
-        return bool(self.pareto_k <= GOOD_K and self.error <= 2.0 * ERROR)
+    def effective(self) -> float:
+        """Effective number of draws from the posterior without the mode (Kish)."""
+        return float(np.exp(-logsumexp(2.0 * self.log_weights[0])))
 
     @property
-    def is_enough(self) -> bool:
-        """Whether there are draws enough."""
-        effective = np.exp(-logsumexp(2.0 * self.log_weight))  # Kish's number
-        return bool(self.error <= ERROR and effective >= _EFFECTIVE)
+    def predicts(self) -> bool:
+        """Whether the weighted draws are enough of the posterior without the mode."""
+        return bool(self.pareto_k[0] <= GOOD_K and self.effective >= _EFFECTIVE)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the elpd is known well enough."""
+        return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
 
 
 def quadratics(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> list[LocalQuadratic]:
@@ -106,26 +113,53 @@ def quadratics(problem: UpdatingProblem, near: FloatArray, rng: np.random.Genera
 def left_out(
     without: UpdatingProblem,
     whole: UpdatingProblem,
-    models: Sequence[LocalQuadratic],
+    models: Sequence[Sequence[LocalQuadratic]],
     rng: np.random.Generator,
+    most: int = MOST_SOLVES,
 ) -> LeftOut:
     """Compare the posterior without a mode with the one that has it, by importance sampling.
 
     log p(y_k | y_-k) = log Z - log Z_-k. Both evidences come from the same draws, from the mixture of the
-    Gaussians around the maxima of both posteriors and of wider ones. Where the two hardly overlap, the measurement
-    lies far out in the tail of its prediction, which draws of the posterior without the mode alone do not reach.
-    The number of draws is doubled until the standard error is `ERROR`, up to 16 384 from each Gaussian.
+    Gaussians around the maxima of both posteriors, of wider ones and of the prior. Where the two hardly overlap,
+    the measurement lies far out in the tail of its prediction, which draws of the posterior without the mode alone
+    do not reach. The number of draws is doubled until the standard error is `ERROR`. If the weights are not
+    reliable, the quadratics are fitted anew to all of these draws, which are also divided into groups of
+    neighbours; draws of a new mixture, of the Gaussians of all groups too, replace them. That is for posteriors
+    far from Gaussian, as along a bent ridge.
 
     Parameters
     ----------
     without, whole : UpdatingProblem
         One problem, updated without the mode and with it (`UpdatingProblem.using`).
-    models : sequence of LocalQuadratic
-        The `quadratics` of both.
+    models : pair of sequences of LocalQuadratic
+        The `quadratics` of each.
     rng : Generator
+    most : int
+        The most solves.
     """
+    scaled, groups = ScaledDensity(whole), list[LocalQuadratic]()
+    for last in (False,) * (_ROUNDS - 1) + (True,):
+        gaussians = [*models[0], *models[1], *groups]
+        found, log_p = _drawn(without, whole, gaussians, rng, most if last else min(most, SOLVES) // 2)
+        most -= len(found.theta)
+        if found.predicts and found.is_known:
+            break
+        u = scaled.to_scaled(found.theta)
+        models = [_fitted(of, u, values) for of, values in zip(models, log_p, strict=True)]
+        groups = [one for log_w in found.log_weights for one in _groups(u, log_w, rng)]
+    return found
+
+
+def _drawn(
+    without: UpdatingProblem,
+    whole: UpdatingProblem,
+    models: Sequence[LocalQuadratic],
+    rng: np.random.Generator,
+    most: int,
+) -> tuple[LeftOut, FloatArray]:
+    """Return the comparison by as many draws as it takes, up to `most`, and log P of both (2, n)."""
     scaled = ScaledDensity(whole)
-    proposals = _proposals(models, scaled, _WIDER)
+    proposals: list[Proposal] = [*_proposals(models, scaled, _WIDER), _Prior(whole, scaled)]
 
     def evaluated(u: FloatArray) -> FloatArray:
         return _both(without, whole, scaled.to_theta(u))
@@ -134,10 +168,9 @@ def left_out(
     values = np.concatenate(by_parts("importance sampling", evaluated, u))
     while True:
         found = _compared(scaled.to_theta(u), values, log_q)
-        each = len(u) // len(proposals)
-        if found.is_enough or each >= _MOST:
-            return found
-        more, more_q = mixture_draws(proposals, rng, each)
+        if (found.error <= ERROR and found.effective >= _EFFECTIVE) or 2 * len(u) > most:
+            return found, values[:, :2].T
+        more, more_q = mixture_draws(proposals, rng, len(u) // len(proposals))
         u, log_q = np.concatenate([u, more]), np.concatenate([log_q, more_q])
         values = np.concatenate([values, *by_parts("importance sampling", evaluated, more)])
 
@@ -163,10 +196,10 @@ def _compared(theta: FloatArray, values: FloatArray, log_q: FloatArray) -> LeftO
     return LeftOut(
         theta=theta,
         hz=values[:, 2:],
-        log_weight=log_w[0] - total[0],
+        log_weights=log_w - total[:, None],
         elpd=float(total[1] - total[0]),
         error=float(np.sqrt(np.sum((w[1] - w[0]) ** 2))),
-        pareto_k=max(pareto_k(one) for one in log_w),
+        pareto_k=np.array([pareto_k(one) for one in log_w]),
     )
 
 
@@ -192,6 +225,8 @@ def _fitted(models: Sequence[LocalQuadratic], u: FloatArray, log_p: FloatArray) 
 
     The weights P^(1/4) count the flanks as well, from which most of the draws are.
     """
+    known = np.isfinite(log_p)
+    u, log_p = u[known], log_p[known]
     weight = np.exp((log_p - log_p.max()) / _FLATTER)
     fitted = []
     for model, share in zip(models, np.exp(log_shares(models, u)), strict=True):
@@ -199,6 +234,43 @@ def _fitted(models: Sequence[LocalQuadratic], u: FloatArray, log_p: FloatArray) 
         is_enough = own.sum() ** 2 > (n + 1) * (n + 2) * np.sum(own**2)  # twice the number of coefficients
         fitted.append(LocalQuadratic.fitted(u, log_p, own) if is_enough else model)
     return fitted
+
+
+@dataclass(frozen=True, eq=False)
+class _Prior:
+    """The prior as a proposal, which bounds the weights: P/q is at most a multiple of the likelihood."""
+
+    problem: UpdatingProblem
+    scaled: ScaledDensity
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` draws, shape (n, ndim)."""
+        return self.scaled.to_scaled(self.problem.sample_prior(rng, n))
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return log q at points u (n, ndim), shape (n,)."""
+        log_prior = np.asarray(self.problem.log_prior(self.scaled.to_theta(u)))
+        return log_prior + np.sum(np.log(self.scaled.scale))
+
+
+def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[LocalQuadratic]:
+    """Return the Gaussians of weighted draws (n, ndim), divided into groups of neighbours (k-means)."""
+    from scipy.cluster.vq import kmeans2
+
+    chosen = u[rng.choice(len(u), _RESAMPLED, p=np.exp(log_w - logsumexp(log_w)))]
+    n = u.shape[1]
+    around = np.cov(chosen.T).reshape(n, n) + 1e-12 * np.eye(n)
+    standard = np.linalg.solve(np.linalg.cholesky(around), chosen.T).T
+    count = min(_GROUPS, len(np.unique(chosen, axis=0)) // (_A_GROUP * n))
+    if count < 2:
+        return []
+    _, group = kmeans2(standard, count, minit="++", rng=rng)
+    found = []
+    for members in (chosen[group == g] for g in range(count)):
+        if len(np.unique(members, axis=0)) > 2 * n:
+            covariance = np.cov(members.T).reshape(n, n) + 1e-3 * around
+            found.append(LocalQuadratic(members.mean(axis=0), 0.0, np.zeros(n), np.linalg.inv(covariance)))
+    return found
 
 
 def pareto_k(log_w: FloatArray) -> float:

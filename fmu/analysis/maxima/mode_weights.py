@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtri_exp
@@ -139,8 +140,20 @@ def _laplace(
     return _weighted(u, maximum.log_prob - maximum.drop(u) - proposal.log_density(u), 0.0)
 
 
+class Proposal(Protocol):
+    """A density that can be drawn from."""
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` draws, shape (n, ndim)."""
+        ...
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return its logarithm at points u (n, ndim), shape (n,)."""
+        ...
+
+
 def mixture_draws(
-    proposals: Sequence[SequentialNormal], rng: np.random.Generator, draws: int
+    proposals: Sequence[Proposal], rng: np.random.Generator, draws: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return `draws` of each proposal, (n, ndim), and the log-density of their mixture there, (n,)."""
     u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
-PRIOR_STREAM, NOISE_STREAM, START_STREAM, HELD_OUT_STREAM = 0, 1, 2, 3
+PRIOR_STREAM, NOISE_STREAM, START_STREAM = 0, 1, 2
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
 
 

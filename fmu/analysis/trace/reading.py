@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,6 +76,21 @@ def in_solves(trace: xr.DataTree, n_solves: Any, n_gradients: Any) -> Any:
     measured at the end of the run; a trace without it counts a gradient as one.
     """
     return n_solves + (float(trace.attrs.get("gradient_cost", 1.0)) - 1.0) * n_gradients
+
+
+def used_modes(trace: xr.DataTree) -> BoolArray:
+    """Say which of the measured modes were used in updating, shape (n_modes,)."""
+    observed = trace["observed_data"]
+    return np.asarray(observed["used"] if "used" in observed else np.ones(observed.sizes["mode"], dtype=bool))
+
+
+def mode_names(trace: xr.DataTree) -> list[str]:
+    """Return the names of the measured modes, with a remark where one was not used in updating."""
+    labels = trace["observed_data"]["mode"].to_numpy()
+    return [
+        str(label) if used else f"{label} (not used)"
+        for label, used in zip(labels, used_modes(trace), strict=True)
+    ]
 
 
 def walkers_of(trace: xr.DataTree) -> int:

@@ -14,6 +14,7 @@ from fmu.report.plots.corner import plot_corner as plot_corner
 from fmu.report.plots.frequencies import Frequencies as Frequencies
 from fmu.report.plots.frequencies import plot_frequency_errors as plot_frequency_errors
 from fmu.report.plots.frequencies import plot_frequency_updates as plot_frequency_updates
+from fmu.report.plots.frequencies import plot_left_out as plot_left_out
 from fmu.report.plots.frequencies import plot_predictive_check as plot_predictive_check
 from fmu.report.plots.modes import plot_mac as plot_mac
 from fmu.report.plots.modes import plot_mode_shapes as plot_mode_shapes

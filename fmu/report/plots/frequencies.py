@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.analysis.held_out.modes import leave_one_out
 from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 from fmu.analysis.trace.modal_states import GROUP, START
-from fmu.analysis.trace.reading import has
+from fmu.analysis.trace.reading import has, mode_names
 from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
@@ -134,9 +135,32 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
         series.append(
             Frequencies("the same for one more test", table["mean"], BLACK, filled=False, interval_hz=ends)
         )
-    labels = [literal(str(mode)) for mode in table.index]
+    labels = [literal(name) for name in mode_names(trace)]
     figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
     return plot_frequency_errors(table["measured"], series, labels, figure)
+
+
+def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
+    """Draw the frequency of each measured mode predicted by the other modes, relative to the measured one.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
+    """
+    table = leave_one_out(trace)
+    ends = table[["eti90_lb", "eti90_ub"]].to_numpy().T
+    label = "predicted by the other modes: mean, 90 % interval with measurement noise"
+    found = Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends)
+    labels = [literal(name) for name in mode_names(trace)]
+    figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
+    axes = plot_frequency_errors(table["measured"], [found], labels, figure)
+    axes.set_ylabel("(predicted − measured)/measured, %")
+    return axes
 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
@@ -205,7 +229,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
                   color=BLACK, alpha=0.6)  # fmt: skip
         axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-    labels = [literal(str(mode)) for mode in narrow.index]
+    labels = [literal(name) for name in mode_names(trace)]
     axes.set_xticks(x, labels, **turned(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
     finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")

@@ -19,10 +19,10 @@ from fmu.analysis.prediction import (
 )
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.modal_states import MEAN
-from fmu.analysis.trace.reading import array_of, has
-from fmu.numbers import decimals, fixed, given, interval, share, significant, with_sd
+from fmu.analysis.trace.reading import array_of, has, mode_names, used_modes
+from fmu.numbers import MISSING, change, decimals, fixed, given, interval, share, significant, with_sd
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
-from fmu.report.plots.frequencies import plot_predictive_check
+from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check
 from fmu.report.run import ReportedRun
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.types import FloatArray
@@ -116,9 +116,9 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
     distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
     inside = (table["measured"] >= table["noisy_eti90_lb"]) & (table["measured"] <= table["noisy_eti90_ub"])
     rows = tuple(
-        (str(mode), given(table.loc[mode, 'measured']), fixed(float(distance[mode]), 2), fixed(float(p), 3),
+        (name, given(table.loc[mode, 'measured']), fixed(float(distance[mode]), 2), fixed(float(p), 3),
          "yes" if inside[mode] else "no")
-        for mode, p in zip(table.index, below, strict=True)
+        for name, mode, p in zip(mode_names(run.trace), table.index, below, strict=True)
     )  # fmt: skip
     header = ("mode", "measured, Hz", "distance, sd", "share predicted below", "in the 90 % interval")
     tests = measured_tests(run.trace)
@@ -130,10 +130,18 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
     )
     drawing = picture(plot_predictive_check(run.trace), "check", alt,
                       "Measured frequencies in their predictive distributions.")  # fmt: skip
+    used = used_modes(run.trace)
+    n, k = int(used.sum()), int(inside[used].sum())
     said = (
-        f"{int(inside.sum())} of {len(table)} measured frequencies lie in the 90 % interval of their prediction. "
-        "The same data were used for updating: a mode outside contradicts the model, one inside confirms little."
+        f"{k} of {n} measured frequencies{'' if used.all() else ' used in updating'} lie in the 90 % interval of "
+        "their prediction. The same data were used for updating: a mode outside contradicts the model, one inside "
+        "confirms little."
     )
+    if not used.all():
+        said += (
+            f" Of the modes not used in updating, which test the model, {int(inside[~used].sum())} of "
+            f"{int((~used).sum())} lie in it."
+        )
     parts: tuple[Part, ...] = (Text(said), PageTable(caption, header, rows, words=(4,)), Pictures((drawing,)))
     if tests is not None:
         parts = (*parts, *_single_tests(run, tests))
@@ -180,29 +188,49 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
     if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST or run.summary["ess_bulk"].isna().all():
         return Omitted(title, "there are too few draws, or they do not move")
     table = leave_one_out(run.trace)
-    rows = tuple(_left_out_row(mode, row) for mode, row in table.iterrows())
-    header = ("mode", "measured, Hz", "predicted, 90 %, Hz", "p", "elpd, nats", "how")
+    names = mode_names(run.trace)
+    rows = tuple(_left_out_row(name, row) for name, (_, row) in zip(names, table.iterrows(), strict=True))
+    header = ("mode", "measured, Hz", "predicted, 90 %, Hz", "prior sd, Hz", "p", "elpd, nats", "how")
     caption = (
         "Each measured frequency and its prediction from the other modes used in updating, measurement noise "
-        "included. p: probability that a measurement lies at least as far out on either side. elpd: log-density "
-        "of what was measured of the mode, given the others."
+        "included. Prior sd: standard deviation of the same prediction before updating. p: probability of a "
+        "measurement that lies at least as far out on either side. elpd: log-density of what was measured of the "
+        f"mode ({_compared(run.trace)}), given the others."
     )
-    parts: list[Part] = [PageTable(caption, header, rows, words=(5,))]
-    unknown = [str(mode) for mode in table.index[table["method"] == ""]]
+    done = table["method"] != NEITHER
+    parts: list[Part] = [PageTable(caption, header, rows, words=(6,))]
+    if done.any() and table["mean"].notna().any():
+        seen = "; ".join(
+            f"mode {name} {change(float(mean) / float(measured) - 1)}"
+            for name, mean, measured in zip(names, table["mean"], table["measured"], strict=True)
+            if np.isfinite(mean)
+        )
+        drawing = picture(plot_left_out(run.trace), "left-out", f"Errors of the predictions: {seen}.",
+                          "Errors of each frequency predicted by the other modes.")  # fmt: skip
+        parts.append(Pictures((drawing,)))
+    unknown = [name for name, is_done in zip(names, done, strict=True) if not is_done]
     if unknown:
         few = f"modes {', '.join(unknown)}" if len(unknown) > 1 else f"mode {unknown[0]}"
-        parts.insert(0, Items((
-            f"No prediction of {few}: without the mode the posterior would be very different, and updating "
-            "without it would have taken long. fmu.leave_one_out(trace, problem) does it.",
-        )))  # fmt: skip
+        why = (
+            f"Nothing is known of {few}: without the mode the posterior is so different that the draws do not "
+            "cover it, and updating without it would have taken long or its weights were not reliable. "
+            "fmu.leave_one_out(trace, problem) takes the time."
+        )
+        parts.insert(0, Items((why,)))
     return PageSection("loo", title, tuple(parts))
 
 
-def _left_out_row(mode: object, row: Any) -> tuple[str, ...]:
+def _compared(trace: Any) -> str:
+    """Return what the log-likelihood of a mode is of."""
+    return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
+
+
+def _left_out_row(mode: str, row: Any) -> tuple[str, ...]:
     sd = float(row["sd"])
     n = decimals(sd) if np.isfinite(sd) else 0
     known = np.isfinite(row["elpd"])
-    elpd = with_sd(float(row["elpd"]), float(row["mcse_elpd"])) if known else ""
-    where = interval(row["eti90_lb"], row["eti90_ub"], n) if np.isfinite(sd) else ""
-    p = significant(float(row["p"]), 2) if np.isfinite(row["p"]) else ""
-    return (str(mode), given(float(row["measured"])), where, p, elpd, HOW[str(row["method"])])
+    elpd = with_sd(float(row["elpd"]), float(row["mcse_elpd"])) if known else MISSING
+    where = interval(row["eti90_lb"], row["eti90_ub"], n) if np.isfinite(sd) else MISSING
+    p = significant(float(row["p"]), 2) if np.isfinite(row["p"]) else MISSING
+    prior = significant(float(row["prior_sd"]), 2) if np.isfinite(row["prior_sd"]) else MISSING
+    return (mode, given(float(row["measured"])), where, prior, p, elpd, HOW[str(row["method"])])

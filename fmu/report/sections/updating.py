@@ -10,7 +10,7 @@ from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences, is_pseudo
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
-from fmu.analysis.trace.reading import constant
+from fmu.analysis.trace.reading import constant, mode_names
 from fmu.numbers import (
     MISSING,
     change,
@@ -85,14 +85,14 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     is_noisy, tests = "noisy_sd" in table, measured_tests(run.trace)
     has_tests = "test_eti90_lb" in table
     rows, seen = [], []
-    for (mode, row), f in zip(table.iterrows(), before, strict=True):
+    for mode, (_, row), f in zip(mode_names(run.trace), table.iterrows(), before, strict=True):
         n = max(1, decimals(row["sd"]), given_decimals(row["measured"]))
         errors = [change(value / row["measured"] - 1) for value in (f, row["mean"])]
         noisy = interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n) if is_noisy else MISSING
         single = (interval(row["test_eti90_lb"], row["test_eti90_ub"], n),) if has_tests else ()
         rows.append(
             (
-                str(mode), given(row["measured"]), fixed(f, n), errors[0], fixed(row["mean"], n),
+                mode, given(row["measured"]), fixed(f, n), errors[0], fixed(row["mean"], n),
                 errors[1], interval(row["eti90_lb"], row["eti90_ub"], n), noisy, *single,
             )
         )  # fmt: skip

@@ -16,6 +16,7 @@ GPA = tuple(f"E{k} / GPa" for k in range(1, 6))
 Y_LABELS = {
     "plot_parameter_updates": ("value / GPa",),
     "plot_frequency_updates": ("(computed − measured)/measured, %",),
+    "plot_left_out": ("(predicted − measured)/measured, %",),
     "plot_predictive_check": ("(frequency − predicted mean)\n/ predictive sd",),
     "plot_mac": ("mode of the model before updating",),
     "plot_mode_shapes": ("z displ.\n/ largest",) * 5,
@@ -30,6 +31,7 @@ Y_LABELS = {
 X_LABELS = {
     "plot_parameter_updates": "parameter",
     "plot_frequency_updates": "mode, measured frequency",
+    "plot_left_out": "mode, measured frequency",
     "plot_predictive_check": "mode",
     "plot_mac": "mode of the model, posterior mean",
     "plot_mode_shapes": "x / m",
@@ -42,7 +44,7 @@ X_LABELS = {
     "plot_efficiency": "effective draws per 1000 model solves",
 }
 SEVERAL = ("plot_parameter_updates", "plot_traces", "plot_efficiency")
-ONE_AXES = ("plot_frequency_updates", "plot_predictive_check", "plot_mac", "plot_running_rhat", "plot_energy",
+ONE_AXES = ("plot_frequency_updates", "plot_left_out", "plot_predictive_check", "plot_mac", "plot_running_rhat", "plot_energy",
             "plot_efficiency")  # fmt: skip
 BY_CHAIN = ("plot_traces", "plot_ranks", "plot_autocorrelation", "plot_running_means")
 BESIDE = {"plot_ranks": "Δ ECDF of the ranks", "plot_autocorrelation": "autocorrelation"}

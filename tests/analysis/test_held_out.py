@@ -1,0 +1,183 @@
+"""Modes left out of updating: closed forms of a linear model, quadrature, and what is stored."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import fmu
+from fmu.analysis.held_out import modes
+from fmu.analysis.held_out.modes import with_left_out
+from fmu.analysis.held_out.refit import left_out, quadratics
+from fmu.analysis.trace.conversion import to_trace
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.problem import UpdatingProblem
+from tests.two_storeys import left_out as by_quadrature
+
+# The model of conftest.py: f = 100 + SLOPES @ theta, with independent priors.
+SLOPES, PRIOR_SD = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]]), np.array([1.0, 2.0])
+MEASURED, BETA = np.array([101.0, 99.5, 102.0]), np.array([0.5, 1.0, 2.0])
+COVARIANCE = np.array([[1.0, 0.4, 0.1], [0.4, 0.5, -0.2], [0.1, -0.2, 0.25]])
+BY_REFITS = ["refit"] * 3
+
+
+def given(k, others, covariance):
+    """Mean and variance of a measurement of mode k given those of other modes."""
+    joint = SLOPES @ np.diag(PRIOR_SD**2) @ SLOPES.T + covariance
+    weight = np.linalg.solve(joint[np.ix_(others, others)], joint[others, k])
+    return 100.0 + weight @ (MEASURED[others] - 100.0), joint[k, k] - weight @ joint[others, k]
+
+
+def check(table, use, covariance, sigmas=4.0):
+    """Hold the table against the closed form; the bounds of the first parameter, at 4 sd, hardly matter."""
+    for k, row in enumerate(table.itertuples()):
+        others = [j for j in np.flatnonzero(use) if j != k]
+        mean, variance = given(k, others, covariance)
+        exact = norm(mean, np.sqrt(variance))
+        assert row.used == use[k]
+        assert row.measured == MEASURED[k]
+        assert row.elpd == pytest.approx(exact.logpdf(MEASURED[k]), abs=sigmas * row.mcse_elpd + 0.01)
+        assert row.mcse_elpd < 0.06
+        assert row.mean == pytest.approx(mean, abs=0.15 * exact.std())
+        assert row.sd == pytest.approx(exact.std(), rel=0.1)
+        assert (row.eti90_lb, row.eti90_ub) == pytest.approx(exact.interval(0.9), abs=0.3 * exact.std())
+        assert row.p == pytest.approx(2 * min(exact.cdf(MEASURED[k]), exact.sf(MEASURED[k])), abs=0.06)
+        prior_sd = np.sqrt(SLOPES[k] ** 2 @ PRIOR_SD**2 + covariance[k, k])
+        assert row.prior_sd == pytest.approx(prior_sd, rel=5 / np.sqrt(2 * 200))
+
+
+@pytest.fixture
+def few(make_result):
+    """A trace of draws that tell nothing: too few, and anywhere."""
+    theta = np.random.default_rng(1).standard_normal((2, 30, 2))
+    return lambda problem: to_trace(make_result(theta), problem)
+
+
+def test_refits_of_a_linear_model(few, problem):
+    table = fmu.leave_one_out(few(problem), problem)
+    assert list(table["method"]) == BY_REFITS
+    assert list(table.index) == ["W1", "W2", "T1"]
+    check(table, (True,) * 3, np.diag(0.5 / BETA))
+
+
+@pytest.mark.parametrize("use", [(True, True, True), (True, True, False)])
+def test_refits_with_correlated_errors(few, problem, use):
+    data = ModalData(MEASURED, covariance_hz2=COVARIANCE, use=use)
+    correlated = UpdatingProblem(problem.model, data, problem.parameters)
+    trace = few(correlated)
+    if all(use):
+        check(fmu.leave_one_out(trace, correlated), use, COVARIANCE)
+        return
+    theta = np.random.default_rng(2).standard_normal((5, 2))
+    alone = ModalData(MEASURED[:2], covariance_hz2=COVARIANCE[:2, :2])
+    expected = UpdatingProblem(First(problem.model, 2), alone, problem.parameters)
+    np.testing.assert_allclose(correlated.log_prob(theta), expected.log_prob(theta), rtol=1e-12)
+    slopes = correlated.log_prob_and_grad(theta)[1]
+    np.testing.assert_allclose(slopes, expected.log_prob_and_grad(theta)[1], rtol=1e-9)
+    assert list(trace["log_likelihood"]["mode"].to_numpy()) == ["1", "2"]
+    assert list(trace["posterior_predictive"]["mode"].to_numpy()) == ["1", "2", "3"]
+    assert trace["observed_data"]["used"].to_numpy().tolist() == list(use)
+
+
+class First:
+    """The first modes of a model."""
+
+    def __init__(self, model, n_modes):
+        self.model, self.n_modes, self.n_parameters = model, n_modes, model.n_parameters
+
+    def frequencies(self, theta):
+        return self.model.frequencies(theta)[:, : self.n_modes]
+
+    def frequencies_and_gradient(self, theta):
+        return tuple(part[:, : self.n_modes] for part in self.model.frequencies_and_gradient(theta))
+
+
+def posterior_of(use, covariance):
+    """Mean and covariance of the parameters given the modes in use."""
+    A, weight = SLOPES[list(use)], np.linalg.inv(covariance[np.ix_(use, use)])
+    spread = np.linalg.inv(np.diag(PRIOR_SD**-2.0) + A.T @ weight @ A)
+    return spread @ A.T @ weight @ (MEASURED[list(use)] - 100.0), spread
+
+
+@pytest.mark.parametrize("covariance", [np.diag(0.5 / BETA), COVARIANCE])
+def test_a_mode_that_is_not_used_is_predicted_by_the_posterior(make_result, problem, covariance):
+    use = (True, True, False)
+    data = ModalData(MEASURED, covariance_hz2=covariance, use=use)
+    with_test = UpdatingProblem(problem.model, data, problem.parameters)
+    draws = np.random.default_rng(3).multivariate_normal(*posterior_of(use, covariance), (4, 2000))
+    table = fmu.leave_one_out(to_trace(make_result(draws), with_test), with_test)
+    assert table["method"].iloc[2] == "not used in updating"
+    check(table, use, covariance)
+
+
+def test_a_measurement_far_out_has_its_probability(few, problem):
+    """The density of the draws there is tiny; draws of the posterior with the mode reach it."""
+    far = MEASURED + np.array([0.0, 0.0, 40.0])
+    data = replace(problem.data, frequencies_hz=far)
+    problem = UpdatingProblem(problem.model, data, problem.parameters, beta=BETA)
+    mean, variance = given(2, [0, 1], np.diag(0.5 / BETA))
+    exact = norm(mean, np.sqrt(variance))
+    row = fmu.leave_one_out(few(problem), problem).loc["T1"]
+    assert exact.sf(far[2]) < 1e-20
+    assert row["elpd"] == pytest.approx(exact.logpdf(far[2]), abs=0.1)
+    assert np.log(row["p"]) == pytest.approx(np.log(2 * exact.sf(far[2])), abs=0.3)
+
+
+def test_a_bent_ridge_against_quadrature():
+    """One frequency leaves two stiffnesses on a long ridge, and the prior has heavy tails."""
+    problem, rng = fmu.cases.load("shear-2dof"), np.random.default_rng(1)
+    models = quadratics(problem, problem.start[None], rng)
+    for k, label in enumerate(problem.data.labels):
+        without = problem.using([other for other in problem.data.labels if other != label])
+        found = left_out(without, problem, [quadratics(without, problem.start[None], rng), models], rng)
+        assert found.is_known
+        assert found.predicts
+        assert found.elpd == pytest.approx(by_quadrature()[k], abs=0.1)
+
+
+def test_the_table_is_kept_in_the_trace(make_result, problem, tmp_path):
+    mean, spread = posterior_of((True,) * 3, np.diag(0.5 / BETA))
+    draws = np.random.default_rng(4).multivariate_normal(mean, spread, (4, 500))
+    kept = with_left_out(to_trace(make_result(draws), problem), problem)
+    path = fmu.save_trace(kept, tmp_path / "trace.nc")
+    table = fmu.leave_one_out(fmu.load_trace(path))
+    assert set(table["method"]) <= {"refit", "importance weights"}
+    check(table, (True,) * 3, np.diag(0.5 / BETA))
+
+
+def test_no_number_where_updating_anew_would_take_long(few, problem, monkeypatch):
+    monkeypatch.setattr(modes, "_time_of_a_solve", lambda problem, theta: 1.0)
+    table = fmu.leave_one_out(with_left_out(few(problem), problem))
+    assert not table["method"].any()
+    assert table[["mean", "sd", "p", "elpd", "mcse_elpd"]].isna().all(axis=None)
+
+
+def test_one_search_serves_all_runs(few, problem, monkeypatch):
+    first = fmu.leave_one_out(few(problem), problem)
+    monkeypatch.setattr(modes, "left_out", None)
+    assert fmu.leave_one_out(few(problem), problem).equals(first)
+
+
+def test_a_problem_with_other_modes_shares_the_model(problem):
+    other = problem.using(["W1", "T1"])
+    theta = np.random.default_rng(5).standard_normal((4, 2))
+    np.testing.assert_array_equal(
+        other.log_likelihood_terms(theta), problem.log_likelihood_terms(theta)[:, [0, 2]]
+    )
+    assert other.model is problem.model
+    assert "use" not in problem.configuration()["data"]
+    assert other.configuration()["data"]["use"] == [True, False, True]
+    np.testing.assert_array_equal(other.using(["W1", "W2", "T1"]).log_prob(theta), problem.log_prob(theta))
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        (["W1", "W9"], r"labels: must be of W1, W2, T1 \(got 'W9'\)"),
+        ([], "use: must be true for at least one mode"),
+    ],
+)
+def test_modes_that_cannot_be_used(problem, labels, message):
+    with pytest.raises(ValueError, match=message):
+        problem.using(labels)
