@@ -44,8 +44,8 @@ X_LABELS = {
     "plot_efficiency": "effective draws per 1000 model solves",
 }
 SEVERAL = ("plot_parameter_updates", "plot_traces", "plot_efficiency")
-ONE_AXES = ("plot_frequency_updates", "plot_left_out", "plot_predictive_check", "plot_mac", "plot_running_rhat", "plot_energy",
-            "plot_efficiency")  # fmt: skip
+OF_MODES = ("plot_frequency_updates", "plot_left_out", "plot_predictive_check")
+ONE_AXES = (*OF_MODES, "plot_mac", "plot_running_rhat", "plot_energy", "plot_efficiency")
 BY_CHAIN = ("plot_traces", "plot_ranks", "plot_autocorrelation", "plot_running_means")
 BESIDE = {"plot_ranks": "Δ ECDF of the ranks", "plot_autocorrelation": "autocorrelation"}
 NO_SAMPLER = ("plot_energy", "plot_mac", "plot_running_rhat", *BY_CHAIN)
@@ -110,7 +110,7 @@ def test_names_are_no_mathematics(name, hostile_traces):
     axes = np.ravel(np.asarray(draw(name, hostile_traces["hmc"]), dtype=object))
     drawn = inline_svg(axes[0].figure, "a", "alt 1")
     names = [html.escape(name, quote=False) for name in ("$x_1$ & &amp;", "$a$")]
-    about = {"plot_frequency_updates": names[1], "plot_predictive_check": names[1]}
+    about = dict.fromkeys(OF_MODES, names[1])
     if name not in NAMELESS:
         assert about.get(name, names[0]) in drawn
 
