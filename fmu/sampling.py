@@ -228,11 +228,11 @@ def sample(
         stack.close()
 
         # 4. What is computed from the draws.
+        solved_before = solves()
         trace = as_trace(result)
         if _takes_exact_gradients(trace, problem, settings):
             last = result.posterior.position[: result.chains // result.groups, -1]
             trace.attrs["gradient_cost"] = gradient_cost(problem, last)
-        solved_before = solves()
         if maxima is not None:
             trace = with_maxima(trace, maxima)
         if of_model is not None:
