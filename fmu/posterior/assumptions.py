@@ -63,6 +63,10 @@ def assumptions(
     said = _errors(likelihood, problem["parameters"], data, inferred)
     priors = outside_bounds(problem["parameters"])
     cut = "Priors: independent, cut off at the bounds; both are in the table of the parameters."
+    unused = [str(label) for label, use in zip(data["labels"], data.get("use", ()), strict=False) if not use]
+    if unused:
+        said.append(f"Not used in updating, and thus a test of the model: mode{'s' * (len(unused) > 1)} "
+                    f"{', '.join(unused)}.")  # fmt: skip
     said += [cut, *priors, _pairing(problem)]
     if reduction is None:
         said.append("The full model is solved everywhere; there is no reduced model.")

@@ -66,13 +66,13 @@ def _modes(problem: Problem) -> str:
     sd = np.full(len(measured), np.nan) if sd is None else np.asarray(sd)
     rows = [
         [
-            html.escape(str(label)),
+            html.escape(str(label)) + ("" if used else " (not used)"),
             given(m),
             significant(s),
             rounded(f, s),
             change(f / m - 1),
         ]
-        for label, m, s, f in zip(problem.data.labels, measured, sd, initial, strict=True)
+        for label, used, m, s, f in zip(problem.data.labels, problem.data.use, measured, sd, initial, strict=True)
     ]
     return _table(("mode", "measured, Hz", "its sd, Hz", "at the start, Hz", "error"), rows)
 

@@ -181,3 +181,45 @@ def test_a_problem_with_other_modes_shares_the_model(problem):
 def test_modes_that_cannot_be_used(problem, labels, message):
     with pytest.raises(ValueError, match=message):
         problem.using(labels)
+
+
+@pytest.mark.parametrize("pairing", ["shape", "soft"])
+@pytest.mark.parametrize("error", ["frequencies", "shapes"])
+def test_a_mode_leaves_with_its_shape(pairing, error):
+    """Frequencies and shapes with an inferred error; the terms and derivatives are those of the modes in use."""
+    K = 400.0 * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    dofs = [(k, "x") for k in range(3)]
+    model = fmu.SeparableModel.from_terms(["k"], stiffness=[(K, "k")], mass=[np.eye(3)], dofs=dofs)
+    lam, shapes = np.linalg.eigh(K)
+    data = ModalData(1.02 * np.sqrt(lam) / (2 * np.pi), sensors=dofs, shapes=shapes + 0.05)
+    sd = fmu.Parameter("sd", 0.02, 0.001, 0.5)
+    errors = [fmu.FrequencyErrors(sd=sd)] + [fmu.ShapeErrors(0.1), fmu.MACErrors(0.05)] * (error == "shapes")
+    whole = UpdatingProblem(model, data, [fmu.Parameter("k", 1.0, 0.5, 2.0)], pairing=pairing, error=errors)
+    part, theta = whole.using(["1", "3"]), np.array([[1.0, 0.02], [1.1, 0.05]])
+    np.testing.assert_array_equal(part.log_likelihood_terms(theta), whole.log_likelihood_terms(theta)[:, [0, 2]])
+    step = 1e-6 * np.eye(2)
+    differences = [(part.log_prob(theta + h) - part.log_prob(theta - h)) / 2e-6 for h in step]
+    np.testing.assert_allclose(part.log_prob_and_grad(theta)[1], np.transpose(differences), rtol=1e-4, atol=1e-4)
+    residuals, of_all = (problem.likelihood.residuals_and_slopes(theta)[0] for problem in (part, whole))
+    assert 3 * residuals.shape[1] == 2 * of_all.shape[1]
+    labels = part.likelihood.labels(data.labels)
+    assert len(labels) == residuals.shape[1]
+    assert not any(label.startswith("2") for label in labels)
+    noise = [problem.likelihood.quadratic(theta)[2][:, 1, 1] for problem in (part, whole)]
+    np.testing.assert_allclose(noise[0], noise[1] * 2 / 3, rtol=1e-9)
+    assert sum(part.data.use) == fmu.FrequencyErrors().n_errors(part.data) == 2
+    assert fmu.ShapeErrors(0.1).n_errors(part.data) == 6
+
+
+def test_the_modal_residual_of_the_modes_in_use():
+    whole = fmu.cases.load("shear-10dof")
+    data = whole.data
+    shapes = np.eye(len(data.sensors), data.n_modes) + 0.1 if data.shapes is None else data.shapes
+    data = replace(data, shapes=shapes, shapes_sd=None)
+    problem = UpdatingProblem(whole.model.structure, data, whole.parameters[: whole.n_structural],
+                              error="modal-residual")  # fmt: skip
+    part, theta = problem.using(data.labels[:2]), problem.start[None]
+    np.testing.assert_array_equal(part.log_likelihood_terms(theta), problem.log_likelihood_terms(theta)[:, :2])
+    found, slopes = part.log_prob_and_grad(theta)
+    assert np.isfinite(found).all()
+    assert slopes.shape == theta.shape

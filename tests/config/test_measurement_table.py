@@ -299,3 +299,30 @@ def test_modal_residual_needs_beta(problem, mistakes):
     assert mistakes(GIVEN, *option) == ["measurement.beta: must be given for the modal residual, as a number"]
     found = problem(GIVEN.replace("sd = 0.05", "beta = 100.0"), *option)
     assert_array_equal(found.likelihood.beta, [100.0, 100.0])
+
+
+def test_modes_that_are_not_used(problem, folder):
+    found = problem(f"{GIVEN}use = [true, false]\n")
+    assert found.data.use == (True, False)
+    both = problem(GIVEN)
+    theta = np.tile(found.start, (3, 1)) * np.array([[0.9], [1.0], [1.1]])
+    assert_array_equal(found.log_likelihood(theta), both.log_likelihood_terms(theta)[:, 0])
+    assert_array_equal(found.frequencies(theta), both.frequencies(theta))
+    (folder / "modes.csv").write_text("mode,frequency,sd,use\na,3.1,0.05,no\nb,9.8,0.05,yes\n")
+    rest = GIVEN[GIVEN.index("shapes") :]
+    assert problem(f'file = "modes.csv"\n{rest}').data.use == (False, True)
+    tests = "tests = [[3.1, 9.8], [3.2, 9.7], [3.0, 9.9]]\nuse = [false, true]\n"
+    assert problem(tests + rest).data.use == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        ("[true]", r"measurement: use must be 2, one per mode \(got 1\)"),
+        ("[false, false]", r"measurement.use: must be true for at least one mode \(got .*\)"),
+        ("[true, 1]", r"measurement.use.1: .*"),
+    ],
+)
+def test_wrong_use(mistakes, use, message):
+    (found,) = mistakes(f"{GIVEN}use = {use}\n")
+    assert re.fullmatch(message, found)

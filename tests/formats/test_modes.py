@@ -155,3 +155,13 @@ def test_files_that_cannot_be_read(tmp_path, monkeypatch):
     monkeypatch.setattr(limits, "LARGEST_FILE", 2)
     with pytest.raises(ModesError, match=r"must have at most 2 bytes \(got 3\)"):
         ModalData.from_csv(path)
+
+
+def test_whether_a_mode_is_used(tmp_path):
+    path = tmp_path / "modes.csv"
+    path.write_text("mode,frequency,use\na,1.0,True\nb,2.0,no\nc,3.0,0\n")
+    assert read_frequencies(path).use == (True, False, False)
+    assert ModalData.from_csv(path).use == (True, False, False)
+    path.write_text("mode,frequency,use\na,1.0,perhaps\n")
+    with pytest.raises(ModesError, match=r"line 2, column use: must be true or false \(got 'perhaps'\)"):
+        read_frequencies(path)
