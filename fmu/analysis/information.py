@@ -77,7 +77,7 @@ def doubts(found: Identifiability) -> list[str]:
     for one in left_to_prior(found):
         names = names_in_words(one.names)
         remains = 1.0 / np.sqrt(1.0 + np.sum((found.sensitivity @ one.direction) ** 2))
-        left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
+        left = f"{share(min(remains, 1.0))} of the prior standard deviation remains, linearised at the start"
         if len(one.names) == 1:
             said.append(
                 f"The measured modes carry no information on {one.words}: {left}. Fix it if it is known well, "
@@ -91,7 +91,7 @@ def doubts(found: Identifiability) -> list[str]:
         else:
             said.append(
                 f"The measured modes are insensitive to the combination {one.words} (in prior standard "
-                f"deviations): {left}, and {names} are left to the prior along it. {_REMEDY}"
+                f"deviations): {left}; {names} are left to the prior along it. {_REMEDY}"
             )
     return said
 
@@ -372,6 +372,12 @@ def compared_with_draws(
             "frequencies are not linear in the parameters, or priors not normal, over the width of the posterior"
         )
     return [*said, f"Believe the draws, which count bounds, curvature and all maxima: {' and '.join(why)}."]
+
+
+def not_informed(trace: xr.DataTree) -> list[str]:
+    """Return the parameters that the data did not inform; none if the trace has no draws from the prior."""
+    found = information(trace)
+    return [] if found is None else np.array(found.names)[~found.informed].tolist()
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:

@@ -28,7 +28,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
     A last column says what each value comes from, if that is known; those that the data did not inform are dim.
     """
-    from fmu.analysis.information import information
+    from fmu.analysis.information import information, not_informed
 
     columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
     for column in map(str, table.columns):
@@ -37,10 +37,9 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
         columns[column] = [_summary_cell(column, x / scale, sd / scale) for x, sd, scale in cells]
     columns["unit"] = [unit.name for unit in units]
     found = information(trace)
-    dim: set[str] = set()
+    dim = not_informed(trace)
     if found is not None:
         columns["from"] = list(found.basis)
-        dim = {name for name, informed in zip(found.names, found.informed, strict=True) if not informed}
     rows = list(zip(*columns.values(), strict=True))
     text = text_table(list(columns), rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
     width = max(map(len, table.index))

@@ -93,16 +93,17 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     answer = "No warnings" if not doubts else f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''}"
     verdicts = [Verdict("Are the modes paired correctly?", answer, not doubts, "Warnings on the pairing", doubts)]
     far = int(found.prior.is_far.sum())
-    expected = not far and not found.prior.failed
+    covered = not far and not found.prior.failed
+    expected = covered and not found.priors
     missed = f"{far} of {len(found.prior.labels)} modes not covered" if far else "The model fails"
-    answer = "Yes" if expected else missed
-    reasons = () if expected else tuple(found.prior.sentences())
+    answer = missed if not covered else "Yes" if expected else "Priors miss their bounds"
+    reasons = (*found.priors, *(() if covered else found.prior.sentences()))
     verdicts.append(
-        Verdict("Does the prior cover the data?", answer, expected, "What the prior does not cover", reasons)
+        Verdict("Does the prior cover the data?", answer, expected, "What is wrong with the prior", reasons)
     )
     if found.identifiability is not None:
         n, k = len(found.identifiability.names), found.identifiability.n_informed
-        answer, unknown = f"{k} of {n} directions", tuple(doubts_of_information(found.identifiability))
+        answer, unknown = f"{k} of {n} directions, linearised", tuple(doubts_of_information(found.identifiability))
         good = False if unknown else True if k == n else None
         verdicts.append(Verdict("What can the data identify?", answer, good, "What they cannot identify", unknown))
     if found.tests:
@@ -209,8 +210,9 @@ def _prior(found: Check) -> PageSection:
 
 
 def _informed(informed: Identifiability) -> PageSection:
-    table = Details("Directions and singular values", (directions(informed, "Linearised at the start"),))
-    return PageSection("informed", "Identifiability", (Items(tuple(informed.sentences())), table))
+    table = Details("Directions and singular values", (directions(informed, "Before updating, at the start"),))
+    later = Text("Bounds, curvature and several maxima are not counted: after a run the draws tell what is left.")
+    return PageSection("informed", "Identifiability", (Items(tuple(informed.sentences())), later, table))
 
 
 def _gradient(found: Check) -> PageSection:

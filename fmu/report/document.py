@@ -206,6 +206,11 @@ _TAG = re.compile(r"<[^>]*>")
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
+def breaking_at_commas(text: str) -> str:
+    """Return a text for a narrow column, which breaks its lines after commas only."""
+    return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
+
+
 def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
     """Return the figure of some axes as a picture on a page.
 

@@ -12,6 +12,7 @@ from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of
 from fmu.numbers import Unit
 from fmu.posterior.parameters import prior_in_words
+from fmu.report.document import breaking_at_commas
 from fmu.report.plots.style import TITLES, unit_of
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class ReportedRun:
     def priors(self) -> dict[str, str]:
         """The prior of each parameter in words, in the unit in which it is shown; empty if it is not known."""
         known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
-        return {p["name"]: prior_in_words(p["prior"], p["unit"]) for p in known}
+        return {p["name"]: breaking_at_commas(prior_in_words(p["prior"], p["unit"])) for p in known}
 
     @property
     def chains_in_words(self) -> str:

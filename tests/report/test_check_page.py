@@ -31,7 +31,7 @@ def test_the_verdicts_are_those_of_the_check(found, doubtful):
     assert [(v.answer, v.is_good) for v in check_page(found).verdicts] == [
         ("No warnings", True),
         ("Yes", True),
-        ("4 of 5 directions", None),
+        ("4 of 5 directions, linearised", None),
         ("Yes", True),
     ]
     verdicts = check_page(doubtful).verdicts

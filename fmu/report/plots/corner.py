@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_draws, parameter_names
-from fmu.report.plots.style import BLACK, FONT, VERMILLION, broken, colour, new_figure, tint, unit_of
+from fmu.report.plots.style import BLACK, FONT, GREY, VERMILLION, broken, colour, new_figure, tint, unit_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -30,7 +31,7 @@ def plot_corner(
 ) -> NDArray[Any]:
     """Draw all marginals and all pairs of a posterior, with start, bounds and maximum marked.
 
-    Contours hold 50 % and 90 % of the draws.
+    Contours hold 50 % and 90 % of the draws. Names in grey are of parameters that the data did not inform.
 
     Parameters
     ----------
@@ -66,10 +67,12 @@ def plot_corner(
     side = float(np.clip(_WIDTH / len(names), *_SIDE))
     size = side * len(names) + _EDGE + 0.2
     figure = figure or new_figure(size, size, layout=None)  # corner arranges the panels
+    left = not_informed(trace)
+    named = (f"{name}, prior" if name in left else name for name in names)
     corner.corner(
         draws,
         fig=figure,
-        labels=[broken(unit.label(name), side) for name, unit in zip(names, units, strict=True)],
+        labels=[broken(unit.label(name), side) for name, unit in zip(named, units, strict=True)],
         label_kwargs={"fontsize": FONT + 1},
         range=_frames(draws, *bounds),
         bins=36,
@@ -85,7 +88,9 @@ def plot_corner(
     )
     axes = np.array(figure.axes).reshape(len(names), len(names))
     figure.subplots_adjust(left=_EDGE / size, bottom=_EDGE / size, right=1 - 0.1 / size, top=1 - 0.1 / size)
-    for x, y in zip(axes[-1], axes[:, 0], strict=True):
+    for name, x, y in zip(names, axes[-1], axes[:, 0], strict=True):
+        for label in (x.xaxis.label, y.yaxis.label):
+            label.set_color(GREY if name in left else BLACK)
         x.xaxis.set_label_coords(0.5, -0.3 / side)
         y.yaxis.set_label_coords(-0.45 / side, 0.5)
     for region in (region for panel in figure.axes for region in panel.collections):

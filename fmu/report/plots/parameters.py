@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.convergence.diagnosis import CONVERGED, compare
 from fmu.analysis.convergence.diagnostics import summary
-from fmu.analysis.information import information
+from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_names
 from fmu.numbers import significant
 from fmu.report.plots.style import (
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_LEFT = "prior: not informed"
 _ENDS = ("mean", "eti90_lb", "eti90_ub")
 
 
@@ -98,6 +99,9 @@ def plot_parameter_updates(
         axis.set_ylabel(f"{what} / {literal(unit)}" if unit else what, fontsize=FONT)
     axes[0].set_title("mean and 90 % interval", fontsize=FONT - 1, color=GREY, loc="right")
     axes[-1].set_xlabel("parameter", fontsize=FONT)
+    is_told = _LEFT in axes[0].get_legend_handles_labels()[1]
+    if not is_told and any(not_informed(trace) for trace in traces.values()):
+        axes[0].plot([], [], linestyle="none", marker="o", markersize=5, color=GREY, label=_LEFT)
     legend_below(axes[0])
     return axes
 
@@ -134,12 +138,11 @@ def _intervals(
     """Draw means with their intervals at the abscissae x, in grey where the data did not inform the parameter."""
     factor = np.array([unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
-    found = information(trace)
-    informed = dict(zip(found.names, found.informed, strict=True)) if found else {}
-    is_told = np.array([informed.get(name, True) for name in members])
+    left = not_informed(trace)
+    is_told = np.array([name not in left for name in members])
     for of, shade, words in (
         (is_told, colour(str(trace.attrs["sampler"])), TITLES.get(label, literal(label))),
-        (~is_told, GREY, "prior: not informed by the data"),
+        (~is_told, GREY, _LEFT),
     ):
         if of.any():
             axis.vlines(x[of], low[of], high[of], color=shade, linewidth=4.5, alpha=0.5, zorder=2)
