@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmu.report.plots.style import DPI, FONT, GREY, PALE, colour, finish, new_figure
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def draw(rows: dict[str, list[Any]], out: str) -> None:
+
+def draw(rows: dict[str, list[Any]], out: str) -> Figure:
     """Draw ESS per solve and per second, a bar a sampler: logarithmic, the best per second on top.
 
     Parameters
@@ -19,6 +22,10 @@ def draw(rows: dict[str, list[Any]], out: str) -> None:
         By experiment.
     out : str
         PNG.
+
+    Returns
+    -------
+    Figure
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -43,6 +50,7 @@ def draw(rows: dict[str, list[Any]], out: str) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=FONT - 1, frameon=False)
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=DPI)
+    return figure
 
 
 def short(value: float) -> str:
