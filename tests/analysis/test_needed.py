@@ -1,9 +1,12 @@
 """How many draws are missing: predicted from the effective sample size so far, on tables made by hand."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 
+import fmu
 from fmu.analysis.convergence.diagnosis import draws_missing
 from fmu.analysis.convergence.diagnostics import autocorrelation_times_run, summary
 from fmu.analysis.convergence.remedies import (
@@ -134,3 +137,35 @@ class TestRemedy:
     def test_chains_around_the_only_maximum_need_more_draws(self, trace):
         said = for_too_few_draws(trace, table(7, rhat=1.4), 400, places="one")
         assert said.startswith("; at least 75000 draws are needed: --until-ess 400 or --draws 75000 ")
+
+
+class Normal3:
+    """A correlated Gaussian of three parameters."""
+
+    ndim, lower, upper = 3, np.full(3, -np.inf), np.full(3, np.inf)
+    precision = np.array([[2.0, -0.9, 0.0], [-0.9, 1.0, 0.3], [0.0, 0.3, 1.0]])
+
+    def log_prob(self, theta):
+        return -0.5 * np.sum(theta @ self.precision * theta, axis=-1)
+
+    def log_prob_and_grad(self, theta):
+        return self.log_prob(theta), -theta @ self.precision
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize(
+    ("sampler", "draws"),
+    [(fmu.Ensemble(walkers=16), 250), (fmu.MetropolisHastings(), 400), (fmu.HamiltonianMonteCarlo(), 80)],
+    ids=["emcee", "mh", "hmc"],
+)
+def test_a_run_of_the_recommended_number_of_draws_converges(sampler, draws):
+    """At least 10 of 12: effective sizes and R-hat scatter from run to run."""
+    converged = 0
+    for seed in range(12):
+        shape = (4, sampler.walkers, 3) if sampler.walkers > 1 else (4, 3)
+        start = np.random.default_rng(seed).standard_normal(shape)
+        short = fmu.sample(Normal3(), sampler, draws=draws, warmup=200, seed=seed, init=start)
+        number = re.search(r"--draws (\d+)", fmu.diagnose(short).reasons[0])
+        long = fmu.sample(Normal3(), sampler, draws=int(number[1]), warmup=200, seed=seed, init=start)
+        converged += fmu.diagnose(long).converged
+    assert converged >= 10

@@ -197,12 +197,12 @@ def convergence_failures(
         )
         can_tell = places != "one" or float(np.min(lengths)) >= RELIABLE_TIMES
         are_apart = bool(too_short) and can_tell and walkers_stay_apart(trace, lengths)
+        short = too_short + short
         if are_apart or not too_short:  # of walkers that mix, R-hat says that the run is short, once more
             why = "R-hat over walkers is {}; it must be below {}: walkers stay in separate places"
             unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT, names, why)
             are_apart |= bool(unmixed)
             short = unmixed + short
-        short += too_short
     if short and not standing and places != "missed":
         short[0] += for_too_few_draws(trace, table, required, lengths, are_apart, places)
     return failures + short + _trajectories(trace)
