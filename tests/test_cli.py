@@ -157,7 +157,7 @@ def test_run_prints_the_tables_and_nothing_else(ran):
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("n_solves") for line in lines)
     assert any(re.match(r"mh  not converged: E\d: R-hat is ", line) for line in lines)
-    assert "Remarks on the model, from the draws of mh (not converged)" in lines
+    assert "The model, from the draws of mh (not converged)" in lines
     assert lines[-1] == "Written to here"
     assert "\x1b" not in result.stdout
 
@@ -232,7 +232,7 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, 
     run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *until])
     assert run.exit_code == 1, run.output
     assert "--max-draws reached before --until-ess 5: mh" in run.stdout
-    assert "Remarks on the model, from the draws of mh (not converged)" in run.stdout
+    assert "The model, from the draws of mh (not converged)" in run.stdout
     assert pd.read_csv("here/summary-mh.csv")[["ess_bulk", "ess_tail"]].min().min() >= 5
     lines = run.stdout.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))

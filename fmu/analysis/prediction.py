@@ -1,4 +1,4 @@
-"""Posterior expectations and predictions, eq. (10) and (11) of the paper, and whether the model fits the data."""
+"""Posterior expectations and predictions, eq. (10) and (11) of the paper, and warnings about the model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
-from fmu.numbers import apart, fixed, given, share, with_unit
+from fmu.numbers import apart, fixed, share, with_unit
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -171,7 +171,6 @@ def _computed(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> Floa
 NEAR_A_BOUND = 0.02
 """Part of the range between the bounds."""
 MORE_THAN_THE_PRIOR, LEAST_SHARE = 3.0, 0.05
-INTERVAL = 0.99
 _WITHIN = 2.0
 
 
@@ -221,31 +220,6 @@ def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margi
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))
-
-
-def fit_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each measured mode outside its 99 % prediction interval, eq. (10), noise included.
-
-    If the measurement is the mean of repeated tests, the interval is that of such a mean. Empty if there is no
-    predictive distribution of frequencies: for the modal residual, and for a plain density.
-    """
-    if not has(trace, "posterior_predictive", "frequency"):
-        return []
-    table = predict_frequencies(trace, INTERVAL)
-    per_cent = f"{100 * INTERVAL:g}"
-    columns = ("measured", f"noisy_eti{per_cent}_lb", f"noisy_eti{per_cent}_ub", "mean", "noisy_sd")
-    tests = measured_tests(trace)
-    found = []
-    rows = zip(table.index, *(table[c] for c in columns), strict=True)
-    for k, (mode, measured, low, high, mean, sd) in enumerate(rows):
-        if not low <= measured <= high:
-            how = "" if tests is None else f" ({measurement_in_words(tests[:, [k]])})"
-            _, from_hz, to_hz, mean_hz = apart(measured, low, high, mean, sd=sd)
-            found.append(
-                f"mode {mode}: the measured frequency, {given(measured)} Hz{how}, is outside the "
-                f"{share(INTERVAL)} prediction interval, {from_hz} to {to_hz} Hz (mean {mean_hz} Hz)"
-            )
-    return found
 
 
 def shape_warnings(trace: xr.DataTree) -> list[str]:

@@ -65,10 +65,12 @@ def echo_comparison(
         for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
             click.echo(wrapped(remark, f"{indent}- ", f"{indent}  "))
     told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
-    if verdicts[told].warnings:
+    fit, warnings = verdicts[told].fit, verdicts[told].warnings
+    if fit.checks or warnings:
         doubt = "" if verdicts[told].converged else " (not converged)"
-        click.echo(f"\nRemarks on the model, from the draws of {told}{doubt}")
-        for warning in verdicts[told].warnings:
+        answer = f": {fit.answer}" if fit.checks else ""
+        click.echo(f"\nThe model, from the draws of {told}{doubt}{answer}")
+        for warning in warnings:
             click.echo(wrapped(warning, "  - ", "    "))
     return table, verdicts
 

@@ -1,138 +1,241 @@
-"""Warnings on the model: draws at bounds, modes outside their predictions, maxima that a search missed."""
-
-import re
+"""When the verdict on the model turns: by each kind of check on a linear model, whose posteriors are exact."""
 
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.stats import chi2, norm
 
+import fmu
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.fit.checks import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE
+from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, model_fit
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.modal_states import MEASURED
+from tests.linear import SLOPES, LinearModel
+
+PRIOR_SD, SD = np.array([1.0, 2.0]), np.array([0.1, 0.1, 0.1])
+TRUTH = np.array([0.6, -0.9])
+FITTED = 100.0 + SLOPES @ TRUTH
+DRAWS = (4, 500)
+
+
+def posterior(y, kept):
+    """Return mean and covariance of the parameters from the modes `kept`."""
+    A = SLOPES[kept] / SD[kept][:, None]
+    C = np.linalg.inv(A.T @ A + np.diag(PRIOR_SD**-2.0))
+    return C @ A.T @ ((y[kept] - 100.0) / SD[kept]), C
+
+
+def left_out(y, used):
+    """Return the table of `leave_one_out`: exact predictions of each mode from the other used ones."""
+    rows = []
+    for k in range(3):
+        mean, C = posterior(y, [i for i in used if i != k])
+        at, sd = 100.0 + SLOPES[k] @ mean, np.sqrt(SLOPES[k] @ C @ SLOPES[k] + SD[k] ** 2)
+        before = np.sqrt(np.sum((SLOPES[k] * PRIOR_SD) ** 2) + SD[k] ** 2)
+        p = 2.0 * norm.sf(abs(y[k] - at) / sd)
+        rows.append(
+            (y[k], at, sd, at - 1.6449 * sd, at + 1.6449 * sd, p, before, 0.0, 0.0, 0.1, "refit", k in used)
+        )
+    names = ("measured", "mean", "sd", "eti90_lb", "eti90_ub", "p", "prior_sd", "elpd", "mcse_elpd", "pareto_k",
+             "method", "used")  # fmt: skip
+    columns = {
+        name: ("mode", np.array(column)) for name, column in zip(names, zip(*rows, strict=True), strict=True)
+    }
+    return xr.Dataset(columns, coords={"mode": ["W1", "W2", "T1"]})
 
 
 @pytest.fixture
-def trace_of(make_result, problem):
-    """A trace of the linear problem with E1, whose bounds are ∓4, as given: shape (chains, draws)."""
+def fit_of(make_result):
+    """The verdict for measured frequencies, with exact draws and predictions."""
 
-    def make(first):
-        position = np.stack([first, np.zeros_like(first)], axis=-1)
-        return to_trace(make_result(position), problem)
+    def make(y, used=(0, 1, 2), table=left_out):
+        parameters = [fmu.Parameter(n, 0.0, prior=fmu.Normal(s)) for n, s in zip("ab", PRIOR_SD, strict=True)]
+        data = fmu.ModalData(y, labels=("W1", "W2", "T1"), sd_hz=SD, use=[k in used for k in range(3)])
+        problem = fmu.UpdatingProblem(LinearModel(), data, parameters)
+        draws = np.random.default_rng(4).multivariate_normal(*posterior(y, list(used)), DRAWS)
+        trace = to_trace(make_result(draws), problem)
+        if table is not None:
+            trace["leave_one_out"] = xr.DataTree(table(y, list(used)))
+        return model_fit(trace)
 
     return make
 
 
+def kinds(fit):
+    return {check.kind for check in fit.checks if check.failed}
+
+
+def test_a_model_that_fits(fit_of):
+    fit = fit_of(FITTED + np.array([0.05, -0.1, 0.08]))
+    assert (fit.verdict, fit.answer, fit.against) == (NOT_CONTRADICTED, "not contradicted", ())
+    assert [check.kind for check in fit.checks] == [PREDICTED] * 3 + [RESIDUALS]
+    assert "3 data, 2 parameters: 1 degree of freedom left." in fit.reasons
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(0.25, NOT_CONTRADICTED), (0.5, CONTRADICTED)])
+def test_one_frequency_that_the_others_contradict(fit_of, off, verdict):
+    """Two parameters follow it in part: the residuals hide what the predictions show."""
+    fit = fit_of(FITTED + np.array([0.0, off, 0.0]))
+    assert fit.verdict == verdict
+    if verdict == CONTRADICTED:
+        assert PREDICTED in kinds(fit)
+        assert fit.against[0].startswith("mode W")
+        assert "the other modes predict" in fit.against[0]
+        assert fit.answer == f"contradicted by {len(fit.against)} of 4 checks"
+
+
+def test_the_smallest_error_that_would_have_been_found(fit_of):
+    """The mode is moved as far as the check says, from where the others predict it: there the verdict turns."""
+    row = left_out(FITTED, [0, 1, 2]).to_dataframe().loc["W2"]
+    (check,) = (check for check in fit_of(FITTED).checks if check.of == "mode W2")
+    for times, verdict in ((0.98, False), (1.02, True)):
+        y = FITTED.copy()
+        y[1] = row["mean"] * (1.0 + times * check.least)
+        (moved,) = (check for check in fit_of(y).checks if check.of == "mode W2")
+        assert moved.failed == verdict
+    level = LEVEL / 2 / 3  # two kinds of checks, three modes
+    assert check.least == pytest.approx(norm.isf(level / 2) * row["sd"] / row["mean"], rel=1e-3)
+
+
+def test_data_that_the_model_cannot_reach(fit_of):
+    """Without the predictions the residuals are what is left; at twice the level, for fewer kinds."""
+    fit = fit_of(FITTED + np.array([0.0, 12.0, 0.0]), table=None)
+    assert RESIDUALS in kinds(fit)
+    assert fit.against[-1].startswith("all used data together") or "Σ r²" in fit.against[-1]
+
+
+def test_the_p_value_of_the_residuals(fit_of):
+    y = FITTED + np.array([0.0, 1.2, 0.0])
+    (check,) = (check for check in fit_of(y).checks if check.kind == RESIDUALS)
+    mean, C = posterior(y, [0, 1, 2])
+    theta = np.random.default_rng(1).multivariate_normal(mean, C, 20_000)
+    D = np.sum(((100.0 + theta @ SLOPES.T - y) / SD) ** 2, axis=1)
+    assert check.p == pytest.approx(chi2.sf(D, 3).mean(), rel=0.1)
+    larger = float(check.shows.split()[1])
+    assert chi2.sf(larger**2 * D, 3).mean() == pytest.approx(LEVEL / 4, rel=0.3)
+
+
+def test_no_more_data_than_parameters(fit_of):
+    """Two used modes and two parameters: the mode that was held out is the test."""
+    silent = fit_of(FITTED, used=(0, 1))
+    assert silent.verdict == NOT_CONTRADICTED  # by the mode that was not used
+    (line,) = (reason for reason in silent.reasons if "not used" in reason)
+    assert line.startswith("Predicted though not used in updating: mode T1; an error of ")
+    assert "2 data, 2 parameters: only what was held out tests the model." in silent.reasons
+    fit = fit_of(FITTED + np.array([0.0, 0.0, 2.0]), used=(0, 1))
+    assert kinds(fit) == {HELD_OUT}
+    assert fit.against[0].startswith("mode T1, not used in updating: ")
+
+
 @pytest.fixture
-def rng():
-    return np.random.default_rng(61)
+def two_modes(make_result):
+    """Two modes, two parameters."""
+
+    class Two(LinearModel):
+        n_modes = 2
+
+        def frequencies(self, theta):
+            return super().frequencies(theta)[:, :2]
+
+    def make(y):
+        parameters = [fmu.Parameter(n, 0.0, prior=fmu.Normal(s)) for n, s in zip("ab", PRIOR_SD, strict=True)]
+        problem = fmu.UpdatingProblem(Two(), fmu.ModalData(y, labels=("W1", "W2"), sd_hz=SD[:2]), parameters)
+        draws = np.random.default_rng(4).multivariate_normal(*posterior(y, [0, 1]), DRAWS)
+        trace = to_trace(make_result(draws), problem)
+        trace["leave_one_out"] = xr.DataTree(left_out(np.append(y, 0.0), [0, 1]).isel(mode=slice(2)))
+        return model_fit(trace)
+
+    return make
 
 
-def test_draws_at_the_upper_bound(trace_of, rng):
-    (found,) = bound_warnings(trace_of(4.0 - np.abs(0.3 * rng.standard_normal((4, 500)))))
-    assert found.startswith("E1: 4")
-    assert found.endswith("% of the draws (prior: 0 %) lie within 2 % of the range from the upper bound, 4 Pa")
+def test_data_no_more_than_parameters_are_not_testable(two_modes):
+    fit = two_modes(FITTED[:2])
+    assert (fit.verdict, fit.answer) == (NOT_TESTABLE, "not testable: 2 data, 2 parameters")
+    assert fit.reasons[0].startswith("There are no more data than parameters: 2 data, 2 parameters.")
+    assert fit.reasons[-1].startswith("No mode was held out: `use = false`")
 
 
-def test_draws_at_the_lower_bound(trace_of, rng):
-    (found,) = bound_warnings(trace_of(-4.0 + rng.exponential(0.2, (4, 500))))
-    assert found.startswith("E1: ")
-    assert found.endswith(" lie within 2 % of the range from the lower bound, -4 Pa")
+def test_a_failed_check_outweighs_too_many_parameters(two_modes):
+    fit = two_modes(
+        FITTED[:2] + np.array([0.0, 60.0])
+    )  # thirty prior standard deviations, which both parameters follow
+    assert fit.verdict == CONTRADICTED
 
 
-@pytest.mark.parametrize(
-    "first",
-    [
-        lambda rng: rng.uniform(-4.0, 4.0, (4, 500)),  # 2 % are near each bound, as of the prior
-        lambda rng: 3.9 + 0.02 * rng.standard_normal((4, 500)),  # narrow, and five standard deviations from it
-        lambda rng: rng.standard_normal((4, 500)),
-    ],
-    ids=["everywhere", "near but not at", "inside"],
-)
-def test_draws_that_the_bound_does_not_hold_back(trace_of, rng, first):
-    assert bound_warnings(trace_of(np.clip(first(rng), -4.0, 4.0))) == []
+@pytest.fixture
+def noisy(make_result):
+    """One frequency errors' size inferred: draws around `sigma`, under a prior of the given spread."""
+
+    def make(sigma, spread):
+        prior = fmu.LogNormal(0.1, spread)
+        noise = fmu.Parameter("sd_f", 0.1, 0.0, np.inf, prior, unit="Hz")
+        parameters = [fmu.Parameter(n, 0.0, prior=fmu.Normal(s)) for n, s in zip("ab", PRIOR_SD, strict=True)]
+        errors = fmu.FrequencyErrors("absolute", sd=noise)
+        problem = fmu.UpdatingProblem(
+            LinearModel(), fmu.ModalData(FITTED, labels=("W1", "W2", "T1")), parameters, error=errors
+        )
+        rng = np.random.default_rng(4)
+        theta = rng.multivariate_normal(*posterior(FITTED, [0, 1, 2]), DRAWS)
+        draws = np.concatenate([theta, np.exp(np.log(sigma) + 0.1 * rng.standard_normal((*DRAWS, 1)))], axis=-1)
+        trace = to_trace(make_result(draws), problem)
+        trace["leave_one_out"] = xr.DataTree(left_out(FITTED, [0, 1, 2]))
+        return model_fit(trace)
+
+    return make
 
 
-def test_a_prior_that_is_at_the_bound_itself(trace_of, rng):
-    trace = trace_of(4.0 - np.abs(0.3 * rng.standard_normal((4, 500))))
-    trace["prior"]["E1"] = trace["prior"]["E1"] * 0.0 + 3.95
-    assert bound_warnings(trace) == []
+@pytest.mark.parametrize(("sigma", "spread", "failed"), [(0.12, 0.3, False), (0.4, 0.3, True), (0.4, 2.0, False)])
+def test_noise_that_absorbs_the_misfit(noisy, sigma, spread, failed):
+    """The same noise contradicts a model whose prior knew it, and one whose prior allows anything never."""
+    fit = noisy(sigma, spread)
+    (check,) = (check for check in fit.checks if check.kind == NOISE)
+    assert check.failed == failed
+    assert check.p == pytest.approx(norm.sf((np.log(sigma / 0.1)) / np.hypot(0.1, spread), scale=1.0), rel=0.2)
+    if failed:
+        assert fit.against[0].startswith(
+            "sd_f, the inferred noise of frequencies: 0.404 ± 0.040 Hz, prior median 0.1 Hz; "
+        )
+        assert "the noise absorbs what the model does not explain" in fit.against[0]
+    elif spread > 1.0:
+        assert check.why_not == "the noise was free to grow"
+        assert not check.could_fail
+        assert any("The noise was free to grow: only beyond" in reason for reason in fit.reasons)
+    else:
+        assert check.could_fail
 
 
-def test_unbounded_parameters_and_plain_densities(make_trace, rng):
-    assert bound_warnings(make_trace(rng.standard_normal((4, 500, 2)))) == []
+@pytest.mark.parametrize(("mac", "verdict"), [(0.79, CONTRADICTED), (0.9, NOT_CONTRADICTED)])
+def test_a_shape_that_no_error_model_is_of(make_result, problem, mac, verdict):
+    draws = np.random.default_rng(4).multivariate_normal([0.5, 0.0], 0.01 * np.eye(2), DRAWS)
+    trace = to_trace(make_result(draws), problem)
+    values = np.array([np.eye(3), np.diag([0.95, mac, 0.99])])
+    alike = xr.DataArray(values, dims=("state", "reference_mode", "mode"), attrs={"reference": MEASURED})
+    labels = ["W1", "W2", "T1"]
+    coords = {"state": ["start", "posterior mean"], "reference_mode": labels, "mode": labels}
+    trace["modes"] = xr.DataTree(xr.Dataset({"mac": alike}, coords=coords))
+    fit = model_fit(trace)
+    failed = [check for check in fit.checks if check.kind == SHAPE and check.failed]
+    assert [check.of for check in failed] == (["mode W2"] if verdict == CONTRADICTED else [])
+    squares = trace["misfit"].to_dataset()
+    trace["misfit"] = xr.DataTree(squares.assign_coords(quantity=["shapes"]))
+    assert not [check for check in model_fit(trace).checks if check.kind == SHAPE]  # among the residuals
 
 
-def test_a_mode_outside_its_prediction_is_named(make_result, problem, rng):
-    # the model says 100 + (2a + b, a/2 − b, a + 3b); noise of 1, 0.71 and 0.5 Hz
-    trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2)) + [0.5, 0.0]), problem)
-    assert trace["observed_data"]["frequency"].to_numpy().tolist() == [101.0, 99.5, 102.0]
-    (found,) = fit_warnings(trace)
-    assert found.startswith(
-        "mode T1: the measured frequency, 102 Hz, is outside the 99 % prediction interval, 99."
-    )
-    assert found.endswith("Hz (mean 100.50 Hz)")
+@pytest.mark.parametrize(("wider", "says"), [(1.05, False), (1.3, True)])
+def test_a_mode_on_which_the_others_say_nothing(fit_of, wider, says):
+    """They hardly narrow what the prior predicts; that is no check, but of W2, where it is little but noise."""
+
+    def barely(y, used):
+        return left_out(y, used).assign(prior_sd=left_out(y, used)["sd"] * wider)
+
+    fit = fit_of(FITTED, table=barely)
+    assert [check.could_fail for check in fit.checks] == [says, True, says, True]
+    assert ("No check of modes W1 and T1: the other modes say nothing on it." in fit.reasons) != says
 
 
-@pytest.mark.parametrize(
-    ("measured", "scale", "said"),
-    [
-        (0.912, 1e-2, "mode T1: the measured frequency, 0.912 Hz, is outside the 99 % prediction interval, 0.93"),
-        (0.9, 1e-3, "mode T1: the measured frequency, 0.9 Hz, is outside the 99 % prediction interval, 0.99"),
-    ],
-)
-def test_a_measurement_is_seen_to_be_outside(make_result, problem, rng, measured, scale, said):
-    """Of a structure below 1 Hz, one decimal would read “0.9 Hz, outside 0.9 to 1.0 Hz”."""
-    trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2))), problem)
-    noise = scale * rng.standard_normal((4, 500))
-    for name in ("frequency", "model_frequency"):
-        values = trace["posterior_predictive"][name].to_numpy()
-        values[..., 2] = 0.96 + (0.04 if scale < 1e-2 else 0.0) + noise
-        trace["posterior_predictive"][name] = trace["posterior_predictive"][name].copy(data=values)
-    observed = trace["observed_data"]["frequency"]
-    trace["observed_data"]["frequency"] = observed.copy(data=[101.0, 99.5, measured])
-    found = next(warning for warning in fit_warnings(trace) if "T1" in warning)
-    assert found.startswith(said)
-    low, high, mean = (float(x) for x in re.findall(r"(?<!99 )\b\d\.\d+(?= to| Hz)", found)[1:])
-    assert measured < low < mean < high
-
-
-def test_noise_belongs_to_the_prediction(make_result, problem, rng):
-    """1.0 Hz from 100 + 0.5: a hundred posterior standard deviations, but one and a half of the noise."""
-    trace = to_trace(make_result(0.01 * rng.standard_normal((4, 500, 2)) + [0.5, 0.0]), problem)
-    assert not any("W2" in warning for warning in fit_warnings(trace))
-
-
-def test_without_a_prediction_there_is_nothing_to_say(make_trace, rng):
-    assert fit_warnings(make_trace(rng.standard_normal((4, 50, 2)))) == []
-
-
-def test_a_draw_above_all_maxima(make_trace, rng):
-    trace = make_trace(rng.standard_normal((4, 50, 2)), lp=np.linspace(-9.0, -3.0, 50))
-    assert search_warnings(trace, -2.9) == []
-    assert search_warnings(trace, -3.0) == []
-    (found,) = search_warnings(trace, -3.5)
-    assert "log-probability -3.0, above the highest maximum found, -3.5" in found
-
-
-def with_mac(trace, reference):
-    """Return a trace that keeps MAC at two states: at most 0.6 before, 0.95 and 0.79 after updating."""
-    values = np.array([[[0.6, 0.3], [0.2, 0.5]], [[0.95, 0.85], [0.1, 0.79]]])
-    mac = xr.DataArray(values, dims=("state", "reference_mode", "mode"), attrs={"reference": reference})
-    coords = {"state": ["start", "posterior mean"], "reference_mode": ["a", "b"], "mode": ["a", "b"]}
-    kept = trace.copy()
-    kept["modes"] = xr.DataTree(xr.Dataset({"mac": mac}, coords=coords))
-    return kept
-
-
-def test_a_shape_that_is_not_the_measured_one_is_named(make_trace, rng):
-    trace = with_mac(make_trace(rng.standard_normal((4, 50, 2))), MEASURED)
-    expected = "mode b does not match the measured shape: MAC 0.50 before and 0.79 after updating, below 0.8"
-    assert shape_warnings(trace) == [expected]
-    assert expected in judge(trace).warnings
-
-
-def test_where_no_shapes_were_measured_none_can_be_missed(make_trace, rng):
-    trace = make_trace(rng.standard_normal((4, 50, 2)))
-    assert shape_warnings(trace) == []
-    assert shape_warnings(with_mac(trace, "modes before updating, at all translations")) == []
+def test_nothing_to_compare(make_trace):
+    trace = make_trace(np.random.default_rng(0).standard_normal((4, 50, 2)))
+    fit = model_fit(trace)
+    assert (fit.verdict, fit.checks) == (UNKNOWN, ())
+    assert judge(trace).fit == fit

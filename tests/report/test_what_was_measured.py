@@ -17,7 +17,8 @@ from fmu.report.pages import write_pages
 from fmu.report.plots.style import GREY
 from fmu.report.run import runs_of
 from fmu.report.sections import origin, prediction, updating
-from fmu.report.sections.prediction import model_fit, updated
+from fmu.report.sections.fit import model_fit
+from fmu.report.sections.prediction import updated
 from tests.linear import LinearModel
 
 N = 40

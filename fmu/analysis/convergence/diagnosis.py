@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,11 +25,12 @@ from fmu.analysis.convergence.remedies import (
     required_ess,
     rhat_excess,
 )
+from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima.missed import Comparison, compared, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
-from fmu.analysis.prediction import bound_warnings, fit_warnings, search_warnings, shape_warnings
+from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.reading import check_trace, has, in_solves, parameter_names, walkers_of, with_group
 from fmu.tables import data_frame
@@ -62,13 +63,15 @@ class Diagnosis:
     reasons : tuple of str
         Why it has not converged, one sentence each, the most serious first; empty if it has.
     warnings : tuple of str
-        Warnings about the model, converged or not: parameters at their bounds, modes that are not fitted, shapes
+        Warnings about the model, converged or not: what contradicts it (`fit`), parameters at their bounds, shapes
         unlike the measured ones, a pairing that jumps; and about the data: parameters that they did not update,
         repeated tests that are not independent.
     searched : bool
         Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
     stopped : str
         If the run was stopped early, after how many draws, in words; else empty.
+    fit : ModelFit
+        Whether the data contradict the model, and what could have; provisional where the run has not converged.
     """
 
     converged: bool
@@ -76,6 +79,7 @@ class Diagnosis:
     warnings: tuple[str, ...]
     searched: bool = False
     stopped: str = ""
+    fit: ModelFit = field(default_factory=lambda: ModelFit((), 0, 0))
 
     @property
     def verdict(self) -> str:
@@ -90,8 +94,8 @@ class Diagnosis:
 
     def __str__(self) -> str:
         lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
-        if self.warnings:
-            lines += ["the model", *(f"  - {warning}" for warning in self.warnings)]
+        if self.warnings or self.fit.checks:
+            lines += [self._model, *(f"  - {warning}" for warning in self.warnings)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -100,7 +104,13 @@ class Diagnosis:
             return f"<p><strong>{title}</strong></p>" + (f"<ul>{entries}</ul>" if entries else "")
 
         text = block(CONVERGED if self.converged else "not converged", self.remarks)
-        return text + (block("the model", self.warnings) if self.warnings else "")
+        return text + (block(self._model, self.warnings) if self.warnings or self.fit.checks else "")
+
+    @property
+    def _model(self) -> str:
+        """The verdict on the model, as a heading."""
+        doubt = "" if self.converged else ", provisionally"
+        return f"the model: {self.fit.answer}{doubt}" if self.fit.checks else "the model"
 
 
 def diagnose(
@@ -169,11 +179,15 @@ def judge(
     reasons, warnings = _reasons(trace, best, others or {}, table)
     if best is not None:
         warnings += search_warnings(trace, best[0].log_prob)
-    warnings += bound_warnings(trace) + fit_warnings(trace) + shape_warnings(trace) + jump_warnings(trace)
+    fit = model_fit(trace)
+    unlike = [warning for warning in shape_warnings(trace) if warning not in fit.against]
+    warnings += [*fit.against, *bound_warnings(trace), *unlike, *jump_warnings(trace)]
     warnings += information_warnings(trace) + repeatability_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
-    return Diagnosis(not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped)
+    return Diagnosis(
+        not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped, fit=fit
+    )
 
 
 def _reasons(

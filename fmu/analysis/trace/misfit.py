@@ -35,7 +35,8 @@ def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, An
     mapping of str to xarray.Dataset
         ``squares`` (chain, draw, quantity, mode), Σ r² over the standardised residuals of a mode: a chi-square
         variable with ``freedom`` (quantity) degrees of freedom where the model is right. Of inferred standard
-        deviations ``noise_isf`` (noise, tail), what the prior exceeds with the probability ``tail``. Attributes:
+        deviations ``noise_isf`` (noise, tail), what the prior exceeds with the probability ``tail``, and
+        ``noise_of`` (noise), the quantities whose errors they are of. Attributes:
         ``n_data``, how many independent numbers were measured; ``other``, the quantities that are not in
         ``squares``, because their residuals have another distribution.
     """
@@ -53,7 +54,9 @@ def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, An
     noise = problem.parameters[problem.n_structural :]
     if noise:
         isf = [p.prior.quantile(1.0 - TAILS, p.lower, p.upper) for p in noise]
+        of = [[term.quantity for term in likelihood.terms_of if k in term.spread.sizes] for k in range(len(noise))]
         variables["noise_isf"] = (("noise", "tail"), np.array(isf))
+        variables["noise_of"] = ("noise", np.array([", ".join(quantities) for quantities in of]))
         names |= {"noise": np.array([p.name for p in noise]), "tail": TAILS}
     n_data = sum(term.n_data for term in likelihood.terms_of) * squares.shape[-1]
     other = ", ".join(term.quantity for term in likelihood.terms_of if term not in judged)

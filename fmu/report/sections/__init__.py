@@ -19,6 +19,7 @@ OF_A_SAMPLER = (
     "structure.mac",
     "structure.pairing",
     "structure.shapes",
+    "fit.checks",
     "prediction.predictive",
     "prediction.left_out",
     "chains.reliability",

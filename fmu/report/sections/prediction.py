@@ -8,22 +8,18 @@ import numpy as np
 
 from fmu.analysis.evidence import is_pseudo
 from fmu.analysis.held_out.modes import FEWEST, NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
-from fmu.analysis.information import DATA, information, information_warnings
+from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import (
-    INTERVAL,
-    fit_warnings,
-    measured_mac,
     measured_tests,
     measurement_in_words,
-    shape_warnings,
 )
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, mode_names, used_modes
-from fmu.numbers import MISSING, change, decimals, fixed, given, interval, share, significant, with_sd
+from fmu.numbers import MISSING, change, decimals, fixed, given, interval, significant, with_sd
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
 from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check
 from fmu.report.run import ReportedRun
+from fmu.report.sections.fit import model_fit
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.types import FloatArray
 
@@ -45,30 +41,6 @@ def convergence(run: ReportedRun) -> Verdict:
     return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.remarks)
 
 
-def model_fit(run: ReportedRun) -> Verdict:
-    """Return the verdict on the model, which no convergence of a sampler tells."""
-    question = "Does the model fit the data?"
-    untold = information_warnings(run.trace)  # which `updated` is about
-    found = warnings = tuple(warning for warning in run.diagnosis.warnings if warning not in untold)
-    if not run.diagnosis.converged:
-        found = (*found, "These statements are provisional, because the draws have not converged.")
-    if run.prediction is None or "noisy_sd" not in run.prediction:
-        nothing = "The run has no predictive distribution of measurements to compare with the data."
-        return Verdict(question, "Unknown", None, "Why this is unknown", (nothing, *found))
-    missed, n = len(fit_warnings(run.trace)), len(run.prediction)
-    if missed:
-        answer = f"No: {missed} of {n} measured modes {'is' if missed == 1 else 'are'} not fitted"
-        return Verdict(question, answer, False, "Findings against the model", found)
-    tests = measured_tests(run.trace)
-    kind = "" if tests is None else f", {measurement_in_words(tests)},"
-    within = (
-        f"Every measured frequency{kind} lies in the {share(INTERVAL)} interval of its prediction, measurement "
-        "noise included."
-    )
-    answer = "Yes, with reservations" if warnings else "Yes"
-    return Verdict(question, answer, True, "Findings for and against the model", (within, *_shapes(run), *found))
-
-
 def updated(run: ReportedRun) -> Verdict:
     """Return the verdict on the data: whether they updated every parameter."""
     question = "Did the data update the parameters?"
@@ -82,15 +54,6 @@ def updated(run: ReportedRun) -> Verdict:
         return Verdict(question, "Yes", True, "Why the parameters count as updated", (narrowed,))
     answer = f"{n - left} of {n}" if left else "All, but not every combination"
     return Verdict(question, answer, False, "What the data did not update", tuple(found.warnings()))
-
-
-def _shapes(run: ReportedRun) -> tuple[str, ...]:
-    """Say that the shapes fit too, where they were measured and do."""
-    alike = measured_mac(run.trace)
-    if alike is None or shape_warnings(run.trace):
-        return ()
-    least = float(np.diag(alike.sel(state=MEAN)).min())
-    return (f"Every mode matches its measured shape: MAC at least {fixed(least, 2)}.",)
 
 
 HOW = {

@@ -1,0 +1,324 @@
+"""Checks of a model against data, with a common false-alarm rate.
+
+A model is right if the data are a draw from what was stated: parameters from their priors, errors from the error
+model. The checks share the level `LEVEL`: each kind that a run has gets an equal part, and of that each check of
+the kind an equal part (Bonferroni), so that a right model fails any of them with a probability of at most `LEVEL`,
+however they depend on each other.
+
+- A mode predicted from the other modes, or held out: the tail probability of the measured frequency in the
+  predictive distribution without it, noise included, is exactly uniform under a right model (Gelfand, Dey & Chang
+  1992, *Bayesian Statistics* 4, 147–167; Marshall & Spiegelhalter 2007, *Bayesian Analysis* 2, 409–444).
+- Residuals: at one posterior draw, Σ r² over the standardised residuals r is exactly chi-square with as many
+  degrees of freedom as there are data, because a truth and a posterior draw have the same joint distribution with
+  the data (Johnson 2004, *Ann. Statist.* 32, 2361–2384). P(χ² ≥ Σ r²) is then uniform at one draw. Its mean over
+  the draws, the posterior predictive p-value, is at most α/2 with a probability of at most α (Meng 1994, *Ann.
+  Statist.* 22, 1142–1160; Rüschendorf 1982, *Adv. Appl. Probab.* 14, 623–632), so it is compared with α/2. The
+  bound is wide: with k parameters fitted to n data, Σ r² is about χ²(n − k) plus k, and false alarms are rarer.
+- Inferred standard deviations: by the same argument the probability that the prior gives to larger values is
+  uniform at one posterior draw, and its mean is compared with α/2. Noise that had to grow to absorb what the model
+  does not explain fails, if the prior says what was expected of it; with a wide prior it cannot.
+- A shape that is not the measured one: MAC below `ALIKE` after updating. This has no level, as nothing is said of
+  the errors of the shapes; where their errors are in the likelihood, they are among the residuals instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import chdtrc, ndtri
+
+from fmu.analysis.held_out.modes import GROUP as LEFT_OUT
+from fmu.analysis.held_out.modes import leave_one_out
+from fmu.analysis.information import LEFT
+from fmu.analysis.initial_modes import ALIKE
+from fmu.analysis.prediction import measured_mac, shape_warnings
+from fmu.analysis.trace.misfit import GROUP
+from fmu.analysis.trace.modal_states import MEAN
+from fmu.analysis.trace.reading import array_of, has, parameter_units
+from fmu.numbers import apart, given, share, significant, with_sd
+from fmu.tables import data_frame
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+LEVEL = 0.01
+"""The probability that a right model fails any check, at most."""
+PREDICTED, HELD_OUT, RESIDUALS, NOISE, SHAPE = (
+    "from the other modes", "not used in updating", "residuals", "inferred noise", "shape",
+)  # fmt: skip
+_FEW = 500
+"""Draws that are enough to see how much larger residuals would have failed."""
+_NINETY = float(ndtri(0.95))
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check of the model.
+
+    Attributes
+    ----------
+    kind : str
+        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `NOISE` or `SHAPE`.
+    of : str
+        What is checked.
+    found, limit : str
+        The statistic, and beyond what it fails.
+    p : float
+        Its probability under a right model; NaN for shapes.
+    failed : bool
+    shows : str
+        The smallest error that it would have shown; empty if it could show none.
+    why_not : str
+        Why it could have shown no error; else empty.
+    sentence : str
+        What it found against the model.
+    least : float
+        The smallest relative error of a frequency that it would have shown; else NaN.
+    """
+
+    kind: str
+    of: str
+    found: str
+    limit: str
+    p: float
+    failed: bool
+    shows: str
+    sentence: str
+    why_not: str = ""
+    least: float = np.nan
+
+    @property
+    def could_fail(self) -> bool:
+        """Whether it would have shown an error."""
+        return self.failed or not self.why_not
+
+
+def checks_of(trace: xr.DataTree) -> list[Check]:
+    """Return the checks of a run; none if the errors are not those of measured quantities."""
+    if not has(trace, GROUP):
+        return []
+    kinds: list[Callable[[float], list[Check]]] = []
+    table = _predictions(trace)
+    if table is not None:
+        used = table["used"].astype(bool)
+        kinds += [partial(_modes, trace, rows) for rows in (table[used], table[~used]) if len(rows)]
+    if trace[GROUP].sizes.get("quantity", 0):
+        kinds.append(partial(_residuals, trace))
+    if has(trace, GROUP, "noise_isf"):
+        kinds.append(partial(_noise, trace, table))
+    found = [check for kind in kinds for check in kind(LEVEL / len(kinds))]
+    return [check for check in found if np.isfinite(check.p)] + _shapes(trace)
+
+
+def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
+    """Return how each mode is predicted without it; NaN where that is not known, None without frequencies."""
+    if not has(trace, "posterior_predictive", "frequency"):
+        return None
+    if has(trace, LEFT_OUT):
+        return leave_one_out(trace)
+    measured = trace["observed_data"]["frequency"].to_numpy()
+    columns = {"measured": measured, "p": np.full(len(measured), np.nan), "used": np.full(len(measured), True)}
+    return data_frame(columns, "mode", trace["observed_data"]["mode"].to_numpy())
+
+
+def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
+    """Return a check of each mode; by its residuals where no prediction without it was made."""
+    return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
+
+
+def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
+    if not np.isfinite(row["p"]):
+        return _reached(trace, mode, row, level)
+    kind = PREDICTED if row["used"] else HELD_OUT
+    measured, mean, sd = float(row["measured"]), float(row["mean"]), float(row["sd"])
+    # normal tails of the width that the 90 % interval has on either side: exact for a Gaussian prediction
+    z = -float(ndtri(level / 2)) / _NINETY
+    low, high = mean - z * (mean - float(row["eti90_lb"])), mean + z * (float(row["eti90_ub"]) - mean)
+    low_hz, high_hz, _ = apart(low, high, measured, sd=sd)
+    p, failed, least = float(row["p"]), bool(row["p"] < level), min(mean - low, high - mean) / mean
+    by = "the other modes predict" if row["used"] else "the modes used in updating predict"
+    sentence = (
+        f"mode {mode}{'' if row['used'] else ', not used in updating'}: {given(measured)} Hz was measured, and "
+        f"{by} {with_sd(mean, sd)} Hz, noise included ({probability(p)})"
+    )
+    before = np.nan_to_num(float(row["prior_sd"]), nan=np.inf)
+    says = sd < max(LEFT * before, 2.0 * noise_sd(trace, mode))
+    return Check(
+        kind,
+        f"mode {mode}",
+        f"{given(measured)} Hz, predicted {with_sd(mean, sd)} Hz",
+        f"{low_hz} to {high_hz} Hz",
+        p,
+        failed,
+        f"{share(least)} of its frequency",
+        sentence,
+        "" if says else f"the {'other' if row['used'] else 'used'} modes say nothing on it",
+        float(least),
+    )
+
+
+def _reached(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
+    """Return the check of a mode by its residuals after updating with it."""
+    group = trace[GROUP].to_dataset()
+    measured = f"{given(float(row['measured']))} Hz"
+    if not group.sizes["quantity"] or mode not in map(str, group["mode"].to_numpy()):
+        return Check(PREDICTED, f"mode {mode}", measured, "", np.nan, False, "", "")
+    freedom = int(group["freedom"].sum())
+    squares = group["squares"].sel(mode=mode).sum("quantity").to_numpy().ravel()
+    p, mean = float(chdtrc(freedom, squares).mean()), float(squares.mean())
+    said = f"Σ r² = {significant(mean)} after updating, {freedom} expected"
+    larger = _larger(squares, freedom, level / 2)
+    return Check(
+        PREDICTED,
+        f"mode {mode}",
+        f"{measured}, {said}",
+        f"p {significant(level / 2, 2)}",
+        p,
+        bool(p < level / 2),
+        f"residuals {significant(larger, 2)} times as large",
+        f"mode {mode}: the updated model does not reach what was measured, {measured}: {said} ({probability(p)})",
+    )
+
+
+def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
+    """Return the check of all used data together."""
+    group = trace[GROUP].to_dataset()
+    squares, n_modes = group["squares"], group.sizes["mode"]
+    freedom = group["freedom"].to_numpy() * n_modes
+    total, n = squares.sum(("quantity", "mode")).to_numpy().ravel(), int(freedom.sum())
+    p, mean = float(chdtrc(n, total).mean()), float(total.mean())
+    parts = [
+        f"{quantity} {significant(float(squares.sel(quantity=quantity).sum('mode').mean()))} of {k}"
+        for quantity, k in zip(group["quantity"].to_numpy().tolist(), freedom.tolist(), strict=True)
+    ]
+    of = f" ({', '.join(parts)})" if len(parts) > 1 else ""
+    said = f"Σ r² = {significant(mean)}{of}, {n} expected"
+    larger = _larger(total, n, level / 2)
+    return [
+        Check(
+            RESIDUALS,
+            "all used data",
+            said,
+            f"p {significant(level / 2, 2)}",
+            p,
+            bool(p < level / 2),
+            f"residuals {significant(larger, 2)} times as large",
+            f"all used data together: with the residuals r in standard deviations, {said} ({probability(p)})",
+        )
+    ]
+
+
+def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
+    """Return the factor of all residuals at which the mean tail probability of their squares is `limit`."""
+    few = squares[:: -(-len(squares) // _FEW)]
+    low, high = -12.0, 12.0  # of its natural logarithm
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        enough = float(chdtrc(freedom, np.exp(2.0 * middle) * few).mean()) < limit
+        low, high = (low, middle) if enough else (middle, high)
+    return float(np.exp(high))
+
+
+def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
+    """Return a check of each inferred standard deviation: whether it is what its prior expected."""
+    group, found = trace[GROUP].to_dataset(), []
+    names = [str(name) for name in group["noise"].to_numpy()]
+    units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
+    tails, limit = np.log(group["tail"].to_numpy()), level / (2 * len(names))
+    for name in names:
+        isf = group["noise_isf"].sel(noise=name).to_numpy()
+        sigma = array_of(trace, "posterior", name).ravel()
+        p = float(np.exp(np.interp(sigma, isf[::-1], tails[::-1])).mean())
+        beyond, median = (float(np.interp(np.log(tail), tails, isf)) for tail in (limit, 0.5))
+        of = str(group["noise_of"].sel(noise=name).to_numpy())
+        unit = f" {units[name]}".rstrip()
+        kind = f" of {of}" if of else ""
+        values = (
+            f"{with_sd(float(sigma.mean()), float(sigma.std()))}{unit}{_in_hertz(trace, of, 1.0)}, "
+            f"prior median {significant(median)}{unit}"
+        )
+        found.append(
+            Check(
+                NOISE,
+                f"{name}{kind}",
+                values,
+                f"{significant(beyond)}{unit}",
+                p,
+                bool(p < limit),
+                f"noise of {significant(beyond, 2)}{unit}{_in_hertz(trace, of, beyond / float(sigma.mean()))}",
+                f"{name}, the inferred noise{kind}: {values}; its prior puts {share(limit)} beyond "
+                f"{significant(beyond)}{unit}: the noise absorbs what the model does not explain "
+                f"({probability(p)})",
+                _free(trace, table, of, beyond, beyond / float(sigma.mean())),
+            )
+        )
+    return found
+
+
+def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
+    """Return what noise so many times that of the draws is in Hz and per cent of the lowest mode; "" of shapes."""
+    if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
+        return ""
+    mode = trace["posterior_predictive"]["mode"].to_numpy()[0]
+    hertz = factor * noise_sd(trace, str(mode))
+    measured = float(trace["observed_data"]["frequency"].to_numpy()[0])
+    return f" ({significant(hertz, 2)} Hz in mode {mode}, {share(hertz / measured)})"
+
+
+def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
+    """Say that noise was free to grow, if it may hide what the parameters could change; else nothing."""
+    if of == "shapes":
+        freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
+        hides = freedom * beyond**2 > 1.0 - ALIKE
+    elif of == "frequencies" and table is not None and "prior_sd" in table:
+        noise = np.array([noise_sd(trace, str(mode)) for mode in table.index])
+        hides = bool(np.mean(factor * noise > table["prior_sd"].to_numpy()) > 0.5)
+    else:
+        return ""
+    return "the noise was free to grow" if hides else ""
+
+
+def noise_sd(trace: xr.DataTree, mode: str) -> float:
+    """Return the standard deviation of the errors of a measured frequency over the draws, Hz; 0 if not known."""
+    if not has(trace, "posterior_predictive", "frequency"):
+        return 0.0
+    predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
+    return float((predicted["frequency"] - predicted["model_frequency"]).std())
+
+
+def _shapes(trace: xr.DataTree) -> list[Check]:
+    """Return a check of each measured shape, where their errors are not among the residuals."""
+    alike = measured_mac(trace)
+    if alike is None or "shapes" in trace[GROUP]["quantity"].to_numpy():
+        return []
+    values, sentences = np.diag(alike.sel(state=MEAN)), iter(shape_warnings(trace))
+    return [
+        Check(
+            SHAPE,
+            f"mode {mode}",
+            f"MAC {apart(float(value), ALIKE, sd=0.1)[0]}",
+            f"{ALIKE}",
+            np.nan,
+            bool(value < ALIKE),
+            f"MAC below {ALIKE}",
+            next(sentences) if value < ALIKE else "",
+        )
+        for mode, value in zip(alike["mode"].to_numpy(), values, strict=True)
+    ]
+
+
+def probability(p: float) -> str:
+    """Return ``"p = 0.003"``, ``"p = 2e-12"`` or ``"p < 1e-300"``."""
+    return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
+
+
+def failed(checks: Sequence[Check]) -> list[Check]:
+    """Return the checks that failed, the least probable first."""
+    return sorted((check for check in checks if check.failed), key=lambda check: np.nan_to_num(check.p, nan=1.0))

@@ -1,0 +1,160 @@
+"""The verdict on the model: contradicted by the data, not contradicted, or not testable with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.fit.checks import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE, Check, checks_of, failed
+from fmu.analysis.information import listed
+from fmu.analysis.trace.misfit import GROUP
+from fmu.analysis.trace.reading import has, parameter_names
+from fmu.numbers import share
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN = (
+    "contradicted", "not contradicted", "not testable", "unknown",
+)  # fmt: skip
+NO_HELD_OUT = "No mode was held out: `use = false` at a mode keeps it out of the updating, as a test of the model"
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """What the data say of a model, and what they could have said.
+
+    Attributes
+    ----------
+    checks : tuple of Check
+        All checks that were made; together they fail for a right model with a probability of at most `LEVEL`.
+    n_data, n_parameters : int
+        Independent numbers that were measured and used in updating, and parameters, inferred noise included.
+    left_out : str
+        Measured quantities that no check is of, because their residuals have no known distribution.
+    """
+
+    checks: tuple[Check, ...]
+    n_data: int
+    n_parameters: int
+    left_out: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """`CONTRADICTED` if a check failed; `NOT_TESTABLE` if none could have, else `NOT_CONTRADICTED`.
+
+        Where there are no more data than parameters, a model can follow any data that its priors allow, and data
+        that it follows say nothing; a mode that was held out does. A model that does not follow them is
+        contradicted, however many parameters it has.
+        """
+        if any(check.failed for check in self.checks):
+            return CONTRADICTED
+        if not self.checks:
+            return UNKNOWN
+        is_tested = any(check.kind == HELD_OUT and check.could_fail for check in self.checks)
+        return NOT_CONTRADICTED if is_tested or self.n_data > self.n_parameters else NOT_TESTABLE
+
+    @property
+    def counts(self) -> str:
+        """``"10 data, 11 parameters"``."""
+        return f"{self.n_data} data, {self.n_parameters} parameter{'' if self.n_parameters == 1 else 's'}"
+
+    @property
+    def answer(self) -> str:
+        """The verdict in a few words: ``"contradicted by 2 of 6 checks"``."""
+        told = len(failed(self.checks))
+        if self.verdict == CONTRADICTED:
+            return f"contradicted by {told} of {len(self.checks)} checks"
+        return f"not testable: {self.counts}" if self.verdict == NOT_TESTABLE else self.verdict
+
+    @property
+    def against(self) -> tuple[str, ...]:
+        """What the checks that failed found, a sentence each, the least probable first."""
+        return tuple(check.sentence for check in failed(self.checks))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the verdict is what it is: what failed; else which checks could have, and what else there was."""
+        if self.verdict == UNKNOWN:
+            return ("Nothing that was measured can be compared with a prediction that has an error model.",)
+        if self.verdict == CONTRADICTED:
+            return (*self.against, self._level, *self._noise)
+        if self.verdict == NOT_TESTABLE:
+            first = (
+                f"There are no more data than parameters: {self.counts}. Such a model can follow any data that "
+                "its priors allow, and that it follows these does not confirm it."
+            )
+            return (first, *self._could_fail, *self._noise, *self._held_out)
+        left = self.n_data - self.n_parameters
+        freedom = f"{self.counts}: {left} degree{'' if left == 1 else 's'} of freedom left." if left > 0 else (
+            f"{self.counts}: only what was held out tests the model."
+        )  # fmt: skip
+        return (*self._could_fail, freedom, *self._noise, *self._held_out, self._level)
+
+    def _of(self, *kinds: str) -> list[Check]:
+        return [check for check in self.checks if check.kind in kinds]
+
+    @property
+    def _could_fail(self) -> tuple[str, ...]:
+        """Say of each kind of check what passed that could have failed, and what says nothing."""
+        said = []
+        for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
+            telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.least)]
+            if telling:
+                least = sorted({share(check.least) for check in telling}, key=lambda x: float(x.strip("<>% ")))
+                sizes = least[0] if len(least) == 1 else f"{least[0].removesuffix(' %')} to {least[-1]}"
+                found = f"an error of {sizes} of its frequency would have been found"
+                said.append(f"Predicted {by}: {_modes(telling)}; {found}.")
+            silent = [check for check in self._of(kind) if not check.could_fail]
+            if silent:
+                said.append(f"No check of {_modes(silent)}: {silent[0].why_not}.")
+        said += [
+            f"All used data together: {check.found}; {check.shows} would have been found."
+            for check in self._of(RESIDUALS)
+        ]
+        shapes = self._of(SHAPE)
+        if shapes:
+            said.append(
+                f"Like the measured shape, {shapes[0].shows.replace('below', 'at least')}: {_modes(shapes)}."
+            )
+        return tuple(said)
+
+    @property
+    def _noise(self) -> tuple[str, ...]:
+        """Say what inferred noise is beside what its prior expected, where it did not fail."""
+        return tuple(
+            f"{check.of}: {check.found}. "
+            + (f"{check.why_not[0].upper()}{check.why_not[1:]}: only beyond {check.limit} would it have counted "
+               "against the model. Judge whether errors of that size are possible."
+               if check.why_not else f"Beyond {check.limit} it would have counted against the model.")
+            for check in self._of(NOISE) if not check.failed
+        )  # fmt: skip
+
+    @property
+    def _held_out(self) -> tuple[str, ...]:
+        return () if self._of(HELD_OUT) else (f"{NO_HELD_OUT}.",)
+
+    @property
+    def _level(self) -> str:
+        left_out = f" No check is of the {self.left_out}." if self.left_out else ""
+        return (
+            "A model that is right, with the priors and errors as stated, is contradicted with a probability of "
+            f"at most {share(LEVEL)}.{left_out}"
+        )
+
+
+def model_fit(trace: xr.DataTree) -> ModelFit:
+    """Judge whether the model fits the data, see `fmu.analysis.fit.checks`."""
+    if not has(trace, GROUP):
+        return ModelFit((), 0, len(parameter_names(trace)))
+    told = trace[GROUP].attrs
+    return ModelFit(tuple(checks_of(trace)), int(told["n_data"]), len(parameter_names(trace)), str(told["other"]))
+
+
+def _modes(checks: Sequence[Check]) -> str:
+    names = [check.of.removeprefix("mode ") for check in checks]
+    return f"mode{'' if len(names) == 1 else 's'} {listed(names)}"

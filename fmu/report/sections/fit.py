@@ -1,0 +1,72 @@
+"""Whether the model fits the data: the verdict, and the checks that it comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.analysis.fit.checks import LEVEL
+from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN
+from fmu.analysis.information import information_warnings
+from fmu.analysis.prediction import measured_mac, shape_warnings
+from fmu.analysis.trace.modal_states import MEAN
+from fmu.numbers import MISSING, fixed, share, significant
+from fmu.report.document import Omitted, PageSection, PageTable, Text, Verdict
+from fmu.report.run import ReportedRun
+
+_IS_GOOD = {CONTRADICTED: False, NOT_CONTRADICTED: True, NOT_TESTABLE: None, UNKNOWN: None}
+_BECAUSE = {
+    CONTRADICTED: "What contradicts the model",
+    NOT_CONTRADICTED: "What could have contradicted the model, and did not",
+    NOT_TESTABLE: "Why the data do not test the model",
+    UNKNOWN: "Why this is unknown",
+}
+
+
+def model_fit(run: ReportedRun) -> Verdict:
+    """Return the verdict on the model, which no convergence of a sampler tells."""
+    fit = run.diagnosis.fit
+    elsewhere = {*information_warnings(run.trace), *fit.against}  # what `updated` is about, and what failed
+    found = tuple(warning for warning in run.diagnosis.warnings if warning not in elsewhere)
+    answer = fit.answer[0].upper() + fit.answer[1:]
+    if fit.verdict == NOT_CONTRADICTED and found:
+        answer += ", with reservations"
+    if not run.diagnosis.converged:
+        found = (*found, "These statements are provisional, because the draws have not converged.")
+    reasons = (*fit.reasons, *_shapes(run), *found)
+    return Verdict("Does the model fit the data?", answer, _IS_GOOD[fit.verdict], _BECAUSE[fit.verdict], reasons)
+
+
+def _shapes(run: ReportedRun) -> tuple[str, ...]:
+    """Say that the shapes fit too, where they were measured and do."""
+    alike = measured_mac(run.trace)
+    if alike is None or shape_warnings(run.trace):
+        return ()
+    least = float(np.diag(alike.sel(state=MEAN)).min())
+    return (f"Every mode matches its measured shape: MAC at least {fixed(least, 2)}.",)
+
+
+def checks(run: ReportedRun) -> PageSection | Omitted:
+    """Return what could have contradicted the model, and whether it did."""
+    title, fit = "Checks of the model", run.diagnosis.fit
+    if not fit.checks:
+        return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))
+    rows = tuple(
+        (check.of, check.kind, check.found, check.limit,
+         significant(check.p, 2) if np.isfinite(check.p) else MISSING,
+         "fails" if check.failed else check.why_not or "passes", check.shows)
+        for check in fit.checks
+    )  # fmt: skip
+    header = (
+        "of", "check", "found", "fails beyond", "p", "result", "smallest error that would have been found",
+    )  # fmt: skip
+    caption = (
+        "p is the probability of what was found, or of worse, if the model is right; such a model fails any of "
+        f"the checks with a probability of at most {share(LEVEL)}."
+    )
+    silent = tuple(i for i, check in enumerate(fit.checks) if not check.could_fail)
+    said = (
+        "A model can only be contradicted: a check that passes excludes errors larger than those in the last "
+        "column, and no others."
+    )
+    table = PageTable(caption, header, rows, words=(1, 2, 3, 5, 6), greyed=silent)
+    return PageSection("checks", title, (Text(said), table))

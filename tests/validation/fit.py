@@ -1,0 +1,300 @@
+"""How often is a right model contradicted, and a wrong one?
+
+    python -m tests.validation.fit OUT_DIRECTORY
+
+Simulated measurements of a shear building of eight storeys, updated with the stiffnesses of three groups of
+storeys by Hamiltonian Monte Carlo, as a user would, and the verdict of `fmu.diagnose` on the model. The truth is
+computed without fmu. Exit code 1 where a gate fails.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import beta, binom
+from threadpoolctl import threadpool_limits
+
+import fmu
+from fmu.analysis.fit.checks import LEVEL
+from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.types import FloatArray
+
+STOREYS, STIFFNESS, MASS = 8, 1.5e8, 1e5  # N/m, kg
+GROUPS = ((1, 2), (3, 4, 5), (6, 7, 8))
+"""Storeys that share a stiffness: the parameters."""
+SPREAD, SD = 0.15, 0.005
+"""Standard deviation of the logarithm of a stiffness, and relative one of a measured frequency."""
+NOISE_SPREAD = 0.4
+"""Of the logarithm of the standard deviation of a frequency, where that is inferred."""
+MODES = 6
+RIGHT, OTHERS, WRONG, FEW = 300, 60, 20, 10
+"""Simulated problems of a right model, of each of the other right ones, of each size of an error, and of each
+with few data."""
+WARMUP, DRAWS, CHAINS = 150, 250, 4
+SEED, WORKERS = 15, 2
+GATE = 1e-3
+"""The probability that a gate fails a verdict whose rate is `LEVEL`."""
+FOUND = 0.9
+"""The rate at which the largest errors must be found."""
+FLOOR, STOREY, MODE = 8, 4, 3
+"""Where the mass is missing, which storey of a group is soft, and which frequency is off."""
+
+
+class Setting(NamedTuple):
+    """A simulation: what is true, what is measured, and what is inferred.
+
+    Attributes
+    ----------
+    label : str
+    n : int
+        How many problems are simulated.
+    place : float or None
+        Where the truth is, in standard deviations of the priors; None to draw it from them.
+    mass, soft, off : float
+        Mass missing from the model, of that of a floor; part of a storey's stiffness that is lost; error of a
+        measured frequency, in standard deviations.
+    modes : int
+        Measured modes.
+    held_out : int
+        How many of them are not used in updating, the highest.
+    inferred : bool
+        Whether the standard deviation of the frequencies is inferred.
+    """
+
+    label: str
+    n: int
+    place: float | None = None
+    mass: float = 0.0
+    soft: float = 0.0
+    off: float = 0.0
+    modes: int = MODES
+    held_out: int = 0
+    inferred: bool = False
+
+
+RIGHT_ONES = (
+    Setting("truth drawn from the priors", RIGHT),
+    Setting("the same, noise inferred, one mode held out", OTHERS, inferred=True, held_out=1),
+    Setting("truth at +2 prior standard deviations of every stiffness", OTHERS // 3, place=2.0),
+    Setting("truth at −2 prior standard deviations of every stiffness", OTHERS // 3, place=-2.0),
+)
+FEW_ONES = (
+    Setting("three frequencies, three parameters, a right model", FEW, modes=3),
+    Setting("two frequencies, three parameters, a right model", FEW, modes=2),
+    Setting("two frequencies, three parameters, half of a storey's stiffness lost", FEW, modes=2, soft=0.5),
+    Setting("two frequencies, and a third one held out, a right model", FEW, modes=3, held_out=1),
+)
+CURVES: Mapping[str, tuple[Setting, ...]] = {
+    "mass missing from the top floor, of a floor's mass": tuple(
+        Setting(f"{x:g}", WRONG, mass=x) for x in (0.1, 0.2, 0.25, 0.3, 0.4)
+    ),
+    "stiffness lost in one storey of a group": tuple(
+        Setting(f"{x:g}", WRONG, soft=x) for x in (0.05, 0.1, 0.15, 0.2, 0.3)
+    ),
+    "error of one frequency, standard deviations": tuple(
+        Setting(f"{x:g}", WRONG, off=x) for x in (2.0, 4.0, 5.0, 6.0, 8.0)
+    ),
+}
+
+
+class Outcome(NamedTuple):
+    """The verdict on one simulated problem: the kinds of checks that failed, and what it took."""
+
+    verdict: str
+    kinds: frozenset[str]
+    converged: bool
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often the verdict was what."""
+
+    setting: Setting
+    outcomes: Sequence[Outcome]
+
+    def count(self, verdict: str) -> int:
+        """Return how often it was `verdict`."""
+        return sum(one.verdict == verdict for one in self.outcomes)
+
+    @property
+    def n(self) -> int:
+        """Number of problems."""
+        return len(self.outcomes)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The exact 95 % interval of the rate of "contradicted" (Clopper & Pearson 1934)."""
+        k = self.count(CONTRADICTED)
+        low = float(beta.ppf(0.025, k, self.n - k + 1)) if k else 0.0
+        return low, float(beta.ppf(0.975, k + 1, self.n - k)) if k < self.n else 1.0
+
+    def share(self, kind: str) -> float:
+        """Return in which part of the problems a check of the kind failed."""
+        return sum(kind in one.kinds for one in self.outcomes) / self.n
+
+
+@dataclass(frozen=True)
+class Study:
+    """All rates, and whether they pass."""
+
+    right: Sequence[Rate]
+    few: Sequence[Rate]
+    curves: Mapping[str, Sequence[Rate]]
+
+    @property
+    def all(self) -> list[Rate]:
+        """All of them."""
+        return [*self.right, *self.few, *(rate for curve in self.curves.values() for rate in curve)]
+
+    @cached_property
+    def failures(self) -> list[str]:
+        """What is wrong, a sentence each."""
+        found = []
+        for rate in self.right:
+            k, most = rate.count(CONTRADICTED), int(binom.isf(GATE, rate.n, LEVEL))
+            if k > most and rate.setting.place is None:
+                found.append(f"{rate.setting.label}: {k} of {rate.n} contradicted, more than {most}")
+        for rate in self.few:
+            expected = NOT_CONTRADICTED if rate.setting.held_out else NOT_TESTABLE
+            wrong = rate.n - rate.count(expected) - rate.count(CONTRADICTED)
+            if wrong or not rate.count(expected):
+                found.append(f"{rate.setting.label}: {wrong} of {rate.n} neither {expected} nor contradicted")
+        for name, curve in self.curves.items():
+            if curve[-1].count(CONTRADICTED) < FOUND * curve[-1].n:
+                found.append(
+                    f"{name}, {curve[-1].setting.label}: {curve[-1].count(CONTRADICTED)} of {curve[-1].n}"
+                )
+        return found
+
+
+def matrices(factors: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """Return stiffness (N/m) and mass (kg) of the building, a factor a storey."""
+    K = np.zeros((STOREYS, STOREYS))
+    for j, factor in enumerate(factors):
+        K += factor * storey(j + 1)
+    return K, MASS * np.eye(STOREYS)
+
+
+def storey(j: int) -> FloatArray:
+    """Return the stiffness matrix of storey `j`, from 1, between floors j − 1 and j."""
+    drift = np.zeros(STOREYS)
+    drift[j - 1] = 1.0
+    if j > 1:
+        drift[j - 2] = -1.0
+    return STIFFNESS * np.outer(drift, drift)
+
+
+def true_hz(setting: Setting, theta: FloatArray) -> FloatArray:
+    """Return the frequencies of the true building, which may not be one that the model can be."""
+    factors = np.empty(STOREYS)
+    for x, group in zip(theta, GROUPS, strict=True):
+        factors[[j - 1 for j in group]] = x
+    factors[STOREY - 1] *= 1.0 - setting.soft
+    K, M = matrices(factors.tolist())
+    M[FLOOR - 1, FLOOR - 1] += setting.mass * MASS
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(K / np.sqrt(np.outer(M.diagonal(), M.diagonal())))) / (2 * np.pi))
+
+
+def structure(modes: int) -> PairedStructure:
+    """Return the frequencies as functions of the three factors, by a reduced model that is exact."""
+    names = [f"k{i}" for i in range(1, len(GROUPS) + 1)]
+    groups = [sum(storey(j) for j in group) for group in GROUPS]
+    model = fmu.SeparableModel.from_terms(
+        names,
+        stiffness=list(zip(groups, names, strict=True)),
+        mass=[MASS * np.eye(STOREYS)],
+        dofs=[(j, "x") for j in range(1, STOREYS + 1)],
+    )
+    numbers = tuple(range(1, modes + 1))
+    paired = PairedStructure.of(
+        model, pairing="index", numbers=numbers, sensors=(), reference=np.ones(len(GROUPS)), shapes=None
+    )
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in parameters()]).T
+    paired.train(lower, upper)
+    return paired
+
+
+def parameters() -> tuple[fmu.Parameter, ...]:
+    """Return the parameters of the model."""
+    return tuple(
+        fmu.Parameter(f"k{i}", 1.0, 0.0, np.inf, fmu.LogNormal(1.0, SPREAD)) for i in range(1, len(GROUPS) + 1)
+    )
+
+
+def simulated(setting: Setting, rng: np.random.Generator, model: PairedStructure) -> fmu.UpdatingProblem:
+    """Return the updating problem of one simulated measurement."""
+    z = rng.standard_normal(len(GROUPS)) if setting.place is None else np.full(len(GROUPS), setting.place)
+    sd = SD * np.exp(NOISE_SPREAD * rng.standard_normal()) if setting.inferred else SD
+    hz = true_hz(setting, np.exp(SPREAD * z))[: setting.modes]
+    measured = hz / (1.0 + sd * rng.standard_normal(setting.modes))
+    if setting.off:
+        measured[MODE - 1] *= 1.0 + setting.off * SD * rng.choice([-1.0, 1.0])
+    noise = fmu.Parameter("sd_frequency", SD, 0.0, np.inf, fmu.LogNormal(SD, NOISE_SPREAD))
+    used = tuple(k < setting.modes - setting.held_out for k in range(setting.modes))
+    data = fmu.ModalData(measured, tuple(range(1, setting.modes + 1)), use=used)
+    error = fmu.FrequencyErrors("relative", sd=noise if setting.inferred else SD)
+    return fmu.UpdatingProblem(model, data, parameters(), error=error)
+
+
+def judged(problem: fmu.UpdatingProblem, seed: int) -> Outcome:
+    """Return the verdict on a problem, from a short run."""
+    began = time.process_time()
+    trace = fmu.sample(problem, "hmc", draws=DRAWS, warmup=WARMUP, chains=CHAINS, seed=seed)
+    found = fmu.diagnose(trace)
+    kinds = frozenset(check.kind for check in found.fit.checks if check.failed)
+    return Outcome(found.fit.verdict, kinds, found.converged, time.process_time() - began)
+
+
+def _start() -> None:
+    global _models, _limits
+    _limits = threadpool_limits(1)
+    _models = {modes: structure(modes) for modes in (2, 3, MODES)}
+
+
+def _one(task: tuple[Setting, np.random.SeedSequence]) -> Outcome:
+    setting, sequence = task
+    rng = np.random.default_rng(sequence)
+    return judged(simulated(setting, rng, _models[setting.modes]), int(rng.integers(2**31)))
+
+
+def study(workers: int = WORKERS, tell: Callable[[str], None] = print) -> Study:
+    """Return the study; the runs do not depend on the number of workers."""
+    of_curves = [setting for curve in CURVES.values() for setting in curve]
+    settings = [*RIGHT_ONES[:1], *of_curves, *FEW_ONES, *RIGHT_ONES[1:]]
+    rates = {}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start) as pool:
+        for k, setting in enumerate(settings):
+            seeds = np.random.SeedSequence([SEED, k]).spawn(setting.n)
+            rates[setting] = Rate(setting, list(pool.map(_one, [(setting, seed) for seed in seeds])))
+            tell(f"{setting.label}: {rates[setting].count(CONTRADICTED)} of {setting.n} contradicted")
+    return Study(
+        [rates[setting] for setting in RIGHT_ONES],
+        [rates[setting] for setting in FEW_ONES],
+        {name: [rates[setting] for setting in curve] for name, curve in CURVES.items()},
+    )
+
+
+def main(directory: str) -> int:
+    """Run the study, write ``fit.md`` and its figure, and return the exit code."""
+    from tests.validation.fit_page import write
+
+    found = study()
+    write(found, Path(directory))
+    for failure in found.failures:
+        print(failure)
+    return 1 if found.failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
