@@ -12,7 +12,7 @@ import numpy as np
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
-from fmu.analysis.trace.reading import array_of, has
+from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.numbers import apart, given, significant, with_sd
 from fmu.samplers.tempering.tempering import rejections
 from fmu.tables import data_frame
@@ -271,11 +271,6 @@ def found_evidences(
         reached = max(float(array_of(trace, "sample_stats", "lp").max()) for trace in traces.values())
         found.append(_of_maxima(maxima, reached))
     return _compared(found)
-
-
-def is_pseudo(trace: xr.DataTree) -> bool:
-    """Say whether a trace is of the modal residual, whose pseudo-likelihood is not a density of the data."""
-    return has(trace, "log_likelihood", "residual")
 
 
 def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvidence:

@@ -209,8 +209,10 @@ def test_the_search_with_the_greater_mass_counts(in_b, section_maxima):
 
 
 def test_good_run_has_converged(good, problem):
-    assert diagnose(good, problem) == Diagnosis(True, (), (), searched=True)
-    assert diagnose(good, problem).verdict == "converged"
+    found = diagnose(good, problem)
+    assert found == Diagnosis(True, (), (), searched=True, fit=found.fit)
+    assert found.verdict == "converged"
+    assert str(found) == "converged\nthe model: not contradicted"
 
 
 def test_a_verdict_without_maxima_says_so(good, problem):
@@ -238,10 +240,11 @@ def test_summary_that_is_nan_is_a_failure(good):
 
 
 def test_warnings_do_not_touch_convergence(good, problem):
-    good["observed_data"]["frequency"] = good["observed_data"]["frequency"] + np.array([0.0, 9.0, 0.0])
+    good["misfit"]["squares"] = good["misfit"]["squares"] + 40.0
     found = diagnose(good, problem)
     assert found.converged
-    assert len(found.warnings) == 1
+    assert found.warnings == found.fit.against
+    assert "the model: contradicted by 4 of 4 checks" in str(found)
 
 
 def test_text_and_html():

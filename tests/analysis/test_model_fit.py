@@ -194,7 +194,7 @@ def test_noise_that_absorbs_the_misfit(noisy, sigma, spread, failed):
     assert check.p == pytest.approx(norm.sf((np.log(sigma / 0.1)) / np.hypot(0.1, spread), scale=1.0), rel=0.2)
     if failed:
         assert fit.against[0].startswith(
-            "sd_f, the inferred noise of frequencies: 0.404 ± 0.040 Hz, prior median 0.1 Hz; "
+            "sd_f, the inferred noise of frequencies: 0.404 ± 0.040 Hz (0.4 Hz in mode W1, 0.4 %), "
         )
         assert "the noise absorbs what the model does not explain" in fit.against[0]
     elif spread > 1.0:

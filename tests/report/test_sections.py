@@ -270,7 +270,7 @@ def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):
     (plain,) = runs_of({"hmc": plain_traces["hmc"]}).values()
     assert (model_fit(plain).is_good, model_fit(plain).answer) == (None, "Unknown")
     (fitted,) = runs_of({"hmc": hostile_traces["hmc"]}).values()
-    assert (model_fit(fitted).is_good, model_fit(fitted).answer) == (None, "?")
+    assert (model_fit(fitted).is_good, model_fit(fitted).answer) == (True, "Not contradicted")
 
 
 def test_pairs_are_those_of_the_strongest_correlations(hmc, monkeypatch):

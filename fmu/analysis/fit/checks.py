@@ -33,9 +33,9 @@ from scipy.special import chdtrc, ndtri
 
 from fmu.analysis.held_out.modes import GROUP as LEFT_OUT
 from fmu.analysis.held_out.modes import leave_one_out
-from fmu.analysis.information import LEFT
+from fmu.analysis.information import CONTRACTED
 from fmu.analysis.initial_modes import ALIKE
-from fmu.analysis.prediction import measured_mac, shape_warnings
+from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
@@ -145,11 +145,13 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
     p, failed, least = float(row["p"]), bool(row["p"] < level), min(mean - low, high - mean) / mean
     by = "the other modes predict" if row["used"] else "the modes used in updating predict"
     sentence = (
-        f"mode {mode}{'' if row['used'] else ', not used in updating'}: {given(measured)} Hz was measured, and "
+        f"mode {mode}{'' if row['used'] else ', not used in updating'}: {given(measured)} Hz was measured"
+        f"{_how(trace, mode)}, and "
         f"{by} {with_sd(mean, sd)} Hz, noise included ({probability(p)})"
     )
     before = np.nan_to_num(float(row["prior_sd"]), nan=np.inf)
-    says = sd < max(LEFT * before, 2.0 * noise_sd(trace, mode))
+    # as a parameter counts as informed: the prediction is narrower than by the prior, or hardly more than noise
+    says = sd < max(np.sqrt(1.0 - CONTRACTED) * before, 2.0 * noise_sd(trace, mode))
     return Check(
         kind,
         f"mode {mode}",
@@ -162,6 +164,13 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
         "" if says else f"the {'other' if row['used'] else 'used'} modes say nothing on it",
         float(least),
     )
+
+
+def _how(trace: xr.DataTree, mode: str) -> str:
+    """Return `` (the mean of 5 tests)`` of a mode that was measured by several; else nothing."""
+    tests = measured_tests(trace)
+    at = [str(label) == mode for label in trace["observed_data"]["mode"].to_numpy()]
+    return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
 
 
 def _reached(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:

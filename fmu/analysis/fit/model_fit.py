@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.fit.checks import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE, Check, checks_of, failed
-from fmu.analysis.information import listed
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has, parameter_names
-from fmu.numbers import share
+from fmu.numbers import names_in_words, share
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -157,4 +156,4 @@ def model_fit(trace: xr.DataTree) -> ModelFit:
 
 def _modes(checks: Sequence[Check]) -> str:
     names = [check.of.removeprefix("mode ") for check in checks]
-    return f"mode{'' if len(names) == 1 else 's'} {listed(names)}"
+    return f"mode{'' if len(names) == 1 else 's'} {names_in_words(names)}"

@@ -12,11 +12,18 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from fmu.analysis.convergence.effective import ess_bulk
-from fmu.analysis.evidence import is_pseudo
 from fmu.analysis.held_out.refit import ACCEPTED, GOOD_K, MOST_SOLVES, SOLVES, left_out, pareto_k, quadratics
 from fmu.analysis.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.conversion import GIVEN_OTHERS
-from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_draws, walkers_of, with_group
+from fmu.analysis.trace.reading import (
+    array_of,
+    check_trace,
+    has,
+    is_pseudo,
+    parameter_draws,
+    walkers_of,
+    with_group,
+)
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
 from fmu.types import FloatArray

@@ -30,6 +30,11 @@ def has(trace: xr.DataTree, group: str, variable: str | None = None) -> bool:
     return group in trace.children and (variable is None or variable in trace[group])
 
 
+def is_pseudo(trace: xr.DataTree) -> bool:
+    """Say whether a trace is of the modal residual, whose pseudo-likelihood is not a density of the data."""
+    return has(trace, "log_likelihood", "residual")
+
+
 def array_of(trace: xr.DataTree, group: str, variable: str) -> NDArray[Any]:
     """Return a variable of a group with one value, or one array, for each draw, shape (chains, draws, ...)."""
     return trace[group][variable].transpose("chain", "draw", ...).to_numpy()

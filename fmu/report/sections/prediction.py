@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from fmu.analysis.evidence import is_pseudo
 from fmu.analysis.held_out.modes import FEWEST, NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
 from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import (
@@ -14,7 +13,7 @@ from fmu.analysis.prediction import (
     measurement_in_words,
 )
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import array_of, has, mode_names, used_modes
+from fmu.analysis.trace.reading import array_of, has, is_pseudo, mode_names, used_modes
 from fmu.numbers import MISSING, change, decimals, fixed, given, interval, significant, with_sd
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
 from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check

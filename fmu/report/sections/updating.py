@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences, is_pseudo
+from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.results import MOST_SHOWN, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
-from fmu.analysis.trace.reading import constant, mode_names
+from fmu.analysis.trace.reading import constant, is_pseudo, mode_names
 from fmu.numbers import (
     MISSING,
     change,
