@@ -1,18 +1,31 @@
-"""Pages in a real browser, on a phone and on a desk: nothing fails, nothing leaves the file, nothing sticks out.
+"""Pages in a browser, on a phone, a desk and paper: nothing fails, leaves the file, sticks out or overlaps.
 
 Needs Debian's chromium and chromium-driver; skipped where they are not installed.
 """
 
+import base64
 import json
+import re
 import shutil
+import zlib
 
 import pytest
+
+import fmu
+from fmu.config import read
+from fmu.report.pages import render, sampler_page
+from fmu.report.run import runs_of
 
 BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 pytestmark = pytest.mark.skipif(
     not (BROWSER and DRIVER), reason="needs chromium and chromedriver (Debian: chromium, chromium-driver)"
 )
-WIDTHS = {"phone": 360, "desk": 1280}
+WIDTHS = {"phone": 390, "desk": 1280}
+PAGES = (
+    "beam_report/hmc", "beam_report/index", "garteur_report/mh", "hostile_report/hmc", "plain_report/mh",
+    pytest.param("storeys_report/mh", marks=pytest.mark.validate),
+)  # fmt: skip
+PAPER = {"width": 703, "height": 1017}  # A4 without margins, in CSS pixels
 SCREEN = 740
 OPTIONS = (
     "headless=new", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-dev-shm-usage",
@@ -43,13 +56,38 @@ def width(browser, request):
     return WIDTHS[request.param]
 
 
-@pytest.fixture(
-    scope="module", params=["beam_report/hmc", "beam_report/index", "hostile_report/hmc", "plain_report/mh"]
-)
+def short_run(case, directory):
+    """Write the page of a short run on a case, with the full model, and return the directory."""
+    path = fmu.cases.path(case)
+    problem = read(path).model_copy(update={"reduction": False}).build(case, path.parent, None)
+    runs = runs_of({"mh": fmu.sample(problem, "mh", draws=30, warmup=10, chains=2, init="prior")})
+    page = sampler_page(runs["mh"], {"mh": "mh.html"}, runs)
+    (directory / "mh.html").write_text(render(page), encoding="utf-8")
+    return directory
+
+
+@pytest.fixture(scope="module")
+def garteur_report(tmp_path_factory):
+    """Directory of a page on eleven parameters and ten modes with long names, in space."""
+    return short_run("garteur", tmp_path_factory.mktemp("garteur"))
+
+
+@pytest.fixture(scope="module")
+def storeys_report(tmp_path_factory):
+    """Directory of a page on twelve parameters, with measured shapes and no geometry."""
+    return short_run("shear-10dof", tmp_path_factory.mktemp("storeys"))
+
+
+def address_of(name, request):
+    """Return the address of a page, ``"REPORT/PAGE"``."""
+    report, _, name = name.partition("/")
+    return (request.getfixturevalue(report) / f"{name}.html").as_uri()
+
+
+@pytest.fixture(scope="module", params=PAGES)
 def page(browser, width, request):
     """A page, open at a width: its address, what the console said, and every address that was asked for."""
-    report, _, name = request.param.partition("/")
-    address = (request.getfixturevalue(report) / f"{name}.html").as_uri()
+    address = address_of(request.param, request)
     for log in ("browser", "performance"):
         browser.get_log(log)  # what earlier pages left there
     browser.get(address)
@@ -70,11 +108,28 @@ def test_nothing_sticks_out_of_the_screen(browser, width):
     assert browser.execute_script("return innerWidth") == width
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     outside = browser.execute_script(
-        """return [...document.querySelectorAll('h1,h2,h3,p,li,figcaption,caption,summary,.verdict,svg[role]')]
-           .filter(e => !e.closest('.wide') && e.getBoundingClientRect().right > innerWidth + 0.5)
+        """return [...document.querySelectorAll('body *')].filter(e => e.checkVisibility() && !e.closest('.skip'))
+           .filter(e => !e.parentElement.closest('.wide, .scroll, pre, svg'))
+           .filter(e => e.getBoundingClientRect().right > innerWidth + 0.5)
            .map(e => e.outerHTML.slice(0, 120));"""
     )
     assert outside == []
+
+
+@pytest.mark.usefixtures("page")
+def test_wide_figures_are_whole_on_a_desk(browser, width):
+    hidden = browser.execute_script(
+        """return [...document.querySelectorAll('.drawing')].filter(e => e.scrollWidth > e.clientWidth)
+           .map(e => e.parentElement.innerText);"""
+    )
+    assert hidden == [] or width == WIDTHS["phone"]
+
+
+@pytest.mark.usefixtures("page")
+def test_text_in_figures_is_whole_and_does_not_overlap(browser):
+    cut, overlapping = browser.execute_script(_TEXT_IN_FIGURES)
+    assert cut == []
+    assert overlapping == []
 
 
 @pytest.mark.usefixtures("page")
@@ -87,7 +142,7 @@ def test_every_image_has_a_name_and_a_size(browser):
         assert image.aria_role in ("img", "image")
         assert len(image.accessible_name) > 20
         assert image.size["width"] > 200
-        assert image.size["height"] > 80
+        assert image.size["height"] > (20 if image.find_elements(By.XPATH, "ancestor::header") else 80)
 
 
 @pytest.mark.usefixtures("page")
@@ -125,3 +180,64 @@ def test_names_do_not_run(browser, hostile_report):
         browser.get(path.as_uri())
         assert browser.execute_script("return document.scripts.length + document.images.length") == 0
         browser.get_log("browser")
+
+
+_TEXT_IN_FIGURES = """
+const corners = text => {
+  const box = text.getBBox(), m = text.getCTM(), [dx, dy] = [0.03 * box.width, 0.2 * box.height];
+  const [right, low] = [box.width - dx, box.height - dy];
+  return [[dx, dy], [right, dy], [right, low], [dx, low]].map(([x, y]) => {
+    const p = new DOMPoint(box.x + x, box.y + y).matrixTransform(m);
+    return [p.x, p.y];
+  });
+};
+// rectangles are apart if the normal of an edge of one of them separates them
+const apart = (a, b) => [a, b].some(box => [0, 1].some(i => {
+  const [nx, ny] = [box[i][1] - box[i + 1][1], box[i + 1][0] - box[i][0]];
+  const [p, q] = [a, b].map(c => c.map(([x, y]) => nx * x + ny * y));
+  return Math.max(...p) <= Math.min(...q) || Math.max(...q) <= Math.min(...p);
+}));
+const cut = [], overlapping = [];
+for (const svg of document.querySelectorAll('svg[role]')) {
+  const texts = [...svg.querySelectorAll('text')].filter(text => text.textContent.trim());
+  const found = texts.map(text => [text.textContent, corners(text)]);
+  const [w, h] = [svg.clientWidth, svg.clientHeight];
+  for (const [words, box] of found)
+    if (box.some(([x, y]) => x < -1 || y < -1 || x > w + 1 || y > h + 1)) cut.push(words);
+  found.forEach(([words, box], i) => found.slice(0, i).forEach(([other, beside]) => {
+    if (!apart(box, beside)) overlapping.push([other, words]);
+  }));
+}
+return [cut, overlapping];
+"""
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_print_has_no_empty_page_and_no_figure_longer_than_one(browser, name, request):
+    browser.get(address_of(name, request))
+    size = PAPER | {"deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    tallest, widest = browser.execute_script(
+        """const boxes = [...document.querySelectorAll('figure')].map(e => e.getBoundingClientRect());
+           return [Math.max(...boxes.map(b => b.height)), Math.max(...boxes.map(b => b.right))];"""
+    )
+    assert tallest < PAPER["height"]
+    assert widest <= PAPER["width"] + 1
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    printed = base64.b64decode(browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"])
+    contents = contents_of_pages(printed)
+    assert len(contents) > 1
+    assert all(b"BT" in content for content in contents)
+
+
+def contents_of_pages(pdf):
+    """Return the drawing commands of each page; BT begins a text."""
+    objects = dict(re.findall(rb"(?:^|\n)(\d+) 0 obj\n(.*?)\nendobj", pdf, re.DOTALL))
+    pages = [body for body in objects.values() if re.search(rb"/Type /Page\b(?!s)", body)]
+    found = []
+    for body in pages:
+        (number,) = re.findall(rb"/Contents (\d+) 0 R", body)
+        stream = objects[number].partition(b"stream\n")[2].rpartition(b"\nendstream")[0]
+        found.append(zlib.decompress(stream))
+    return found

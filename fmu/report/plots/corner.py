@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
 _ROOM, _CLEAR = 0.06, 0.09
-_WIDTH, _SIDE, _EDGE = 10.0, (1.25, 2.0), 1.05
-"""Width of all panels, least and largest side of one, and room for labels to the left and below, inches."""
+_WIDTH, _SIDE, _EDGE, _LINE = 10.0, (1.25, 2.0), 0.75, 0.2
+"""Width of all panels, least and largest side of one, room for the ticks and a label beside them, and for each
+further line of a label; inches."""
 
 
 def plot_corner(
@@ -65,14 +66,16 @@ def plot_corner(
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
     base = colour(str(trace.attrs["sampler"]))
     side = float(np.clip(_WIDTH / len(names), *_SIDE))
-    size = side * len(names) + _EDGE + 0.2
-    figure = figure or new_figure(size, size, layout=None)  # corner arranges the panels
     left = not_informed(trace)
     named = (f"{name}, prior" if name in left else name for name in names)
+    labels = [broken(unit.label(name), side) for name, unit in zip(named, units, strict=True)]
+    edge = _EDGE + _LINE * max(label.count("\n") for label in labels)
+    size = side * len(names) + edge + 0.2
+    figure = figure or new_figure(size, size, layout=None)  # corner arranges the panels
     corner.corner(
         draws,
         fig=figure,
-        labels=[broken(unit.label(name), side) for name, unit in zip(named, units, strict=True)],
+        labels=labels,
         label_kwargs={"fontsize": FONT + 1},
         range=_frames(draws, *bounds),
         bins=36,
@@ -87,7 +90,7 @@ def plot_corner(
         quiet=True,
     )
     axes = np.array(figure.axes).reshape(len(names), len(names))
-    figure.subplots_adjust(left=_EDGE / size, bottom=_EDGE / size, right=1 - 0.1 / size, top=1 - 0.1 / size)
+    figure.subplots_adjust(left=edge / size, bottom=edge / size, right=1 - 0.1 / size, top=1 - 0.1 / size)
     for name, x, y in zip(names, axes[-1], axes[:, 0], strict=True):
         for label in (x.xaxis.label, y.yaxis.label):
             label.set_color(GREY if name in left else BLACK)

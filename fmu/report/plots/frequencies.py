@@ -196,8 +196,8 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:
         raise ValueError("trace: must have a predictive distribution of measurements (it has none)")
-    base = colour(str(trace.attrs["sampler"]))
-    figure = figure or new_figure(NARROW, 4.2)
+    base, labels = colour(str(trace.attrs["sampler"])), [literal(name) for name in mode_names(trace)]
+    figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
     axes = figure.subplots()
     x = np.arange(len(narrow), dtype=float)
 
@@ -229,7 +229,6 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
                   color=BLACK, alpha=0.6)  # fmt: skip
         axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-    labels = [literal(name) for name in mode_names(trace)]
     axes.set_xticks(x, labels, **turned(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
     finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -122,8 +123,6 @@ def stacked(n: int, figure: Figure | None, height: float | None = None, sharey: 
 
 def broken(label: str, room: float) -> str:
     """Return a label in lines that fit into a room in inches, at most three; the unit has a line of its own."""
-    import textwrap
-
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")
     if not slash or len(label) <= most:
@@ -139,6 +138,8 @@ def legend_below(axes: Axes) -> None:
         raise ValueError("axes: must be on a figure")
     handles, labels = axes.get_legend_handles_labels()
     if labels:
+        most = int((figure.get_figwidth() - _LEGEND_HANDLE) / _LEGEND_LETTER)
+        labels = [textwrap.fill(label, most) for label in labels]
         width = _LEGEND_HANDLE + _LEGEND_LETTER * max(map(len, labels))
         columns = min(len(labels), max(1, int(figure.get_figwidth() / width)))
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=FONT - 1, frameon=False)
