@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
-from fmu.analysis.information import doubts as doubts_of_information
+from fmu.analysis.identifiability import doubts as doubts_of_information
 from fmu.analysis.initial_modes import InitialModes, initial_modes, modes_as_text
 from fmu.analysis.maxima.search import is_searchable
 from fmu.analysis.prediction import measurement_in_words

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from fmu.analysis.check import Check
 from fmu.analysis.identifiability import Identifiability
-from fmu.analysis.information import doubts as doubts_of_information
+from fmu.analysis.identifiability import doubts as doubts_of_information
 from fmu.numbers import MISSING, change, given, hertz, listed, significant, with_sd
 from fmu.report.document import (
     Details,

@@ -6,16 +6,20 @@ import pytest
 import fmu
 from fmu.analysis.check import check
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
+from fmu.analysis.identifiability import (
+    Identifiability,
+    doubts,
+    identifiability,
+    left_to_prior,
+    with_identifiability,
+)
 from fmu.analysis.information import (
     COMBINED,
     DATA,
     PRIOR,
     compared_with_draws,
-    doubts,
     information,
     left_along,
-    left_to_prior,
 )
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData

@@ -8,8 +8,7 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.analysis.identifiability import identifiability
-from fmu.analysis.information import left_to_prior
+from fmu.analysis.identifiability import identifiability, left_to_prior
 from fmu.analysis.initial_modes import initial_modes
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame.components import DIRECTIONS
