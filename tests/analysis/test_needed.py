@@ -8,7 +8,7 @@ import pytest
 
 import fmu
 from fmu.analysis.convergence.diagnosis import draws_missing
-from fmu.analysis.convergence.diagnostics import autocorrelation_times_run, summary
+from fmu.analysis.convergence.diagnostics import autocorrelation_times_run, rhat_over_walkers, summary
 from fmu.analysis.convergence.remedies import (
     draws_to_come,
     for_too_few_draws,
@@ -169,3 +169,15 @@ def test_a_run_of_the_recommended_number_of_draws_converges(sampler, draws):
         long = fmu.sample(Normal3(), sampler, draws=int(number[1]), warmup=200, seed=seed, init=start)
         converged += fmu.diagnose(long).converged
     assert converged >= 10
+
+
+@pytest.mark.validate
+def test_rhat_over_walkers_that_mix_says_how_long_the_run_is():
+    """Beyond 50 autocorrelation times it is above the limit for chains, 1.01, and never above its own, 1.05."""
+    for seed in range(8):
+        start = np.random.default_rng(seed).standard_normal((4, 16, 3))
+        trace = fmu.sample(Normal3(), fmu.Ensemble(walkers=16), draws=3500, warmup=200, seed=seed, init=start)
+        length, rhat = autocorrelation_times_run(trace).min(), rhat_over_walkers(trace).max()
+        assert length > 50
+        assert 1.01 < rhat < 1.05
+        assert 1.5 < (rhat**2 - 1) * length < 4.0

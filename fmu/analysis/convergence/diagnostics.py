@@ -105,10 +105,11 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 
     It finds walkers that stay in separate places, which R-hat over ensembles does not if all ensembles are divided
     alike. Of walkers that mix it says no more than the length of the run: R-hat² − 1 is about 2.7 autocorrelation
-    times over the steps (2.4 to 3.0 in 310 runs of 4 ensembles of 32 walkers: stretch moves, Gaussian and bounded
-    targets of 2 and 5 parameters). That is 1.07 after 20 autocorrelation times, 1.03 after 50, and below 1.01, the
-    limit for independent chains, only after 130. Each ensemble is judged by itself, because a single trapped
-    walker among all walkers of a run would carry too little weight.
+    times over the steps (4 ensembles of 32 walkers, stretch moves, Gaussian and bounded targets of 2 and 5
+    parameters: on average 2.4 to 3.0, after 3 to 100 autocorrelation times). That is 1.07 after 20 autocorrelation
+    times, 1.03 after 50 (at most 1.03 in 50 such runs), and below 1.01, the limit for independent chains, only
+    after 130. Each ensemble is judged by itself, because a single trapped walker among all walkers of a run would
+    carry too little weight.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -129,7 +130,7 @@ def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
     """Say whether walkers stay in separate places, so that more steps would not help.
 
     A run of walkers that mix has twice as many autocorrelation times as its first half (1.1 to 2.5 times as many
-    in 150 runs of at least 3). Walkers that stay apart count as correlation over the whole run, which then has as
+    in 140 runs of at least 3). Walkers that stay apart count as correlation over the whole run, which then has as
     many of its own autocorrelation times as its first half, however long it is. Shorter runs may pass for either.
 
     Parameters
