@@ -293,6 +293,8 @@ def _predicted(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     likelihood: Any = _with(problem, k).likelihood
     if likelihood.frequency_term is None:
         return HeldOut()
+    solved = np.isfinite(draws.hz).all(axis=1)
+    draws = _Draws(*(of[solved] for of in draws))
     noise = draws.theta[:, problem.n_structural :]
     means, deviations = (x[:, k] for x in likelihood.frequency_term.given_others(draws.hz, noise))
     w = np.exp(draws.log_weight)

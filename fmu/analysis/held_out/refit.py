@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-ERROR, ACCEPTED = 0.03, 0.05
+ERROR, ACCEPTED = 0.02, 0.05
 """Wanted standard error of a log-density, and the largest that is accepted."""
 GOOD_K = 0.7
 """Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
@@ -40,7 +41,7 @@ _FITS = 2
 _WIDER = (1.0, 2.0)
 _FLATTER = 4.0
 _FIRST = 512
-_ROUNDS, _RESAMPLED = 3, 2048
+_ROUNDS, _RESAMPLED = (6000, 6000, 20_000, 20_000, 60_000), 2048
 _GROUPS, _A_GROUP = 8, 20
 _EFFECTIVE = 400.0
 
@@ -138,11 +139,11 @@ def left_out(
         The most solves.
     """
     scaled, groups = ScaledDensity(whole), list[LocalQuadratic]()
-    for last in (False,) * (_ROUNDS - 1) + (True,):
+    for limit in _ROUNDS:
         gaussians = [*models[0], *models[1], *groups]
-        found, log_p = _drawn(without, whole, gaussians, rng, most if last else min(most, SOLVES) // 2)
+        found, log_p = _drawn(without, whole, gaussians, rng, min(most, limit))
         most -= len(found.theta)
-        if found.predicts and found.is_known:
+        if (found.predicts and found.is_known) or most < _ROUNDS[0]:
             break
         u = scaled.to_scaled(found.theta)
         models = [_fitted(of, u, values) for of, values in zip(models, log_p, strict=True)]
@@ -257,14 +258,16 @@ def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[
     """Return the Gaussians of weighted draws (n, ndim), divided into groups of neighbours (k-means)."""
     from scipy.cluster.vq import kmeans2
 
-    chosen = u[rng.choice(len(u), _RESAMPLED, p=np.exp(log_w - logsumexp(log_w)))]
     n = u.shape[1]
+    chosen = u[rng.choice(len(u), _RESAMPLED, p=np.exp(log_w - logsumexp(log_w)))]
     around = np.cov(chosen.T).reshape(n, n) + 1e-12 * np.eye(n)
     standard = np.linalg.solve(np.linalg.cholesky(around), chosen.T).T
     count = min(_GROUPS, len(np.unique(chosen, axis=0)) // (_A_GROUP * n))
     if count < 2:
         return []
-    _, group = kmeans2(standard, count, minit="++", rng=rng)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="One of the clusters is empty")
+        _, group = kmeans2(standard, count, minit="++", rng=rng)
     found = []
     for members in (chosen[group == g] for g in range(count)):
         if len(np.unique(members, axis=0)) > 2 * n:
