@@ -11,8 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fmu.analysis.convergence.effective import ess_bulk
-from fmu.analysis.held_out.refit import ACCEPTED, GOOD_K, MOST_SOLVES, SOLVES, left_out, pareto_k, quadratics
+from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
+from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, left_out, pareto_k, quadratics
 from fmu.analysis.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.conversion import GIVEN_OTHERS
 from fmu.analysis.trace.reading import (
@@ -149,7 +149,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
     smoothed = _smoothed(trace)
     rows, doubtful = [], []
     for k, (label, used) in enumerate(zip(problem.data.labels, problem.data.use, strict=True)):
-        row = _weighted(problem, k, draws, smoothed.get(label)) if used else _not_used(problem, k, draws)
+        row = _weighted(problem, k, draws, smoothed.get(label)) if used else _not_used(trace, problem, k, draws)
         measured = float(np.asarray(problem.data.frequencies_hz)[k])
         rows.append(replace(row, measured=measured, prior_sd=float(prior_sd[k]), used=used))
         if not (row.method and row.mcse_elpd <= ACCEPTED):
@@ -158,9 +158,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
     if doubtful and per_mode >= SOLVES:
         with phase("leaving modes out", len(doubtful)) as under_way:
             for k in doubtful:
-                found = _left_out(problem, k, int(min(per_mode, MOST_SOLVES)))
-                if found.method:
-                    rows[k] = replace(found, measured=rows[k].measured, prior_sd=rows[k].prior_sd)
+                with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
+                    found = _left_out(problem, k, int(min(per_mode, MOST_SOLVES)))
+                    if found.method:
+                        rows[k] = replace(found, measured=rows[k].measured, prior_sd=rows[k].prior_sd)
                 under_way.advance()
     columns = {name: ("mode", np.array([getattr(row, name) for row in rows])) for name in _COLUMNS}
     return with_group(trace, GROUP, xr.Dataset(columns, coords={"mode": list(problem.data.labels)}))
@@ -219,15 +220,16 @@ def _weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: _Smooth
     return replace(row, elpd=smoothed.elpd, mcse_elpd=smoothed.mcse, pareto_k=smoothed.pareto_k, method=WEIGHTS)
 
 
-def _not_used(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
+def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     """Return a mode that was not used, predicted by the posterior."""
     log_p = _log_likelihood(_with(problem, k), draws) - _log_likelihood(problem, draws)
     row = replace(_predicted(problem, k, draws), method=NOT_USED)
     shape = pareto_k(log_p)
-    if not shape <= GOOD_K:
+    if not shape <= SMOOTHED_K:
         return replace(row, pareto_k=shape)
     elpd = float(logsumexp(log_p)) - float(np.log(len(log_p)))
-    mcse = float(np.std(np.exp(log_p - elpd)) / np.sqrt(len(log_p)))
+    density = np.exp(log_p - elpd).reshape(trace["posterior"].sizes["chain"], -1)
+    mcse = mcse_mean(density, walkers_of(trace))
     return replace(row, elpd=elpd, mcse_elpd=mcse, pareto_k=shape)
 
 
@@ -237,8 +239,8 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
     It depends on the problem alone, and not on the draws, so that one serves the runs of all samplers.
     """
     known = _KNOWN.setdefault(problem, {})
-    if (k, most) in known:
-        return known[k, most]
+    if k in known and (known[k][1].mcse_elpd <= ACCEPTED or known[k][0] >= most):
+        return known[k][1]
     models = known.get("models")
     if models is None:
         models = known["models"] = quadratics(problem, problem.start[None], _generator(0))
@@ -259,7 +261,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
         )
         if found.is_known:
             row = replace(row, elpd=found.elpd, mcse_elpd=found.error)
-    known[k, most] = row
+    known[k] = (most, row)
     return row
 
 
