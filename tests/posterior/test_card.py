@@ -26,7 +26,7 @@ def cells(html):
 def test_parameters_with_bounds_and_priors(young):
     table = cells(young._repr_html_())
     assert table[0] == ["parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"]
-    assert table[1] == ["E1", "N/m²", "2.4e11", "1.7e11", "2.5e11", "normal, mean 0, sd 2e11"]
+    assert table[1] == ["E1", "GPa", "240", "170", "250", "normal, mean 0, sd 200"]
     assert [row[0] for row in table[1:6]] == list(young.names)
 
 
