@@ -31,7 +31,7 @@ from fmu.report.files import OutputDirectory
 from fmu.report.pages import INDEX, render
 from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
 from fmu.report.plots.modes import plot_mode
-from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure
+from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure, turned
 from fmu.report.sections.origin import assumption_parts
 from fmu.report.sections.structure import directions, legend_of_parameters
 
@@ -189,9 +189,8 @@ def _prior(found: Check) -> PageSection:
             Frequencies("at the start", start, GREY, filled=False),
             Frequencies("prior: mean, 90 % interval", prior.mean, COLOURS["hmc"], interval_hz=prior.interval),
         )
-        axes = plot_frequency_errors(
-            prior.measured, series, [literal(label) for label in labels], new_figure(NARROW, 4.2)
-        )
+        figure = new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
+        axes = plot_frequency_errors(prior.measured, series, [literal(label) for label in labels], figure)
         said = "; ".join(
             f"mode {label} measured {given(m)}, at the start {hertz(f, measured=m)[0]}, prior prediction "
             f"{with_sd(mean, sd)} Hz"
