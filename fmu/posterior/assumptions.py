@@ -39,7 +39,10 @@ ERRORS_HEADER = ("mode", "measured, Hz", "σ, Hz", "σ, %")
 
 
 def assumptions(
-    problem: Mapping[str, Any], reduction: float | None, inferred: Inferred | None = None
+    problem: Mapping[str, Any],
+    reduction: float | None,
+    inferred: Inferred | None = None,
+    error: float | None = None,
 ) -> Assumptions | None:
     """Return what the posterior of a problem rests on.
 
@@ -51,6 +54,8 @@ def assumptions(
         Relative error of a frequency that the reduced model may have; None if there is no reduced model.
     inferred : mapping of str to (float, float), optional
         Posterior mean and standard deviation of each inferred standard deviation, after a run.
+    error : float, optional
+        Largest relative error of a frequency that the certificate of a run found.
 
     Returns
     -------
@@ -71,9 +76,10 @@ def assumptions(
     if reduction is None:
         said.append("The full model is solved everywhere; there is no reduced model.")
     else:
+        seen = "" if error is None else f"; {significant(error, 2)} was found at draws solved again in full"
         said.append(
-            "Within the bounds a reduced model replaces the full one; it may change a frequency by "
-            f"{significant(reduction)} of its value."
+            "Within the bounds a reduced model replaces the full one. The relative error allowed to a frequency is "
+            f"{significant(reduction)}{seen}."
         )
     errors = _by_mode(likelihood, problem["parameters"], data, inferred)
     return Assumptions(tuple(said), errors, bool(likelihood.get("noise")))

@@ -77,10 +77,12 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
     """Return what the verdicts on a run rest on; nothing for a density that is not an updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
-    reduction = attrs.get("certificate_frequency_tolerance", Tolerance().frequency)
+    is_reduced = "certificate_draws" in attrs
+    allowed = float(attrs.get("certificate_frequency_tolerance", Tolerance().frequency)) if is_reduced else None
+    error = float(attrs["certificate_frequency_error"]) if is_reduced else None
     noise = run.problem.get("likelihood", {}).get("noise", ())
     inferred = {name: (float(mean[name]), float(run.summary["sd"][name])) for name in noise}
-    found = assumed(run.problem, float(reduction) if "certificate_draws" in attrs else None, inferred)
+    found = assumed(run.problem, allowed, inferred, error)
     return () if found is None else assumption_parts(found, "σ at the posterior mean where it is inferred.")
 
 
