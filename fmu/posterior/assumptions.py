@@ -78,8 +78,8 @@ def assumptions(
     else:
         seen = "" if error is None else f"; {significant(error, 2)} was found at draws solved again in full"
         said.append(
-            "Within the bounds a reduced model replaces the full one. The relative error allowed to a frequency is "
-            f"{significant(reduction)}{seen}."
+            "Within the bounds a reduced model replaces the full one. The relative error allowed to a frequency "
+            f"is {significant(reduction)}{seen}."
         )
     errors = _by_mode(likelihood, problem["parameters"], data, inferred)
     return Assumptions(tuple(said), errors, bool(likelihood.get("noise")))
