@@ -73,6 +73,7 @@ validate: $(READY)  ## Calibrate samplers, verdicts, intervals and evidences, an
 	.venv/bin/python -m tests.validation.evidence results
 	.venv/bin/python -m tests.validation.starts results
 	.venv/bin/python -m tests.validation.left_out results
+	.venv/bin/python -m tests.validation.fit results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m pytest --quiet -m validate

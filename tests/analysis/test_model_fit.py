@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.stats import chi2, norm
+from scipy.stats import binom, chi2, norm
 
 import fmu
 from fmu.analysis.convergence.diagnosis import judge
@@ -17,6 +17,7 @@ PRIOR_SD, SD = np.array([1.0, 2.0]), np.array([0.1, 0.1, 0.1])
 TRUTH = np.array([0.6, -0.9])
 FITTED = 100.0 + SLOPES @ TRUTH
 DRAWS = (4, 500)
+RIGHT_MODELS = 1000
 
 
 def posterior(y, kept):
@@ -239,3 +240,15 @@ def test_nothing_to_compare(make_trace):
     fit = model_fit(trace)
     assert (fit.verdict, fit.checks) == (UNKNOWN, ())
     assert judge(trace).fit == fit
+
+
+@pytest.mark.validate
+def test_right_models_are_rarely_contradicted(fit_of, monkeypatch):
+    """Truths from the prior, and noise as stated: by all checks together at most 1 %, with exact posteriors."""
+    monkeypatch.setitem(globals(), "DRAWS", (1, 200))
+    rng, told = np.random.default_rng(2026), 0
+    for _ in range(RIGHT_MODELS):
+        truth = PRIOR_SD * rng.standard_normal(2)
+        fit = fit_of(100.0 + SLOPES @ truth + SD * rng.standard_normal(3))
+        told += fit.verdict == CONTRADICTED
+    assert told <= binom.isf(1e-3, RIGHT_MODELS, LEVEL)

@@ -36,10 +36,10 @@ SPREAD, SD = 0.15, 0.005
 NOISE_SPREAD = 0.4
 """Of the logarithm of the standard deviation of a frequency, where that is inferred."""
 MODES = 6
-RIGHT, OTHERS, WRONG, FEW = 300, 60, 20, 10
+RIGHT, OTHERS, WRONG, FEW = 300, 40, 20, 10
 """Simulated problems of a right model, of each of the other right ones, of each size of an error, and of each
 with few data."""
-WARMUP, DRAWS, CHAINS = 100, 200, 4
+WARMUP, DRAWS, CHAINS = 70, 100, 8
 SEED, WORKERS = 15, 2
 GATE = 1e-3
 """The probability that a gate fails a verdict whose rate is `LEVEL`."""
@@ -84,8 +84,8 @@ class Setting(NamedTuple):
 RIGHT_ONES = (
     Setting("truth drawn from the priors", RIGHT),
     Setting("the same, noise inferred, one mode held out", OTHERS, inferred=True, held_out=1),
-    Setting("truth at +2 prior standard deviations of every stiffness", OTHERS // 3, place=2.0),
-    Setting("truth at −2 prior standard deviations of every stiffness", OTHERS // 3, place=-2.0),
+    Setting("truth at +2 prior standard deviations of every stiffness", OTHERS, place=2.0),
+    Setting("truth at −2 prior standard deviations of every stiffness", OTHERS, place=-2.0),
 )
 FEW_ONES = (
     Setting("three frequencies, three parameters, a right model", FEW, modes=3),

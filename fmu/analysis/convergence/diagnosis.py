@@ -79,7 +79,7 @@ class Diagnosis:
     warnings: tuple[str, ...]
     searched: bool = False
     stopped: str = ""
-    fit: ModelFit = field(default_factory=lambda: ModelFit((), 0, 0))
+    fit: ModelFit = field(default_factory=lambda: ModelFit((), 0, 0), repr=False)
 
     @property
     def verdict(self) -> str:
