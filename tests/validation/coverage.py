@@ -1,6 +1,6 @@
 """Do intervals hold the truth as often as they say, where the noise is inferred too?
 
-    python -m tests.validation.coverage OUT_DIRECTORY [--replicates N] [--seed N] [--kept FILE]
+    python -m tests.validation.coverage OUT_DIRECTORY [--replicates N] [--seed N] [--workers N] [--kept FILE]
 
 Truths, noise among them, from the prior of the case shear-10dof, a measurement of each and a run on it. A 90 %
 interval then holds the truth in 90 % of the runs, whatever the prior is; and the ranks of the truth are uniform
@@ -254,11 +254,11 @@ def _replicate(seed: np.random.SeedSequence) -> Replicate:
     )
 
 
-def main(directory: Path, replicates: int, seed: int, kept: Path | None) -> int:
+def main(directory: Path, replicates: int, seed: int, workers: int, kept: Path | None) -> int:
     """Run the study, write ``coverage.md`` and its figure, and return the exit code."""
     from tests.validation.coverage_page import write
 
-    found = study(replicates, seed, kept=kept)
+    found = study(replicates, seed, workers, kept)
     write(found, directory)
     for failure in found.failures:
         print(failure)
@@ -270,5 +270,6 @@ if __name__ == "__main__":
     parser.add_argument("directory", type=Path)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--workers", type=int, default=WORKERS, help="processes that share the replicates")
     parser.add_argument("--kept", type=Path, help="file of the runs made so far, one a line; it is continued")
     sys.exit(main(**vars(parser.parse_args())))
