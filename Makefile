@@ -64,6 +64,7 @@ bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into
 	.venv/bin/python -m tests.benchmarks.peers .benchmarks/peers.json
 	.venv/bin/python -m tests.benchmarks.peers.report .benchmarks/peers.json .benchmarks/peers.md results/benchmarks/peers.png
 	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md .benchmarks/profile.md .benchmarks/peers.md
+	.venv/bin/python -m pytest --quiet tests/test_readme.py
 
 validate: export OPENBLAS_NUM_THREADS = 1
 validate: $(READY)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
