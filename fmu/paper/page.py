@@ -185,7 +185,7 @@ def reached_and_cost(findings: Findings) -> str:
         + ("\n" if failed else "")
         + "".join(failed)
         + "\nCost of the long runs, all chains and the warm-up included, beside that of the paper's protocol. "
-        f"{SOLVE}{TO_CONVERGE}{MISSING} if it never does, and its ESS is then meaningless. "
+        f"{SOLVE}{TO_CONVERGE}Where it never does, its ESS means nothing and is left out ({MISSING}). "
         f"{WOULD_NEED} *Off*: distance of the worst parameter's mean from the reference, in posterior standard "
         f"deviations. Reference: {findings.origin}.\n\n" + markdown_table(_COST, cost)
     )
