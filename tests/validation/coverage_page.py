@@ -74,6 +74,8 @@ def verdict(study: coverage.Study) -> str:
     said = "**All gates pass.**"
     if study.failures:
         said = "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures) + "\n\n"
+    elif study.replicates < coverage.REPLICATES:
+        said = f"**No gate fails, but {study.replicates} of {coverage.REPLICATES} replicates decide nothing yet.**"
     elif among < coverage.DOUBTFUL:
         said = f"**No gate fails, but {what} is doubtful; more replicates would decide.**"
     said += (
@@ -200,7 +202,10 @@ A run has {draws:.0f} draws on average, all chains together; the smallest effect
 quantities is {least:.0f} at the least and {median:.0f} in the median. Runs that have less than {gate} are
 drawn on.
 
-The likelihood is a density of the measurement up to terms of the order of the squared standard deviations (about
-1e-3): shapes are scaled to unit length, and errors of frequencies are relative to what was measured. Modes are
+Truths and posterior are exchangeable but for little. Errors of frequencies are relative to what was measured:
+the density of f/(1 + ε) is the likelihood times f/f_measured, for every mode. That shifts the posterior mean of
+a parameter by its covariance with Σ ln f: by at most the standard deviation of Σ ln f, about √5 times 1 % =
+0.02, in standard deviations of the parameter, and so the coverage by less than 0.01 %. Shapes are scaled to unit
+length, which changes their density by terms of the order of the squared standard deviation, 1e-3. Modes are
 paired by number, which is right for every shear building; in the case itself they are paired by measured shapes.
 """

@@ -13,6 +13,11 @@ from tests.validation.coverage import INTERVAL, NAMES, QUANTITIES, RANKED, TAIL,
 REPLICATES = 200
 
 
+@pytest.fixture(autouse=True)
+def _so_many_decide(monkeypatch):
+    monkeypatch.setattr(coverage, "REPLICATES", REPLICATES)
+
+
 def study(factor=1.0, shift=0.0):
     """Runs of Gaussian posteriors whose draws are too narrow by a factor, or shifted, in the first parameter."""
     rng = np.random.default_rng(5)
@@ -76,6 +81,11 @@ def test_a_coverage_that_is_rare_by_itself_is_named_with_what_it_means_among_all
 )
 def test_the_verdict_turns_with_the_count(count, said):
     assert coverage_page.verdict(held(count)).startswith(said)
+
+
+def test_too_few_replicates_decide_nothing():
+    said = coverage_page.verdict(Study(study().runs[:150]))
+    assert said.startswith("**No gate fails, but 150 of 200 replicates decide nothing yet.**")
 
 
 def test_the_band_is_where_the_gate_turns():

@@ -73,7 +73,7 @@ def test_one_wrong_run_of_five_hundred_turns_the_page_red(errors):
     wrong = replace(first, of_means=errors)
     found = Study([wrong, *others])
     assert len(found.failures) == 1
-    assert verdicts_page.verdict(found).startswith("**The verdict is wrong:**")
+    assert verdicts_page.verdict(found).startswith("**Gates that fail:**")
     assert not Study([replace(wrong, converged=False), *others]).failures
 
 
@@ -123,4 +123,4 @@ def test_the_page_shows_every_posterior(tmp_path):
     verdicts_page.write(Study([*runs(), bad, alone]), tmp_path)
     page = (tmp_path / "verdicts.md").read_text(encoding="utf-8")
     assert "| truncated Gaussian | bounded | 2 | 500 of 501: " in page
-    assert "| two maxima, far | no | anywhere in the box | mh | 1 of 1 | 1 | 1 |" in page
+    assert "| two maxima, far | no | anywhere in the box | 1 of 1, 1 wrong | - |" in page

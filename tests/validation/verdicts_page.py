@@ -29,13 +29,14 @@ def write(study: Study, directory: Path) -> None:
             judged=len(study.judged),
             chains=CHAINS,
             wrong=WRONG,
-            lengths="; ".join(_length(name) for name in LENGTHS),
+            lengths="\n".join(f"- {_length(name)}" for name in LENGTHS),
             most=100 * study.most_wrong,
             converged=len(converged),
             means=len(means),
             freedom=study.freedom,
             expected=study.expected_beyond(WRONG),
             rms=np.sqrt(np.mean(means**2)),
+            expected_rms=np.sqrt(study.freedom / (study.freedom - 2.0)) if np.isfinite(study.freedom) else 1.0,
             rms_variances=np.sqrt(np.mean(variances**2)),
             beyond=", ".join(
                 f"{np.sum(np.abs(means) > limit)} above {limit:g} (expected {study.expected_beyond(limit):.2g})"
@@ -52,6 +53,9 @@ def write(study: Study, directory: Path) -> None:
             alone=len(alone),
             alone_converged=sum(one.converged for one in alone),
             alone_wrong=sum(one.is_wrong for one in alone),
+            alone_told=sum(one.is_wrong and one.told for one in alone),
+            tempered=sum(one.converged for one in alone if one.sampler == "tempering"),
+            tempered_wrong=sum(one.is_wrong for one in alone if one.sampler == "tempering"),
             separated=_separated(study),
         ),
         encoding="utf-8",
@@ -61,7 +65,7 @@ def write(study: Study, directory: Path) -> None:
 def verdict(study: Study) -> str:
     """Return the verdict of the page."""
     if study.failures:
-        return "**The verdict is wrong:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
+        return "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in study.failures)
     return (
         f"**0 of {len(study.converged)} runs that were called converged have a mean that is off by more than "
         f"{WRONG:g} Monte-Carlo standard errors** ({len(study.judged)} runs; {len(study.alone)} others below)."
@@ -134,29 +138,20 @@ def _separated(study: Study) -> str:
     for known in KNOWN:
         if known.one_place is None:
             continue
-        for start in (USUAL, ONE_PLACE):
-            for sampler in SAMPLERS:
-                runs = [
-                    one
-                    for one in study.outcomes
-                    if (one.name, one.start, one.sampler) == (known.name, start, sampler)
-                ]
-                if not runs:
-                    continue
-                good = [one for one in runs if one.converged]
-                wrong = [one for one in good if one.is_wrong]
-                usual = "around all maxima" if known.is_searched else "anywhere in the box"
-                rows.append([
-                    known.name,
-                    "yes" if known.is_searched else "no",
-                    usual if start == USUAL else "at one maximum",
-                    sampler,
-                    f"{len(good)} of {len(runs)}",
-                    str(len(wrong)),
-                    str(sum(one.told for one in wrong)),
-                ])  # fmt: skip
-    head = ["posterior", "searched", "start", "sampler", "converged", "of these wrong", "which say so"]
-    return markdown_table(head, rows, words=(0, 1, 2, 3)).rstrip()
+        usual = "around all maxima" if known.is_searched else "anywhere in the box"
+        for start, where in ((USUAL, usual), (ONE_PLACE, "at one maximum")):
+            runs = [one for one in study.outcomes if (one.name, one.start) == (known.name, start)]
+            cells = [_judged([one for one in runs if one.sampler == sampler]) for sampler in SAMPLERS]
+            rows.append([known.name, "yes" if known.is_searched else "no", where, *cells])
+    return markdown_table(["posterior", "searched", "start", *SAMPLERS], rows, words=(0, 1, 2)).rstrip()
+
+
+def _judged(runs: list[Outcome]) -> str:
+    """Say how many runs were called converged, and how many of these are wrong."""
+    if not runs:
+        return "-"
+    wrong = sum(one.is_wrong for one in runs)
+    return f"{sum(one.converged for one in runs)} of {len(runs)}{f', {wrong} wrong' if wrong else ''}"
 
 
 PAGE = """# Is a run that is called converged right?
@@ -172,17 +167,19 @@ It is *wrong* if it is called converged and the mean of a parameter is off by mo
 Monte-Carlo standard error that `fmu.summary` gives. The page turns red if one run is wrong, or if there are
 fewer than {fewest} runs.
 
-The lengths are: {lengths}. The second looks at the verdict again and again, and stops when it likes it: the
-hardest test of a verdict.
+{lengths}
+
+The second looks at the verdict again and again, and stops when it likes it: the hardest test of a verdict.
 
 ## What was found
 
 - {converged} of {judged} runs were called converged. Wrong are at most {most:.2g} % of such runs, with 95 %
   confidence.
-- The {means} means of these runs are off by {rms:.2f} MCSE in the root mean square, {worst:.1f} at the most:
-  {beyond}. "Expected" is of a right verdict with MCSE that are themselves estimated: their logarithm scatters
-  from seed to seed like that of a standard deviation of {freedom:.0f} degrees of freedom, so that errors over
-  MCSE follow Student's t, whose tail beyond {wrong:g} holds {expected:.1g} of as many means.
+- The {means} means of these runs are off by {rms:.2f} MCSE in the root mean square (expected
+  {expected_rms:.2f}), {worst:.1f} at the most: {beyond}. "Expected" is of a right verdict with MCSE that are
+  themselves estimated: their logarithm scatters from seed to seed like that of a standard deviation of
+  {freedom:.0f} degrees of freedom, so that errors over MCSE follow Student's t, whose tail beyond {wrong:g}
+  holds {expected:.1g} of as many means.
 - Their variances, as means of (x − μ)², are off by {rms_variances:.2f} MCSE in the root mean square and
   {worst_variance:.1f} at the most; {beyond_variances} by more than {wrong:g}. The MCSE of a squared deviation is
   known less well than that of a mean, least in heavy tails.
@@ -204,14 +201,17 @@ Where a posterior has maxima that chains do not cross between, draws that never 
 as draws from all of them. fmu searches for the maxima of every updating problem, and holds the draws against
 them. A plain log-density it does not search: a run on one may be called converged and be wrong, and the verdict
 says of every such run that it was "judged by its own draws only". {alone} runs below are on plain densities with
-separated maxima: {alone_converged} are called converged, {alone_wrong} of them are wrong. They are not counted
-above. The page turns red if one of them does not say what it was judged by.
+separated maxima: {alone_converged} are called converged, {alone_wrong} of them are wrong, and {alone_told} of
+these {alone_wrong} say so. They are not counted above. The page turns red if one of them does not say what it
+was judged by.
 
 {separated}
 
 - **Start where the posterior may be, not at one maximum of it**, and use more than four chains, where there is
   nothing but a log-density. Chains in different maxima disagree, and are found out; chains in the same one are
   not.
-- **Tempering** starts its replicas anywhere in the prior, and finds the other maximum.
+- **Tempering** starts its replicas anywhere in the prior: {tempered_wrong} of its {tempered} converged runs went
+  wrong. A maximum of a few percent is seldom visited, and until it was visited often no MCSE knows what it is
+  worth.
 - **Give fmu the updating problem** and not its log-density: then the search decides.
 """
