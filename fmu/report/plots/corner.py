@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
 _ROOM, _CLEAR = 0.06, 0.09
+_MOST_TICKED = 5
+"""With more parameters the panels have room for fewer ticks."""
 _WIDTH, _SIDE, _EDGE, _LINE = 10.0, (1.25, 2.0), 0.75, 0.2
 """Width of all panels, least and largest side of one, room for the ticks and a label beside them, and for each
 further line of a label; inches."""
@@ -135,7 +137,7 @@ def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
         axes[i, i].set_xlim(axes[-1, i].get_xlim())
         for j in range(i + 1):
             panel = axes[i, j]
-            _arrange_ticks(panel)
+            _arrange_ticks(panel, 4 if n <= _MOST_TICKED else 3)
             frame = panel.get_xlim(), panel.get_ylim()
             for bound in bounds:
                 _line_within(panel.axvline, bound[j], frame[0])
@@ -161,14 +163,14 @@ def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
                               fontsize=FONT + 1)  # fmt: skip
 
 
-def _arrange_ticks(panel: Any) -> None:
-    """Keep ticks away from the corners, where labels of two panels would overlap."""
+def _arrange_ticks(panel: Any, most: int) -> None:
+    """Keep ticks, about `most`, away from the corners, where labels of two panels would overlap."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
 
     for axis in (panel.xaxis, panel.yaxis):
         if len(axis.get_ticklocs()):
             low, high = axis.get_view_interval()
-            ticks = MaxNLocator(4).tick_values(low, high)
+            ticks = MaxNLocator(most).tick_values(low, high)
             margin = _CLEAR * (high - low)
             axis.set_major_locator(FixedLocator(ticks[(ticks >= low + margin) & (ticks <= high - margin)]))
     panel.tick_params(labelsize=FONT - 2, labelrotation=0)
