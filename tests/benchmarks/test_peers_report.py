@@ -21,7 +21,7 @@ CONTENDERS = (
     ("emcee, default moves", "SciPy, 300 DOF", 1.0, 450.0, 40_000, 500.0),
     ("emcee, default moves", "SciPy, weak plane", 1.0, 450.0, 40_000, 50.0),
 )
-NEAR = {"cantilever-young": 0.4, "shear-10dof": 0.01}
+NEAR = {"cantilever-young": 0.08, "shear-10dof": 0.001}
 
 
 def run(ess, evaluations, seconds):
@@ -64,7 +64,7 @@ def test_the_picture_has_every_row_of_the_tables_and_is_where_the_page_says(writ
 def test_ratios_are_those_to_the_best_of_every_nuts_on_the_same_model(written):
     page, *_ = written
     # per gradient 0.1 against 0.025 of the diagonal one; per second 500 against 30 of the dense one
-    assert "| cantilever-young | 40 % | 4 × (4 ×) | 17 × (17 ×) |" in page
+    assert "| cantilever-young | 8 % | 4 × (4 ×) | 17 × (17 ×) |" in page
     assert (
         "per gradient and per second: 4 × and 17 × on cantilever-young, whose posteriors lie at bounds; 4 × and "
         "17 × on shear-10dof, whose posterior has no active bounds.**"

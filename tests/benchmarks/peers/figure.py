@@ -61,7 +61,7 @@ def short(value: float) -> str:
 def _bars(axes: Any, rows: list[Any], value: Any) -> None:
     values = np.array([value(row) for row in rows])
     axes.set_xscale("log")
-    axes.set_xlim(0.4 * values.min(), 4.0 * values.max())
+    axes.set_xlim(0.6 * min(value(row, True) for row in rows), 4.0 * values.max())
     for y, (row, width) in enumerate(zip(rows, values, strict=True)):
         style = {"color": colour(row.label)}
         if not row.ours:

@@ -1,0 +1,68 @@
+"""The numbers in README.md are those of the reports under results/, to the digits that it gives."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "results"
+
+
+def plain(text):
+    return " ".join(text.split())
+
+
+def number(cell):
+    return float(re.sub(r"(?<=\d) (?=\d)", "", cell).split()[0])
+
+
+@pytest.fixture(scope="module")
+def readme():
+    return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def rows_under(readme, *header):
+    """The cells of the table with this header."""
+    table = readme.split("| " + " | ".join(header) + " |")[1].split("\n\n")[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+
+def test_ratios_to_nuts_are_those_of_the_benchmarks(readme):
+    page = (RESULTS / "benchmarks.md").read_text(encoding="utf-8")
+    said = re.search(r"README\.md says so: \*\*(.*?)\.\*\*", page)[1]
+    assert said.count("×") == 6
+    assert plain(said).lower() in plain(readme).lower(), f"README.md, Speed and size, must say: {said}"
+
+
+def test_speed_and_size_are_those_of_the_study_of_scale(readme):
+    rows = rows_under(
+        readme, "DOF", "parameters", "`reduction`", "basis", "training", "log_prob with gradient", "full solve"
+    )
+    assert len(rows) == 4
+    for dof, parameters, tolerance, *cells in rows:
+        name = f"{number(dof):g}-{parameters}-{float(tolerance.split('`')[1]):g}-64*.json"
+        (path,) = (path for path in (RESULTS / "scale" / "rows").glob(name) if "cached" not in path.name)
+        row = json.loads(path.read_text(encoding="utf-8"))
+        found = (row["basis"], row["offline_s"], 1e3 * row["gradient_s"], 1e3 * row["full_s"])
+        for cell, value in zip(cells, found, strict=True):
+            assert cell == "–" or number(cell) == pytest.approx(value, rel=0.01)
+
+
+def test_posterior_means_are_those_of_the_paper_repeated(readme):
+    header = ("Young's modulus, 10¹¹ N/m²", "E1", "E2", "E3", "E4", "E5")
+    page = (RESULTS / "README.md").read_text(encoding="utf-8")
+    published, *ours = rows_under(readme, *header)
+    assert f"| Hamiltonian Monte Carlo, published | {' | '.join(published[1:])} |" in page
+    for row in ours:
+        assert f"| **Hamiltonian Monte Carlo, long run (converged)** | {' | '.join(row[1:])} |" in page
+    assert len(ours) == 2
+
+
+def test_what_it_says_of_workers_and_kills(readme):
+    table = (RESULTS / "workers.md").read_text(encoding="utf-8").split("| run |")[1]
+    faster = [line.split("|")[4].strip() for line in table.splitlines()[2:4]]
+    assert f"Two workers were {' and '.join(faster)} times as fast as one" in plain(readme)
+    kills = re.search(r"\*\*(\d+) kills; all \d+ runs came", (RESULTS / "kills.md").read_text(encoding="utf-8"))[1]
+    assert f"Runs were killed {kills} times and no draw changed" in plain(readme)
