@@ -11,7 +11,7 @@ from fmu.samplers.registry import SAMPLERS
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.validation.known import KNOWN
-from tests.validation.verdicts import CHAINS, FEWEST_RUNS, LENGTHS, ONE_PLACE, USUAL, WRONG, Outcome, Study
+from tests.validation.verdicts import CHAINS, FEWEST_RUNS, LENGTHS, ONE_PLACE, USUAL, WRONG, Outcome, Study, jobs
 
 
 def write(study: Study, directory: Path) -> None:
@@ -23,6 +23,7 @@ def write(study: Study, directory: Path) -> None:
     (directory / "verdicts.md").write_text(
         PAGE.format(
             minutes=sum(one.processor_s for one in study.outcomes) / 60.0,
+            command=_command(len(study.outcomes), len(list(jobs()))),
             verdict=verdict(study),
             runs=len(study.outcomes),
             fewest=FEWEST_RUNS,
@@ -60,6 +61,11 @@ def write(study: Study, directory: Path) -> None:
         ),
         encoding="utf-8",
     )
+
+
+def _command(runs: int, planned: int) -> str:
+    """Return what writes the page, and where there are fewer runs than there should be, that there are."""
+    return "`make validate`" if runs >= planned else f"`make validate`, with {runs} of its {planned} runs so far,"
 
 
 def verdict(study: Study) -> str:
@@ -156,7 +162,7 @@ def _judged(runs: list[Outcome]) -> str:
 
 PAGE = """# Is a run that is called converged right?
 
-Written by `make validate` in {minutes:.0f} minutes of processor time.
+Written by {command} in {minutes:.0f} minutes of processor time.
 
 {verdict}
 
