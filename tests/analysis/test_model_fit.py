@@ -36,10 +36,24 @@ def left_out(y, used):
         before = np.sqrt(np.sum((SLOPES[k] * PRIOR_SD) ** 2) + SD[k] ** 2)
         p = 2.0 * norm.sf(abs(y[k] - at) / sd)
         rows.append(
-            (y[k], at, sd, at - 1.6449 * sd, at + 1.6449 * sd, p, before, 0.0, 0.0, 0.1, "refit", k in used)
+            (
+                y[k],
+                at,
+                sd,
+                at - 1.6449 * sd,
+                at + 1.6449 * sd,
+                p,
+                np.inf,
+                before,
+                0.0,
+                0.0,
+                0.1,
+                "refit",
+                k in used,
+            )
         )
-    names = ("measured", "mean", "sd", "eti90_lb", "eti90_ub", "p", "prior_sd", "elpd", "mcse_elpd", "pareto_k",
-             "method", "used")  # fmt: skip
+    names = ("measured", "mean", "sd", "eti90_lb", "eti90_ub", "p", "freedom", "prior_sd", "elpd", "mcse_elpd",
+             "pareto_k", "method", "used")  # fmt: skip
     columns = {
         name: ("mode", np.array(column)) for name, column in zip(names, zip(*rows, strict=True), strict=True)
     }

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.stats import norm, t
+from scipy.stats import kstest, norm, t
 
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
@@ -225,3 +225,28 @@ def test_wrong_frequencies(frequencies, scatter, message):
 def test_wrong_shapes(shapes, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         mean_shapes(shapes)
+
+
+@pytest.mark.parametrize(("scatter", "n"), [("each", 2), ("each", 3), ("pooled", 3)])
+def test_errors_of_the_mean_are_normal_scores(scatter, n):
+    """By themselves they have the tails of Student's distribution: far errors are 3 to 30 times as frequent."""
+    rng, scores, plain = np.random.default_rng(8), [], []
+    for _ in range(2000):
+        tests = RepeatedTests(100.0 + rng.standard_normal((n, 2)), scatter)
+        mean, sd, _ = tests.mean()
+        plain.append((mean - 100.0) / sd)
+        scores.append(tests.normal_scores(plain[-1]))
+        assert tests.normal_scores(plain[-1][1], mode=1) == scores[-1][1]
+    assert kstest(np.ravel(scores), "norm").pvalue > 1e-3
+    far = 4000 * 2.0 * norm.sf(3.3)  # 3.9 are expected
+    assert np.sum(np.abs(scores) > 3.3) < far + 4.0 * np.sqrt(far)
+    assert np.sum(np.abs(plain) > 3.3) > far + 4.0 * np.sqrt(far)
+
+
+def test_the_scores_of_far_errors_and_of_a_joint_scatter():
+    tests = RepeatedTests(np.random.default_rng(1).normal(100.0, 1.0, (3, 1)))
+    scores = tests.normal_scores(np.array([[-np.inf], [-1e6], [0.0], [1e6], [np.inf]]))
+    assert np.all(np.diff(scores[:, 0]) > 0)
+    assert scores[2, 0] == 0.0
+    joint = RepeatedTests(np.random.default_rng(1).normal(100.0, 1.0, (8, 2)), "joint")
+    assert np.array_equal(joint.normal_scores(np.array([1.0, -9.0])), [1.0, -9.0])

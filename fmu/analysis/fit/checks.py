@@ -14,6 +14,7 @@ however they depend on each other.
   the draws, the posterior predictive p-value, is at most α/2 with a probability of at most α (Meng 1994, *Ann.
   Statist.* 22, 1142–1160; Rüschendorf 1982, *Adv. Appl. Probab.* 14, 623–632), so it is compared with α/2. The
   bound is wide: with k parameters fitted to n data, Σ r² is about χ²(n − k) plus k, and false alarms are rarer.
+  Where a few tests gave the size of an error, it has Student's distribution, and r is its normal score.
 - Inferred standard deviations: by the same argument the probability that the prior gives to larger values is
   uniform at one posterior draw, and its mean is compared with α/2. Noise that had to grow to absorb what the model
   does not explain fails, if the prior says what was expected of it; with a wide prior it cannot.
@@ -29,7 +30,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc, ndtri
+from scipy.special import chdtrc, stdtrit
 
 from fmu.analysis.held_out.modes import GROUP as LEFT_OUT
 from fmu.analysis.held_out.modes import leave_one_out
@@ -55,7 +56,7 @@ PREDICTED, HELD_OUT, RESIDUALS, NOISE, SHAPE = (
 )  # fmt: skip
 _FEW = 500
 """Draws that are enough to see how much larger residuals would have failed."""
-_NINETY = float(ndtri(0.95))
+_GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
 
 
 @dataclass(frozen=True)
@@ -138,8 +139,9 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
         return _reached(trace, mode, row, level)
     kind = PREDICTED if row["used"] else HELD_OUT
     measured, mean, sd = float(row["measured"]), float(row["mean"]), float(row["sd"])
-    # normal tails of the width that the 90 % interval has on either side: exact for a Gaussian prediction
-    z = -float(ndtri(level / 2)) / _NINETY
+    # tails of the width that the 90 % interval has on either side: exact if its shape is that of the errors
+    freedom = min(float(row["freedom"]), _GAUSSIAN)
+    z = float(stdtrit(freedom, 0.5 * level) / stdtrit(freedom, 0.05))
     low, high = mean - z * (mean - float(row["eti90_lb"])), mean + z * (float(row["eti90_ub"]) - mean)
     low_hz, high_hz, _ = apart(low, high, measured, sd=sd)
     p, failed, least = float(row["p"]), bool(row["p"] < level), min(mean - low, high - mean) / mean

@@ -60,6 +60,7 @@ class HeldOut:
     eti90_lb: float = np.nan
     eti90_ub: float = np.nan
     p: float = np.nan
+    freedom: float = np.inf
     prior_sd: float = np.nan
     elpd: float = np.nan
     mcse_elpd: float = np.nan
@@ -92,7 +93,8 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     pandas.DataFrame
         One row per measured mode: ``measured``, Hz; ``mean``, ``sd`` and the ends of the 90 % interval,
         ``eti90_lb`` and ``eti90_ub``, of a measurement of it predicted by the other modes, noise included, Hz;
-        ``p``, the probability that such a measurement lies at least as far out on either side; ``prior_sd``, the
+        ``p``, the probability that such a measurement lies at least as far out on either side; ``freedom``, the
+        degrees of freedom of its error, infinite unless a few tests gave its size; ``prior_sd``, the
         standard deviation of the same prediction by the prior, Hz; ``elpd``, the log-density of what was measured
         of the mode (of frequency and shape, where both have errors) given the others, in nats, and ``mcse_elpd``,
         its standard error; ``pareto_k``; ``method``, ``"refit"``, ``"importance weights"``, ``"not used in
@@ -288,7 +290,8 @@ def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
 def _predicted(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     """Return the distribution of a measurement of mode number k, given the measurements of the used ones.
 
-    It is the mixture of the Gaussians of the measurement at the draws.
+    It is the mixture of the distributions of the measurement at the draws: Gaussian, or Student's where it is the
+    mean of tests whose scatter gives its error.
     """
     from scipy.optimize import brentq
 
@@ -298,22 +301,24 @@ def _predicted(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     solved = np.isfinite(draws.hz).all(axis=1)
     draws = _Draws(*(of[solved] for of in draws))
     noise = draws.theta[:, problem.n_structural :]
-    means, deviations = (x[:, k] for x in likelihood.frequency_term.given_others(draws.hz, noise))
+    term = likelihood.frequency_term
+    means, deviations = (x[:, k] for x in term.given_others(draws.hz, noise))
     w = np.exp(draws.log_weight)
     mean = float(w @ means)
     sd = float(np.sqrt(w @ (deviations**2 + (means - mean) ** 2)))
 
     def below(y: float) -> float:
-        return float(w @ np.exp(log_ndtr((y - means) / deviations)))
+        return float(w @ np.exp(log_ndtr(term.normal_scores((y - means) / deviations, k))))
 
     measured = float(np.asarray(problem.data.frequencies_hz)[k])
-    z = (measured - means) / deviations
+    z = term.normal_scores((measured - means) / deviations, k)
     log_tail = min(float(logsumexp(draws.log_weight + log_ndtr(side))) for side in (z, -z))
     ends = [(1.0 - INTERVAL) / 2.0, (1.0 + INTERVAL) / 2.0]
     reach = (float(np.min(means - 9.0 * deviations)), float(np.max(means + 9.0 * deviations)))
     lower, upper = (brentq(lambda y, q=q: below(y) - q, *reach) for q in ends)
     p = min(1.0, 2.0 * float(np.exp(log_tail)))
-    return HeldOut(measured, mean, sd, float(lower), float(upper), p)
+    freedom = np.inf if term.tests is None else float(term.tests.freedom[k])
+    return HeldOut(measured, mean, sd, float(lower), float(upper), p, freedom)
 
 
 def _generator(stream: int) -> np.random.Generator:

@@ -123,6 +123,35 @@ class RepeatedTests:
         found = _scatter(values, self.scatter)
         return MeanFrequencies(found.mean, found.s / np.sqrt(found.n) * _student(found.nu), None)
 
+    def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
+        """Return errors of the mean, divided by the standard deviation of `mean`, as standard normal scores.
+
+        The Gaussian of `mean` has the central 95 % of Student's distribution but not its tails: of three tests,
+        one error in a hundred is beyond four of these standard deviations. The score is Φ⁻¹(F(t)) with the
+        distribution function F of t, exactly standard normal. With a joint scatter `z` is returned as it is.
+
+        Parameters
+        ----------
+        z : ndarray, shape (..., n_modes), or any shape if a mode is given
+        mode : int, optional
+            The mode, from 0, that all of `z` are of.
+        """
+        from scipy.special import ndtri, stdtr
+
+        if self.scatter == "joint":
+            return z
+        nu = self.freedom if mode is None else self.freedom[mode]
+        # in the lower tail, where the probability is not rounded to 1
+        return np.asarray(-np.sign(z) * ndtri(stdtr(nu, -np.abs(z) * _student(nu))))
+
+    @property
+    def freedom(self) -> FloatArray:
+        """Degrees of freedom of the error of each mean, shape (n_modes,); infinite where the scatter is joint."""
+        values = np.asarray(self.frequencies_hz)
+        if self.scatter == "joint":
+            return np.full(values.shape[1], np.inf)
+        return np.asarray(_scatter(values, self.scatter).nu, dtype=float)
+
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw deviations of one more test from the frequencies of the structure, shape (size, n_modes), Hz.
 
@@ -152,7 +181,7 @@ class RepeatedTests:
         return {"frequencies_hz": rows, "scatter": self.scatter}
 
 
-def _student(nu: NDArray[np.int64]) -> FloatArray:
+def _student(nu: Any) -> FloatArray:
     from scipy.special import ndtri, stdtrit
 
     tail = 0.5 * (1.0 + _SHARE)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.repeated import RepeatedTests
 from fmu.posterior.errors.noise import NoiseIndex, Spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
@@ -104,6 +105,8 @@ class ErrorTerm:
         freedom where the model is right and the errors are as stated.
     quantity : str
         What the errors are of, in the plural.
+    tests : RepeatedTests or None
+        The tests whose scatter alone gives the standard deviations.
     """
 
     spread: Spread
@@ -112,6 +115,7 @@ class ErrorTerm:
     is_least_squares: ClassVar[bool] = False
     is_chi_square: ClassVar[bool] = False
     quantity: ClassVar[str] = "other errors"
+    tests: RepeatedTests | None = None
 
     @property
     def n_data(self) -> int:
@@ -135,6 +139,13 @@ class ErrorTerm:
         modes.
         """
         return self
+
+    def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
+        """Return errors over their standard deviations, (..., n_modes) or those of one mode, as normal scores.
+
+        They are Gaussian, but for standard deviations that were estimated from a few tests.
+        """
+        return z if self.tests is None else self.tests.normal_scores(z, mode)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction in the form that `evaluate` and `residuals`, and their derivatives, refer to."""

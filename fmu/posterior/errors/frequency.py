@@ -73,7 +73,10 @@ class FrequencyErrors:
             sd = np.asarray(data.sd_hz) / per_hz[self.kind]
         unit = measured if self.kind == "relative" else np.ones(len(measured))
         size = unit / np.sqrt(mode_weights(self.weights, len(measured)))
-        return FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.discrepancy, size, index))
+        bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.discrepancy, size, index))
+        if self.sd is None and self.discrepancy is None and self.weights is None:
+            bound.tests = data.tests
+        return bound
 
     def n_errors(self, data: ModalData) -> int:
         """Return the number of used modes."""

@@ -104,7 +104,8 @@ class ModalLikelihood(Likelihood):
         """Return the sum of squared residuals of each used mode, by each of `chi_square`, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
-            squares = np.sum(term.residuals(term.project(seen), noise).values ** 2, axis=2)
+            r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
+            squares = np.sum(term.normal_scores(r) ** 2, axis=1)
             found = np.concatenate([found, squares[:, None]], axis=1)
         return self.of_used(found)
 
