@@ -152,7 +152,7 @@ def test_run_prints_the_tables_and_nothing_else(ran):
     assert lines[1].split() == ["maximum", "unit", "before", "1", "measured"]
     at = lines.index("mh")
     assert all(
-        column in lines[at + 1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit", "updated")
+        column in lines[at + 1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit", "from")
     )
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("n_solves") for line in lines)
@@ -238,7 +238,7 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, 
     at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))
     end = next(k for k, line in enumerate(lines) if line.startswith("    - the draws were elsewhere: "))
     said = " ".join(line.strip() for line in lines[at:end])
-    assert "maximum 1 at Ix1 = 3.904e-9 m⁴" in said
+    assert "maximum 1 at Ix1 = 3904 mm⁴" in said
     assert "holds about 100 % of the probability" in said
     verdict = pd.read_csv("here/comparison.csv", index_col="sampler").loc["mh", "verdict"]
     assert said == f"mh  {verdict}"

@@ -21,7 +21,7 @@ from fmu.analysis.identifiability import (
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
-from fmu.numbers import fixed, names_in_words, share, significant
+from fmu.numbers import fixed, given, names_in_words, share, significant
 from fmu.tables import data_frame, text_table, wrapped
 from fmu.types import BoolArray, FloatArray
 
@@ -108,7 +108,7 @@ class Information:
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "
-            f"{CONTRACTED:g} or more."
+            f"{given(CONTRACTED)} or more."
         ]
         if k == n:
             left = f"{share(float(self.remaining_sd[0]))} of the prior standard deviation remains"
@@ -145,6 +145,11 @@ def information(trace: xr.DataTree) -> Information | None:
 
     A parameter is determined in a combination only, if the directions that are not informed leave it at least
     that part of the prior variance, and if none of them is the parameter by itself.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With draws from the prior, as `fmu.sample` returns it.
 
     Returns
     -------

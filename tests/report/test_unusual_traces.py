@@ -19,7 +19,7 @@ def test_older_traces_lack_groups(hostile_traces, tmp_path):
     page = Parsed((tmp_path / "hmc.html").read_text())
     assert "The trace has no frequencies before updating" in page.text
     assert "Identifiability: the trace has neither a linearised model" in page.text
-    assert "1 sampler." in Parsed(index.read_text()).text
+    assert "by 1 sampler" in Parsed(index.read_text()).text
 
 
 def test_runs_of_a_few_draws_have_a_page(problem, tmp_path):

@@ -101,7 +101,8 @@ def test_figures_say_which_is_which(run):
     words = [text.get_text() for text in plots.plot_predictive_check(run.trace).figure.legends[0].get_texts()]
     assert f"99 % for the mean of {N - 1} to {N} tests" in words
     assert {"90 % of one more test", "the tests"} <= set(words)
-    words = [text.get_text() for text in plots.plot_frequency_updates(run.trace).figure.legends[0].get_texts()]
+    legend = plots.plot_frequency_updates(run.trace).figure.legends[0]
+    words = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
     assert f"after: mean, 90 % interval for the mean of {N - 1} to {N} tests" in words
     assert "the same for one more test" in words
 
@@ -120,7 +121,7 @@ def test_what_was_not_updated_is_not_among_what_was(run):
     assert verdict.reasons[0] in run.diagnosis.warnings
     assert verdict.reasons[0] not in model_fit(run).reasons
     said = "mode W2: 100.446 Hz was measured (the mean of 40 tests), and the other modes predict 99.56"
-    assert model_fit(run).reasons[0].startswith(said)
+    assert any(reason.startswith(said) for reason in model_fit(run).reasons)
 
 
 def test_what_was_not_informed_is_grey_in_the_picture(run):

@@ -46,9 +46,7 @@ def page(study: Study) -> str:
         level=share(LEVEL),
         right=_verdicts([*study.right]),
         few=_verdicts([*study.few]),
-        curves="\n".join(
-            f"### {name[0].upper()}{name[1:]}\n\n{_curve(rates)}" for name, rates in study.curves.items()
-        ),
+        curves="\n".join(_curve(name, rates) for name, rates in study.curves.items()),
         wrong=sum(rate.n for rates in study.curves.values() for rate in rates),
         sd=share(SD),
         spread=SPREAD,

@@ -32,8 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
-from fmu.analysis.held_out.modes import GROUP as LEFT_OUT
-from fmu.analysis.held_out.modes import leave_one_out
+from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
 from fmu.analysis.initial_modes import ALIKE
 from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
@@ -122,8 +121,9 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
     """Return how each mode is predicted without it; NaN where that is not known, None without frequencies."""
     if not has(trace, "posterior_predictive", "frequency"):
         return None
-    if has(trace, LEFT_OUT):
-        return leave_one_out(trace)
+    kept = kept_table(trace)
+    if kept is not None:
+        return kept
     measured = trace["observed_data"]["frequency"].to_numpy()
     columns = {"measured": measured, "p": np.full(len(measured), np.nan), "used": np.full(len(measured), True)}
     return data_frame(columns, "mode", trace["observed_data"]["mode"].to_numpy())

@@ -113,8 +113,14 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         raise ValueError("trace: the modal residual is a pseudo-likelihood, and predicts no measurement")
     if problem is not None:
         trace = with_left_out(trace, problem, most_s=np.inf)
-    elif not has(trace, GROUP):
-        return _by_draws_alone(trace)
+    table = kept_table(trace)
+    return _by_draws_alone(trace) if table is None else table
+
+
+def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
+    """Return the table of `leave_one_out` that a trace keeps; None if it has none."""
+    if not has(trace, GROUP):
+        return None
     kept = trace[GROUP]
     return data_frame({name: kept[name].to_numpy() for name in _COLUMNS}, "mode", kept["mode"].to_numpy())
 
