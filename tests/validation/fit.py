@@ -95,7 +95,7 @@ FEW_ONES = (
 )
 CURVES: Mapping[str, tuple[Setting, ...]] = {
     "mass missing from the top floor, of a floor's mass": tuple(
-        Setting(f"{x:g}", WRONG, mass=x) for x in (0.1, 0.2, 0.25, 0.3, 0.4)
+        Setting(f"{x:g}", WRONG, mass=x) for x in (0.1, 0.2, 0.4, 0.6, 0.8)
     ),
     "stiffness lost in one storey of a group": tuple(
         Setting(f"{x:g}", WRONG, soft=x) for x in (0.05, 0.1, 0.15, 0.2, 0.3)
