@@ -20,7 +20,7 @@ from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.fem.frame.drawing import changed_elements, drawn, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
-from fmu.numbers import fixed, given, listed, shown, significant, with_sd
+from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import prior_doubts
@@ -47,7 +47,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     sizes = [str(len(block)) for block in structure.blocks]
     parts = "in one block" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"
     if 1 < len(sizes) <= _MOST_BLOCKS:
-        parts += f" of {', '.join(sizes[:-1])} and {sizes[-1]}"
+        parts += f" of {names_in_words(sizes)}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
     said += _masses(problem, structure)
     if model.reduced_sizes:

@@ -31,6 +31,7 @@ from pydantic_core import core_schema
 from fmu.config.mistakes import got
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
+from fmu.numbers import names_in_words
 from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
 from fmu.types import Positive as Positive
@@ -281,7 +282,7 @@ def _ways(makes: tuple[Maker, ...]) -> str:
     """Return which arguments the constructors have that are not common to all."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
-    return ", or ".join(f"{', '.join(way[:-1])} and {way[-1]}" if len(way) > 1 else way[0] for way in ways)
+    return ", or ".join(map(names_in_words, ways))
 
 
 def _descriptions(make: Maker) -> dict[str, str]:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from fmu.fem.frame.components import DIRECTIONS
 from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
 from fmu.fem.modes.separable import RigidArm, SeparableModel
-from fmu.numbers import listed
+from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
 
 # Motions that agree to this are the same: in a soft structure, motions of zero energy are no more accurate.
@@ -192,9 +192,9 @@ def rigid_in_words(rigid: FloatArray) -> list[str]:
     words = []
     shifts, turns = _axes_in_words(rigid[:3] @ Vt[rank:].T), _axes_in_words(turn @ Vt[:rank].T)
     if shifts:
-        words.append(f"every point along {_listed(shifts)}")
+        words.append(f"every point along {names_in_words(shifts)}")
     if turns:
-        words.append(f"the whole turning about {_listed(turns)}")
+        words.append(f"the whole turning about {names_in_words(turns)}")
     return words
 
 
@@ -262,10 +262,6 @@ def _sizes(model: SeparableModel) -> FloatArray:
     """Return scales that make a rotation as large as the translation it causes far away, shape (n_dof,)."""
     length = _length(model)
     return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
-
-
-def _listed(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _null_space(rows: FloatArray) -> FloatArray:
