@@ -18,7 +18,7 @@ from fmu.analysis.maxima.mode_weights import (
     log_shares,
     mixture_draws,
 )
-from fmu.analysis.maxima.search import hessian_at
+from fmu.analysis.maxima.search import quadratic_at
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts
@@ -207,12 +207,8 @@ def _compared(theta: FloatArray, values: FloatArray, log_q: FloatArray) -> LeftO
 def _around_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[LocalQuadratic]:
     """Return the quadratics at the maxima that may hold some of the probability, by the curvature there."""
     maxima = local_maxima(problem, _STARTS, near=near)
-    found = []
-    for m in [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]:
-        gradient = np.asarray(problem.log_prob_and_grad(m.theta)[1]) * problem.scale
-        hessian = hessian_at(problem, m.theta)[0]
-        found.append(LocalQuadratic(scaled.to_scaled(m.theta), m.log_prob, gradient, hessian))
-    return found
+    that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
+    return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
 
 
 def _proposals(

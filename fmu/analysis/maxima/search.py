@@ -82,17 +82,12 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
     found = local_maxima(problem, starts, seed)
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
-    gradient = np.asarray(problem.log_prob_and_grad(theta)[1]) * problem.scale
-    with phase("curvature", len(theta)) as under_way:
+    with phase("curvature", len(found)) as under_way:
         curved = []
-        for x in theta:
-            curved.append(hessian_at(problem, x))
+        for m in found:
+            curved.append(quadratic_at(problem, scaled, m))
             under_way.advance()
-    hessians, curvatures = zip(*curved, strict=True)
-    models = [
-        LocalQuadratic(scaled.to_scaled(m.theta), m.log_prob, g, H)
-        for m, g, H in zip(found, gradient, hessians, strict=True)
-    ]
+    models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
     weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng)
     frequencies = problem.frequencies(theta)
@@ -111,6 +106,13 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
         measured=np.asarray(problem.data.frequencies_hz, dtype=float),
         before=problem.frequencies(problem.start),
     )
+
+
+def quadratic_at(problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum) -> tuple[LocalQuadratic, str]:
+    """Return the log-probability around a maximum to second order, scaled, and the source of its curvature."""
+    gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
+    hessian, source = hessian_at(problem, maximum.theta)
+    return LocalQuadratic(scaled.to_scaled(maximum.theta), maximum.log_prob, gradient, hessian), source
 
 
 def _in_si(
