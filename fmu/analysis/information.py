@@ -80,6 +80,11 @@ class Information:
     uninformed: tuple[tuple[Uninformed, float], ...]
 
     @property
+    def not_informed(self) -> tuple[str, ...]:
+        """Names of the parameters that the data did not inform."""
+        return tuple(name for name, is_told in zip(self.names, self.informed, strict=True) if not is_told)
+
+    @property
     def n_informed(self) -> int:
         """Number of directions that the data inform."""
         return int(np.sum(~self.is_left))
@@ -265,10 +270,10 @@ def compared_with_draws(
     return [*said, f"Believe the draws, which count bounds, curvature and all maxima: {' and '.join(why)}."]
 
 
-def not_informed(trace: xr.DataTree) -> list[str]:
+def not_informed(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the parameters that the data did not inform; none if the trace has no draws from the prior."""
     found = information(trace)
-    return [] if found is None else np.array(found.names)[~found.informed].tolist()
+    return () if found is None else found.not_informed
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:

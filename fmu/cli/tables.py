@@ -28,7 +28,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
     A last column says what each value comes from, if that is known; those that the data did not inform are dim.
     """
-    from fmu.analysis.information import information, not_informed
+    from fmu.analysis.information import information
 
     columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
     for column in map(str, table.columns):
@@ -37,7 +37,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
         columns[column] = [_summary_cell(column, x / scale, sd / scale) for x, sd, scale in cells]
     columns["unit"] = [unit.name for unit in units]
     found = information(trace)
-    dim = not_informed(trace)
+    dim = () if found is None else found.not_informed
     if found is not None:
         columns["from"] = list(found.basis)
     rows = list(zip(*columns.values(), strict=True))

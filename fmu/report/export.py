@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
-from fmu.analysis.information import Information, information, not_informed
+from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
@@ -113,7 +113,7 @@ def export(
     output = OutputDirectory(Path(out) if out is not None else directory / FOLDER)
     with output.staged() as stage:
         found = information(trace)
-        left = not_informed(trace)
+        left = () if found is None else found.not_informed
         _values(trace, theta, found).to_csv(stage / VALUES)
         built = described.model.build(source.folder, described.parameters)
         if isinstance(built.model, SeparableModel):
