@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
@@ -27,8 +27,10 @@ import fmu
 from fmu.analysis.fit.checks import LEVEL
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
 from fmu.types import FloatArray
+from tests.validation import ten_storeys
 
 STOREYS, STIFFNESS, MASS = 8, 1.5e8, 1e5  # N/m, kg
+storey = partial(ten_storeys.storey, storeys=STOREYS, stiffness=STIFFNESS)
 GROUPS = ((1, 2), (3, 4, 5), (6, 7, 8))
 """Storeys that share a stiffness: the parameters."""
 SPREAD, SD = 0.15, 0.005
@@ -183,15 +185,6 @@ def matrices(factors: Sequence[float]) -> tuple[FloatArray, FloatArray]:
     for j, factor in enumerate(factors):
         K += factor * storey(j + 1)
     return K, MASS * np.eye(STOREYS)
-
-
-def storey(j: int) -> FloatArray:
-    """Return the stiffness matrix of storey `j`, from 1, between floors j − 1 and j."""
-    drift = np.zeros(STOREYS)
-    drift[j - 1] = 1.0
-    if j > 1:
-        drift[j - 2] = -1.0
-    return STIFFNESS * np.outer(drift, drift)
 
 
 def true_hz(setting: Setting, theta: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.types import FloatArray
 from tests.samplers.targets import Banana, BoundedBeta, Funnel, SkewedGumbel, Target, TruncatedGaussian, TwoModes
 from tests.samplers.tempered_targets import Tempered
-from tests.validation import storeys
+from tests.validation import storeys, ten_storeys
 
 NEGLIGIBLE = 45.0
 """Drop of the log-density below its maximum at which a cell of the quadrature is left out: e⁻⁴⁵ = 3e-20."""
@@ -214,25 +214,18 @@ def _three_storeys(measured: FloatArray) -> fmu.UpdatingProblem:
 
 def _three_frequencies() -> fmu.UpdatingProblem:
     """Return three storeys whose stiffnesses are to follow from three frequencies: several frames have them."""
-
-    def storey(j: int) -> FloatArray:
-        drift = np.zeros(3)
-        drift[j] = 1.0
-        if j:
-            drift[j - 1] = -1.0
-        return 2e8 * np.outer(drift, drift)
-
     names, numbers = ["k1", "k2", "k3"], (1, 2, 3)
+    storey = [ten_storeys.storey(j, storeys=3, stiffness=2e8) for j in numbers]
     sensors = tuple((j, "x") for j in numbers)
     model = fmu.SeparableModel.from_terms(
-        names, stiffness=[(storey(j), name) for j, name in enumerate(names)], mass=[1e5 * np.eye(3)], dofs=sensors
+        names, stiffness=list(zip(storey, names, strict=True)), mass=[1e5 * np.eye(3)], dofs=sensors
     )
     paired = PairedStructure.of(
         model, pairing="index", numbers=numbers, sensors=sensors, reference=np.ones(3), shapes=None
     )
     lower, upper = np.full(3, 0.2), np.full(3, 5.0)
     paired.train(lower, upper)
-    truth = sum(factor * storey(j) for j, factor in enumerate((1.5, 1.0, 1.6)))
+    truth = sum(factor * K for factor, K in zip((1.5, 1.0, 1.6), storey, strict=True))
     f = np.sqrt(np.linalg.eigvalsh(truth) / 1e5) / (2.0 * np.pi)
     parameters = [fmu.Parameter(name, start=1.0, lower=0.2, upper=5.0) for name in names]
     error = fmu.FrequencyErrors("relative", sd=0.04)

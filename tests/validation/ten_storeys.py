@@ -52,13 +52,13 @@ def prior() -> tuple[FloatArray, FloatArray]:
     )
 
 
-def storey(j: int) -> FloatArray:
-    """Return the stiffness matrix of storey `j`, from 1, between floors j − 1 and j."""
-    drift = np.zeros(STOREYS)
+def storey(j: int, storeys: int = STOREYS, stiffness: float = STIFFNESS) -> FloatArray:
+    """Return the stiffness matrix of storey `j`, from 1, between floors j − 1 and j; N/m."""
+    drift = np.zeros(storeys)
     drift[j - 1] = 1.0
     if j > 1:
         drift[j - 2] = -1.0
-    return STIFFNESS * np.outer(drift, drift)
+    return stiffness * np.outer(drift, drift)
 
 
 def structure() -> PairedStructure:
