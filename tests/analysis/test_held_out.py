@@ -9,7 +9,7 @@ from scipy.stats import norm
 import fmu
 from fmu.analysis.held_out import modes
 from fmu.analysis.held_out.modes import with_left_out
-from fmu.analysis.held_out.refit import left_out, quadratics
+from fmu.analysis.held_out.refit import approximation, left_out
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
@@ -127,10 +127,10 @@ def test_a_measurement_far_out_has_its_probability(few, problem):
 def test_a_bent_ridge_against_quadrature():
     """One frequency leaves two stiffnesses on a long ridge, and the prior has heavy tails."""
     problem, rng = fmu.cases.load("shear-2dof"), np.random.default_rng(1)
-    models = quadratics(problem, problem.start[None], rng)
+    known = approximation(problem, problem.start[None], rng)
     for k, label in enumerate(problem.data.labels):
         without = problem.using([other for other in problem.data.labels if other != label])
-        found = left_out(without, problem, [quadratics(without, problem.start[None], rng), models], rng)
+        found = left_out(without, problem, [approximation(without, problem.start[None], rng), known], rng)
         assert found.is_known
         assert found.predicts
         assert found.elpd == pytest.approx(by_quadrature()[k], abs=0.1)
@@ -228,9 +228,9 @@ def test_the_modal_residual_of_the_modes_in_use():
 def test_modes_far_from_their_prediction_against_bridge_sampling():
     """Reference: evidences by bridge sampling from HMC with and without the mode, tests/validation/left_out.py."""
     problem, rng = fmu.cases.load("cantilever-young"), np.random.default_rng(2)
-    models = quadratics(problem, problem.start[None], rng)
+    known = approximation(problem, problem.start[None], rng)
     for left, reference in (("3", -13.457), ("5", -14.990)):  # standard errors 0.024 and 0.019
         without = problem.using([label for label in problem.data.labels if label != left])
-        found = left_out(without, problem, [quadratics(without, problem.start[None], rng), models], rng)
+        found = left_out(without, problem, [approximation(without, problem.start[None], rng), known], rng)
         assert found.is_known
         assert found.elpd == pytest.approx(reference, abs=0.1)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
-from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, left_out, pareto_k, quadratics
+from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, approximation, left_out, pareto_k
 from fmu.analysis.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.conversion import GIVEN_OTHERS
 from fmu.analysis.trace.reading import (
@@ -249,15 +249,15 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
     known = _KNOWN.setdefault(problem, {})
     if k in known and (known[k][1].mcse_elpd <= ACCEPTED or known[k][0] >= most):
         return known[k][1]
-    models = known.get("models")
-    if models is None:
-        models = known["models"] = quadratics(problem, problem.start[None], _generator(0))
+    of_problem = known.get("approximation")
+    if of_problem is None:
+        of_problem = known["approximation"] = approximation(problem, problem.start[None], _generator(0))
     used = problem.data.use[k]
     other = _without(problem, k) if used else _with(problem, k)
-    near = problem.offset + problem.scale * np.array([model.position for model in models])
+    near = problem.offset + problem.scale * np.array([model.position for model in of_problem.quadratics])
     rng = _generator(k + 1)
     without, whole = (other, problem) if used else (problem, other)
-    of_both = [quadratics(other, near, rng), models]
+    of_both = [approximation(other, near, rng), of_problem]
     found = left_out(without, whole, of_both if used else of_both[::-1], rng, most)
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:

@@ -22,6 +22,9 @@ from fmu.analysis.maxima.search import quadratic_at
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts
+from fmu.samplers.hmc import HamiltonianMonteCarlo
+from fmu.samplers.loop.run import Run
+from fmu.samplers.metropolis import MetropolisHastings
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -43,7 +46,24 @@ _FLATTER = 4.0
 _FIRST = 512
 _ROUNDS, _RESAMPLED = (6000, 6000, 20_000, 20_000, 60_000), 2048
 _GROUPS, _A_GROUP = 8, 20
+_EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
+
+
+@dataclass(frozen=True, eq=False)
+class Approximation:
+    """What is known of a posterior before it is sampled by importance, scaled.
+
+    Attributes
+    ----------
+    quadratics : list of LocalQuadratic
+        Close to the log-probability around each maximum that may matter.
+    groups : list of LocalQuadratic
+        Gaussians of groups of neighbouring draws.
+    """
+
+    quadratics: list[LocalQuadratic]
+    groups: list[LocalQuadratic]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +107,14 @@ class LeftOut:
         return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
 
 
-def quadratics(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> list[LocalQuadratic]:
-    """Return quadratics close to the log-probability around each maximum that may matter.
+def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> Approximation:
+    """Return an approximation of the posterior of a problem.
 
-    Each has the curvature of its maximum first, and is then fitted by least squares to the log-probability of
-    draws, twice: where the posterior is skewed, that is far closer.
+    Each quadratic has the curvature of its maximum first, and is then fitted by least squares to the
+    log-probability of draws, twice: where the posterior is skewed, that is far closer. If the weights of the draws
+    are still uneven, a bent ridge may lead to where no quadratic has any probability, and importance weights do
+    not show a place without draws. Short chains from some of the draws then follow the ridge, and their draws make
+    the groups.
 
     Parameters
     ----------
@@ -102,19 +125,36 @@ def quadratics(problem: UpdatingProblem, near: FloatArray, rng: np.random.Genera
     """
     scaled = ScaledDensity(problem)
     models, temperatures = _around_maxima(problem, scaled, near), TEMPERATURES
-    u, log_p = np.empty((0, problem.ndim)), np.empty(0)
+    u, log_p, log_q = np.empty((0, problem.ndim)), np.empty(0), np.empty(0)
     for _ in range(_FITS):
-        more, _ = mixture_draws(_proposals(models, scaled, temperatures), rng, _PILOT)
+        more, log_q = mixture_draws(_proposals(models, scaled, temperatures), rng, _PILOT)
         u = np.concatenate([u, more])
         log_p = np.concatenate([log_p, *by_parts("importance sampling", scaled.log_prob, more)])
         models, temperatures = _fitted(models, u, log_p), _WIDER
-    return models
+    last = slice(len(u) - len(log_q), None)
+    log_w = log_p[last] - log_q
+    log_w = np.where(np.isfinite(log_w), log_w, -np.inf)
+    log_w -= logsumexp(log_w)
+    if np.exp(-logsumexp(2.0 * log_w)) >= _EVEN * len(log_w):
+        return Approximation(models, [])
+    walked = _walked(problem, u[last], log_w, rng)
+    return Approximation(models, _groups(walked, np.zeros(len(walked)), rng))
+
+
+def _walked(problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return draws of short chains (n, ndim), scaled, that start at some of the weighted draws (n, ndim)."""
+    scaled = ScaledDensity(problem)
+    start = u[rng.choice(len(u), _WALKERS, p=np.exp(log_w))]
+    seed = int(rng.integers(2**31))
+    sampler = HamiltonianMonteCarlo() if problem.solves_per_gradient == 1 else MetropolisHastings()
+    run = Run(problem, sampler, warmup=_STEPS, chains=_WALKERS, seed=seed, init=scaled.to_theta(start))
+    return scaled.to_scaled(run.extend(_STEPS).posterior.position.reshape(-1, problem.ndim))
 
 
 def left_out(
     without: UpdatingProblem,
     whole: UpdatingProblem,
-    models: Sequence[Sequence[LocalQuadratic]],
+    known: Sequence[Approximation],
     rng: np.random.Generator,
     most: int = MOST_SOLVES,
 ) -> LeftOut:
@@ -132,13 +172,15 @@ def left_out(
     ----------
     without, whole : UpdatingProblem
         One problem, updated without the mode and with it (`UpdatingProblem.using`).
-    models : pair of sequences of LocalQuadratic
-        The `quadratics` of each.
+    known : pair of Approximation
+        Of each.
     rng : Generator
     most : int
         The most solves.
     """
-    scaled, groups = ScaledDensity(whole), list[LocalQuadratic]()
+    scaled = ScaledDensity(whole)
+    models = [one.quadratics for one in known]
+    groups = [group for one in known for group in one.groups]
     for limit in _ROUNDS:
         gaussians = [*models[0], *models[1], *groups]
         found, log_p = _drawn(without, whole, gaussians, rng, min(most, limit))
