@@ -55,6 +55,7 @@ def sample(
     chains: int = 4,
     seed: int = 1,
     init: str | ArrayLike = "maxima",
+    jumps: bool | None = None,
     groups: int | None = None,
     until_ess: float | None = None,
     max_draws: int | None = None,
@@ -89,6 +90,11 @@ def sample(
         probability (`fmu.analysis.maxima.starts`); a log-density that is no `UpdatingProblem` starts from the
         prior if no `maxima` are given. ``"prior"``: at draws from the prior. ``"start"``: at ``problem.start``.
         An array: there (SI units).
+    jumps : bool, optional
+        Whether every tenth step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent candidate from a mixture
+        that warm-up fits to the posterior, so that chains cross between separated maxima
+        (`fmu.samplers.mixture.mixture.with_jumps`). By default where two maxima or more have 1 % of the
+        probability each; or are known at all, if the chains do not start at them.
     groups : int, optional
         Number of groups that the chains are divided into, for several workers. The chains of a group advance and
         adapt together, so the draws depend on this number. By default all chains are one group, and every ensemble
@@ -131,9 +137,10 @@ def sample(
     Raises
     ------
     ValueError
-        If the sampler's name is unknown, a trace cannot store a parameter's name, a number is out of range,
-        `max_draws` is given without `until_ess`, a chain would start outside the bounds or where the
-        log-probability is not finite, or `checkpoint` holds another run, or one that is running.
+        If the sampler's name is unknown, `jumps` is True for a sampler without local steps, a trace cannot store a
+        parameter's name, a number is out of range, `max_draws` is given without `until_ess`, a chain would start
+        outside the bounds or where the log-probability is not finite, or `checkpoint` holds another run, or one
+        that is running.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
@@ -146,8 +153,9 @@ def sample(
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
     from fmu.analysis.convergence.effective import live_diagnostics
     from fmu.analysis.estimate import gradient_cost
+    from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable
-    from fmu.analysis.maxima.starts import starts
+    from fmu.analysis.maxima.starts import components, starts
     from fmu.analysis.trace.conversion import to_trace
     from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
     from fmu.interruption import interruptible
@@ -156,10 +164,13 @@ def sample(
     from fmu.runs import Checkpoint
     from fmu.runs.maxima import keep_maxima, kept_maxima
     from fmu.samplers.loop.run import Interrupted, Run
+    from fmu.samplers.mixture.mixture import can_jump, with_jumps
     from fmu.samplers.settings import whole_number
 
     # 1. Whether the arguments make sense, before maxima are searched for.
     settings = _settings(default_sampler(problem) if sampler is None else sampler)
+    if jumps:
+        settings = with_jumps(settings)
     draws = whole_number("draws", draws, 1)
     limit = most_draws(draws, until_ess, max_draws)
     failure_rate_exceeded(0, 0, max_failure_rate)
@@ -179,12 +190,17 @@ def sample(
 
         # 2. Where the chains start.
         found = None
-        is_needed = until_ess is not None or (isinstance(init, str) and init == "maxima")
+        is_needed = jumps or until_ess is not None or (isinstance(init, str) and init == "maxima")
         if maxima is None and of_model is not None and is_needed:
             maxima = None if saved is None else kept_maxima(saved.directory, problem)
             if maxima is None:
                 maxima = found = find_map(of_model)
         start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
+        if maxima is not None:
+            several = sum(m.share > NEGLIGIBLE or not isinstance(says, dict) for m in maxima) > 1
+            if jumps is None and several and can_jump(settings):
+                settings = with_jumps(settings)
+            settings = settings.starting_from(*components(problem, maxima))
 
         # 3. The draws, saved in the checkpoint meanwhile.
         stack = outer.enter_context(ExitStack())  # closed before what follows the draws

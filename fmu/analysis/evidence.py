@@ -9,11 +9,13 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.numbers import apart, given, significant, with_sd
+from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.tempering.tempering import rejections
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 GROUP = "tempering"
 """Group of a trace that keeps what the rungs of a ladder saw."""
 METHODS = ("stepping-stone", "thermodynamic")
+OF_MIXTURE = ("importance", "bridge")
+GOOD_K = 0.7
+"""Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
 RHAT_LIMIT = 1.05
 """With an R-hat of the log-likelihood above this, the chains of a rung disagree too much for an evidence."""
 
@@ -47,15 +52,19 @@ class Evidence:
     error : float
         Its standard error, the larger of `within` and `between`. It does not include modes that no replica has
         found: see `warnings`.
-    method : {"stepping-stone", "thermodynamic"}
+    method : {"stepping-stone", "thermodynamic", "importance", "bridge"}
     within : float
-        Standard error from the autocorrelation along the chains, all rungs together.
+        Standard error from the autocorrelation along the chains, of all rungs together; of candidates, which are
+        independent, from the spread of their weights.
     between : float
         Standard error from the chains' own estimates, NaN for a single chain.
     table : pandas.DataFrame
-        One row per rung: ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (of draws at
+        Of a mixture one row per chain, with its ``log_evidence``. Of tempering one row per rung:
+        ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (of draws at
         which the model did not fail), ``rhat`` of it and ``ess`` of its mean, ``rejection`` of swaps with the
         next rung, and ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
+    pareto_k : float
+        Shape of the tail of the candidates' weights; NaN for tempering.
     """
 
     log_evidence: float
@@ -64,10 +73,18 @@ class Evidence:
     within: float
     between: float
     table: pd.DataFrame
+    pareto_k: float = np.nan
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why the error is not reliable, one sentence each: rungs at which the chains do not agree."""
+        """Why the error is not reliable, a sentence each: chains that disagree, or weights with a heavy tail."""
+        if self.method in OF_MIXTURE:
+            if self.pareto_k <= GOOD_K:
+                return ()
+            return (
+                f"Pareto k {significant(self.pareto_k, 2)} of the candidates' weights is above {given(GOOD_K)}: "
+                f"the mixture does not fit the posterior well enough, and the error is underestimated",
+            )
         rhat = self.table["rhat"].to_numpy()[1:]  # the prior is drawn from independently
         if np.all(rhat < RHAT_LIMIT):
             return ()
@@ -83,9 +100,10 @@ class Evidence:
 
     def __str__(self) -> str:
         within, between = (significant(error, 2) for error in (self.within, self.between))
+        rows = "chains" if self.method in OF_MIXTURE else "rungs"
         line = (
             f"log-evidence {with_sd(self.log_evidence, self.error)} "
-            f"({self.method}, {len(self.table)} rungs; standard error within chains {within}, between {between})"
+            f"({self.method}, {len(self.table)} {rows}; standard error within chains {within}, between {between})"
         )
         return "\n".join([line, *(f"  - {warning}" for warning in self.warnings)])
 
@@ -101,17 +119,20 @@ class _Estimate(NamedTuple):
     influence: FloatArray
 
 
-def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
-    """Estimate the evidence from a run of parallel tempering.
+def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
+    """Estimate the evidence from a run of parallel tempering, or of a sampler with candidates from a mixture.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        A trace of `fmu.sample(problem, "tempering")`, or one sampled with settings of `fmu.Tempering`.
-    method : {"stepping-stone", "thermodynamic"}
-        The product of the ratios of evidences from rung to rung, each an average over the lower one (Xie et al.
-        2011); or the integral of the mean log-likelihood over the inverse temperature, by the trapezium rule with
-        its second-order correction (Friel, Hurn & Wyse 2014), whose own error is not in the standard error.
+        A trace of `fmu.sample(problem, "tempering")`, of `fmu.sample(problem, "mixture")`, or of a sampler with
+        ``jumps=True``.
+    method : {"stepping-stone", "thermodynamic", "importance", "bridge"}, optional
+        Of tempering, "stepping-stone" if not given: the product of the ratios of evidences from rung to rung, each
+        an average over the lower one (Xie et al. 2011); or the integral of the mean log-likelihood over the
+        inverse temperature, by the trapezium rule with its second-order correction (Friel, Hurn & Wyse 2014),
+        whose own error is not in the standard error. Of a mixture, "importance" if not given: the mean weight P/q
+        of all candidates; or the optimal bridge between candidates and draws (Meng & Wong 1996).
 
     Returns
     -------
@@ -120,17 +141,24 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
     Raises
     ------
     ValueError
-        If the method is unknown, or the trace is not one of parallel tempering.
+        If the method is unknown, or the trace has neither rungs nor candidates for it.
 
     References
     ----------
     Xie, Lewis, Fan, Kuo & Chen (2011), Systematic Biology 60, 150-160; Friel & Pettitt (2008), JRSS B 70, 589-607;
-    Friel, Hurn & Wyse (2014), Statistics and Computing 24, 709-723.
+    Friel, Hurn & Wyse (2014), Statistics and Computing 24, 709-723; Meng & Wong (1996), Statistica
+    Sinica 6, 831-860; Frühwirth-Schnatter (2004), Econometrics Journal 7, 143-167.
     """
-    if method not in METHODS:
-        raise ValueError(f"method: must be one of {', '.join(METHODS)} (got {method!r})")
-    if not has(trace, GROUP):
-        raise ValueError("trace: must come from parallel tempering, fmu.sample(problem, 'tempering')")
+    if method is not None and method not in (*METHODS, *OF_MIXTURE):
+        raise ValueError(f"method: must be one of {', '.join((*METHODS, *OF_MIXTURE))} (got {method!r})")
+    if has_candidates(trace) and method not in METHODS:
+        return _of_mixture(trace, method or OF_MIXTURE[0])
+    if not has(trace, GROUP) or method in OF_MIXTURE:
+        raise ValueError(
+            "trace: must come from fmu.sample(problem, 'tempering') or fmu.sample(problem, 'mixture') (got "
+            f"{trace.attrs['sampler']}, method {method!r})"
+        )
+    method = method or METHODS[0]
     draws = array_of(trace, GROUP, "log_likelihood")
     t = trace[GROUP]["inverse_temperature"].to_numpy()
     estimate = {"stepping-stone": _stepping_stone, "thermodynamic": _thermodynamic}[method]
@@ -140,6 +168,55 @@ def evidence(trace: xr.DataTree, method: str = "stepping-stone") -> Evidence:
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     error = float(np.fmax(within, between))
     return Evidence(whole.value, error, method, within, between, _rung_table(draws, t))
+
+
+def has_candidates(trace: xr.DataTree) -> bool:
+    """Return whether a trace has the weights of candidates of a mixture."""
+    return has(trace, "sample_stats") and CANDIDATE in trace["sample_stats"]
+
+
+def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
+    """Return the evidence from the log-weights log P − log q of candidates and of draws."""
+    from arviz_stats.base.array import array_stats
+
+    of_candidates, of_draws = (array_of(trace, "sample_stats", name) for name in (CANDIDATE, LOG_WEIGHT))
+    jumped = ~np.isnan(of_candidates[0])  # all chains jump at the same steps
+    candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
+    pareto_k = float(array_stats.psislw(-candidates[np.isfinite(candidates)])[1])
+    ratio = min(1.0, effective.ess_bulk(of_draws) / of_draws.size)
+
+    def estimated(q: FloatArray, p: FloatArray) -> tuple[float, float]:
+        if method == "importance":
+            total = float(logsumexp(q))
+            relative = np.exp(q - total) * len(q)
+            return total - float(np.log(len(q))), float(np.std(relative) / np.sqrt(len(q)))
+        return _bridged(q, p, ratio)
+
+    value, within = estimated(candidates.ravel(), of_draws.ravel())
+    alone = [estimated(q, p)[0] for q, p in zip(candidates, of_draws, strict=True)]
+    between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
+    table = data_frame({"log_evidence": alone}, "chain", range(len(alone)))
+    return Evidence(value, float(np.fmax(within, between)), method, within, between, table, pareto_k)
+
+
+def _bridged(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
+    """Return log-evidence and standard error by the optimal bridge between log-weights of candidates and of draws.
+
+    A draw counts as `ratio` independent ones.
+    """
+    n = ratio * len(p)
+    of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))
+    log_z = float(np.median(p))
+    for _ in range(_MOST_BRIDGES):
+        above = logsumexp(q - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))) - np.log(len(q))
+        below = logsumexp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))) - np.log(len(p))
+        log_z, before = float(above - below), log_z
+        if abs(log_z - before) < 1e-10:
+            break
+    f_p = np.exp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q)))
+    f_q = np.exp(q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q)))
+    variance = np.var(f_p) / np.mean(f_p) ** 2 / n + np.var(f_q) / np.mean(f_q) ** 2 / len(q)
+    return log_z, float(np.sqrt(variance))
 
 
 def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
@@ -205,6 +282,7 @@ def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
 
 
 _APART = 4.0
+_MOST_BRIDGES = 200
 PSEUDO = "the modal residual is a pseudo-likelihood and has no evidence"
 WHAT = (
     "The evidence is the probability density of the data under the model and its prior. Of several models "
@@ -249,7 +327,7 @@ class FoundEvidence:
 def found_evidences(
     traces: Mapping[str, xr.DataTree], verdicts: Mapping[str, Diagnosis], maxima: Maxima | None
 ) -> list[FoundEvidence]:
-    """Return the evidences from runs of parallel tempering and from the masses of the maxima.
+    """Return the evidences from runs of parallel tempering, from candidates and from the masses of the maxima.
 
     Parameters
     ----------
@@ -262,11 +340,15 @@ def found_evidences(
     Returns
     -------
     list of FoundEvidence
-        Empty for a pseudo-likelihood, and if there is neither a run of parallel tempering nor a maximum.
+        Empty for a pseudo-likelihood, and if there is no maximum, no run of parallel tempering and none with
+        candidates of a mixture. What disagrees with a reliable one is doubted.
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
     found = [_of_tempering(name, trace, verdicts[name]) for name, trace in traces.items() if has(trace, GROUP)]
+    for name, trace in traces.items():
+        if has_candidates(trace):
+            found += [_of_candidates(name, trace, verdicts[name], method) for method in OF_MIXTURE]
     if maxima is not None:
         reached = max(float(array_of(trace, "sample_stats", "lp").max()) for trace in traces.values())
         found.append(_of_maxima(maxima, reached))
@@ -280,6 +362,15 @@ def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvi
         doubts.append("the run has not converged")
     basis = f"parallel tempering over {len(found.table)} rungs" + ("" if name == "tempering" else f" ({name})")
     return FoundEvidence(found.log_evidence, found.error, basis, tuple(doubts))
+
+
+def _of_candidates(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> FoundEvidence:
+    found = evidence(trace, method)
+    words = {"importance": "the weights of the candidates of", "bridge": "a bridge from candidates to draws of"}
+    doubts = list(found.warnings)
+    if method == "bridge" and not verdict.converged:
+        doubts.append("the run has not converged")
+    return FoundEvidence(found.log_evidence, found.error, f"{words[method]} {name}", tuple(doubts))
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:

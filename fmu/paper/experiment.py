@@ -129,14 +129,17 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
     problem = cases.load(case, pairing)
     maxima = find_map(problem, plan.starts, plan.seed)
     runs = Runs(problem, maxima, plan.seed, directory_of(case, pairing), plan.steps, progress)
-    paper = {s: runs.run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start") for s in PAPER_SAMPLERS}
+    paper = {
+        s: runs.run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start", jumps=False)
+        for s in PAPER_SAMPLERS
+    }
     long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
     _, diagnoses, comparison = judged(long)
     pace = {}
     for s, length in plan.pace.items():
         starts = starts_in_the_posterior(long, diagnoses, length.chains)
         if starts is not None:
-            pace[s] = runs.run(f"{s}, the paper's pace", paper_settings(s), length, starts)
+            pace[s] = runs.run(f"{s}, the paper's pace", paper_settings(s), length, starts, jumps=False)
     runs.finish()
     reference = _reference(long, diagnoses, maxima)
 

@@ -150,8 +150,10 @@ class Runs:
         self.phase, self.total, self.progress = phase, total, progress
         self.done = 0
 
-    def run(self, words: str, settings: Sampler, length: Length, init: Any = "prior") -> xr.DataTree:
-        """Make a run, named `words` in the line of progress, and return its trace."""
+    def run(
+        self, words: str, settings: Sampler, length: Length, init: Any = "prior", *, jumps: bool | None = None
+    ) -> xr.DataTree:
+        """Make a run, named `words` in the line of progress, and return its trace; `jumps` as in `fmu.sample`."""
         from fmu.sampling import sample
 
         with warnings.catch_warnings():
@@ -165,6 +167,7 @@ class Runs:
                 chains=length.chains,
                 seed=self.seed,
                 init=init,
+                jumps=jumps,
                 maxima=self.maxima,
                 progress=self._watch(words),
             )

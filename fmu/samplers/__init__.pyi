@@ -14,6 +14,7 @@ from .metropolis import Independence as Independence
 from .metropolis import LogNormalWalk as LogNormalWalk
 from .metropolis import MetropolisHastings as MetropolisHastings
 from .metropolis import RandomWalk as RandomWalk
+from .mixture.mixture import MixtureSampler as MixtureSampler
 from .registry import SAMPLERS as SAMPLERS
 from .registry import named as named
 from .slice import Slice as Slice

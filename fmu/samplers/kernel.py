@@ -8,9 +8,9 @@ better settings during warm-up.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,10 @@ class Sampler(ABC):
     def walkers(self) -> int:
         """A chain is a single point."""
         return 1
+
+    def starting_from(self, components: Sequence[Any], weights: FloatArray) -> Self:
+        """Return the settings that use the maxima of the density, as quadratics; most samplers do not use them."""
+        return self
 
     @abstractmethod
     def bind(self, density: LogDensity) -> Kernel:

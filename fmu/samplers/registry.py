@@ -13,6 +13,7 @@ SAMPLERS = {
     "slice": "slice.Slice",
     "hmc": "hmc.HamiltonianMonteCarlo",
     "emcee": "ensemble.Ensemble",
+    "mixture": "mixture.mixture.MixtureSampler",
     "tempering": "tempering.tempering.Tempering",
 }
 """Module and class of each sampler's settings, imported when they are first used."""

@@ -7,13 +7,14 @@ import pytest
 from scipy.integrate import simpson
 
 import fmu
-from fmu.analysis.maxima.mode_weights import LocalQuadratic, mode_weights
+from fmu.analysis.maxima.mode_weights import mode_weights
 from fmu.analysis.maxima.results import Maxima, theta_in_words
 from fmu.analysis.maxima.search import STARTS, STARTS_WITHOUT_DERIVATIVES, default_starts, find_map, hessian_at
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
+from fmu.samplers.mixture.quadratic import Quadratic
 
 
 class Squares:
@@ -145,13 +146,13 @@ def test_hessian_at_a_kink_is_gauss_newton():
 
 def test_hopeless_maxima_keep_their_laplace_mass():
     """Beside a peak e⁵⁰ times as heavy lies one at a wall, exponential there, for which no solve is spent."""
-    peak = LocalQuadratic(np.array([0.3]), 50.0, np.zeros(1), np.array([[400.0]]))
-    wall = LocalQuadratic(np.array([1.0]), 0.0, np.array([30.0]), np.array([[0.0]]))
+    peak = Quadratic(np.array([0.3]), 50.0, np.zeros(1), np.array([[400.0]]))
+    wall = Quadratic(np.array([1.0]), 0.0, np.array([30.0]), np.array([[0.0]]))
     calls = []
 
     def log_prob(u):
         calls.append(len(u))
-        return 50.0 - peak.drop(u)
+        return peak(u)
 
     one, other = mode_weights(log_prob, [peak, wall], np.zeros(1), np.ones(1), np.random.default_rng(0))
     assert one.effective > 300

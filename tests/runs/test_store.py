@@ -21,7 +21,7 @@ from fmu.runs.store import (
     numbered,
     read_state,
 )
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, Run, Slice, Tempering
+from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, MixtureSampler, Run, Slice, Tempering
 from tests.runs.watched import STEPS, Watched
 from tests.samplers.targets import CorrelatedGaussian
 from tests.samplers.tempered_targets import LinearGaussian
@@ -31,6 +31,7 @@ SAMPLERS = {
     "mh": MetropolisHastings(),
     "slice": Slice(),
     "hmc": HamiltonianMonteCarlo(),
+    "mixture": MixtureSampler(),
     "emcee": Ensemble(walkers=12),
     "tempering": Tempering("mh", rungs=6),
 }

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from fmu.runs.content import SavedState, packed_state, unpacked_state
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, Independence, MetropolisHastings, Slice, Tempering
+from fmu.samplers import (
+    Ensemble,
+    HamiltonianMonteCarlo,
+    Independence,
+    MetropolisHastings,
+    MixtureSampler,
+    Slice,
+    Tempering,
+)
 from fmu.samplers.loop.group import Chunk, GroupState, RunContext, _GroupRunner, advance
 from fmu.samplers.loop.starts import starting_points
 from tests.samplers.targets import CorrelatedGaussian
@@ -62,6 +70,8 @@ SAMPLERS = {
     "hmc": HamiltonianMonteCarlo(),
     "hmc, differences": HamiltonianMonteCarlo(gradient="central-difference"),
     "hmc, given mass": HamiltonianMonteCarlo(inverse_mass=np.eye(5)),
+    "mixture": MixtureSampler(jumps=3),
+    "mixture, slice": MixtureSampler(local=Slice()),
     "emcee": Ensemble(walkers=12),
     "emcee, two moves": Ensemble(walkers=12, moves={"de": 0.5, "snooker": 0.5}),
     "tempering, slice": Tempering(),

@@ -7,7 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, run
+from fmu.samplers import (
+    Ensemble,
+    HamiltonianMonteCarlo,
+    MetropolisHastings,
+    MixtureSampler,
+    RandomWalk,
+    Slice,
+    run,
+)
 from tests.samplers.moments import assert_right
 from tests.samplers.targets import (
     ALL,
@@ -43,6 +51,8 @@ SAMPLERS = {
     "slice-adaptive": lambda t: Slice(),
     "slice-coordinate-adaptive": lambda t: Slice("coordinate"),
     "hmc-adaptive": lambda t: HamiltonianMonteCarlo(),
+    "mixture-adaptive": lambda t: MixtureSampler(),
+    "mixture-mh-adaptive": lambda t: MixtureSampler(local=MetropolisHastings(), local_steps=3, jumps=2),
     "emcee-stretch": lambda t: Ensemble(),
     "emcee-de": lambda t: Ensemble(moves="de"),
     "emcee-snooker": lambda t: Ensemble(moves="snooker"),
@@ -59,6 +69,8 @@ LENGTH = {
     "slice-adaptive": (160, 200),
     "slice-coordinate-adaptive": (160, 80),
     "hmc-adaptive": (160, 160),
+    "mixture-adaptive": (160, 100),
+    "mixture-mh-adaptive": (160, 200),
     "emcee-stretch": (4, 900),
     "emcee-de": (4, 450),
     "emcee-snooker": (4, 900),
@@ -75,6 +87,8 @@ DECISIVE = {
     "slice-adaptive": TruncatedGaussian,
     "slice-coordinate-adaptive": TwoModes,
     "hmc-adaptive": SkewedGumbel,
+    "mixture-adaptive": TruncatedGaussian,
+    "mixture-mh-adaptive": SkewedGumbel,
     "emcee-stretch": TruncatedGaussian,
     "emcee-de": BoundedBeta,
     "emcee-snooker": CorrelatedGaussian,
@@ -82,7 +96,11 @@ DECISIVE = {
 """For each sampler one target that is skewed, correlated or has walls: what the suite asks of it every time."""
 MATRIX = [
     *((name, kind) for name in ("mh", "slice-hyperrectangle", "slice-coordinate", "hmc") for kind in ALL),
-    *((name, kind) for name in ("mh-adaptive", "slice-adaptive", "hmc-adaptive") for kind in ALL),
+    *(
+        (name, kind)
+        for name in ("mh-adaptive", "slice-adaptive", "hmc-adaptive", "mixture-adaptive", "mixture-mh-adaptive")
+        for kind in ALL
+    ),
     *(("slice-coordinate-adaptive", kind) for kind in (TruncatedGaussian, TwoModes)),
     *(("slice-hyperrectangle-oblique", kind) for kind in (TruncatedGaussian, SkewedGumbel, Funnel)),
     *(

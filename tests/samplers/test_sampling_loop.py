@@ -31,7 +31,7 @@ class TestNames:
         assert named(name).name == name
 
     def test_an_unknown_name_lists_the_known_ones(self):
-        known = "mh, slice, hmc, emcee, tempering"
+        known = "mh, slice, hmc, emcee, mixture, tempering"
         with pytest.raises(ValueError, match=rf"sampler: must be one of {known} \(got 'nuts'\)"):
             named("nuts")
 

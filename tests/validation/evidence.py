@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.maxima.mode_weights import LocalQuadratic, mode_weights
+from fmu.analysis.maxima.mode_weights import mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
+from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import BoolArray, FloatArray
 from tests.two_storeys import quadrature
 
@@ -137,9 +138,7 @@ def weighed(problem: Any, maxima: list[PosteriorMaximum], draws: int = IMPORTANC
     """Return the evidence by importance sampling around the maxima, in the box."""
     scale, offset = problem.scale, problem.offset
     models = [
-        LocalQuadratic(
-            (m.theta - offset) / scale, m.log_prob, m.gradient * scale, m.hessian * np.outer(scale, scale)
-        )
+        Quadratic((m.theta - offset) / scale, m.log_prob, m.gradient * scale, m.hessian * np.outer(scale, scale))
         for m in maxima
     ]
     lower, upper = ((bound - offset) / scale for bound in (problem.lower, problem.upper))

@@ -12,9 +12,7 @@ from scipy.special import logsumexp
 
 from fmu.analysis.maxima.mode_weights import (
     TEMPERATURES,
-    LocalQuadratic,
     Proposal,
-    SequentialNormal,
     log_shares,
     mixture_draws,
 )
@@ -25,6 +23,9 @@ from fmu.progress.phases import by_parts
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.loop.run import Run
 from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.samplers.mixture.quadratic import fitted as fitted_quadratic
+from fmu.samplers.mixture.truncated_normal import SequentialNormal
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -56,14 +57,14 @@ class Approximation:
 
     Attributes
     ----------
-    quadratics : list of LocalQuadratic
+    quadratics : list of Quadratic
         Close to the log-probability around each maximum that may matter.
-    groups : list of LocalQuadratic
+    groups : list of Quadratic
         Gaussians of groups of neighbouring draws.
     """
 
-    quadratics: list[LocalQuadratic]
-    groups: list[LocalQuadratic]
+    quadratics: list[Quadratic]
+    groups: list[Quadratic]
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +197,7 @@ def left_out(
 def _drawn(
     without: UpdatingProblem,
     whole: UpdatingProblem,
-    models: Sequence[LocalQuadratic],
+    models: Sequence[Quadratic],
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
@@ -246,7 +247,7 @@ def _compared(theta: FloatArray, values: FloatArray, log_q: FloatArray) -> LeftO
     )
 
 
-def _around_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[LocalQuadratic]:
+def _around_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
     """Return the quadratics at the maxima that may hold some of the probability, by the curvature there."""
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
@@ -254,12 +255,12 @@ def _around_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatA
 
 
 def _proposals(
-    models: Sequence[LocalQuadratic], scaled: ScaledDensity, temperatures: Sequence[float]
+    models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
 ) -> list[SequentialNormal]:
     return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
 
 
-def _fitted(models: Sequence[LocalQuadratic], u: FloatArray, log_p: FloatArray) -> list[LocalQuadratic]:
+def _fitted(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
     """Return each quadratic fitted to the draws around it; as it was where they are too few.
 
     The weights P^(1/4) count the flanks as well, from which most of the draws are.
@@ -271,7 +272,7 @@ def _fitted(models: Sequence[LocalQuadratic], u: FloatArray, log_p: FloatArray) 
     for model, share in zip(models, np.exp(log_shares(models, u)), strict=True):
         own, n = weight * share, u.shape[1]
         is_enough = own.sum() ** 2 > (n + 1) * (n + 2) * np.sum(own**2)  # twice the number of coefficients
-        fitted.append(LocalQuadratic.fitted(u, log_p, own) if is_enough else model)
+        fitted.append(fitted_quadratic(u, log_p, own) if is_enough else model)
     return fitted
 
 
@@ -292,7 +293,7 @@ class _Prior:
         return log_prior + np.sum(np.log(self.scaled.scale))
 
 
-def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[LocalQuadratic]:
+def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
     """Return the Gaussians of weighted draws (n, ndim), divided into groups of neighbours (k-means)."""
     from scipy.cluster.vq import kmeans2
 
@@ -310,7 +311,7 @@ def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[
     for members in (chosen[group == g] for g in range(count)):
         if len(np.unique(members, axis=0)) > 2 * n:
             covariance = np.cov(members.T).reshape(n, n) + 1e-3 * around
-            found.append(LocalQuadratic(members.mean(axis=0), 0.0, np.zeros(n), np.linalg.inv(covariance)))
+            found.append(Quadratic(members.mean(axis=0), 0.0, np.zeros(n), np.linalg.inv(covariance)))
     return found
 
 

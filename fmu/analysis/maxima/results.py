@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.trace.provenance import configuration_hash
 from fmu.numbers import apart, given, hertz, rounded, share, shown, with_unit
+from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.tables import data_frame, distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
 
@@ -182,8 +182,8 @@ class Maxima:
 
     def drop(self, theta: FloatArray) -> FloatArray:
         """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
-        models = (LocalQuadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
-        return np.stack([model.drop(theta) for model in models])
+        models = (Quadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
+        return np.stack([model.log_prob - model(theta) for model in models])
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
         """Return a table of text: a column for each maximum, beside the model before updating and the measurement.

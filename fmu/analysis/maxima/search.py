@@ -8,10 +8,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from fmu.analysis.maxima.mode_weights import LocalQuadratic, ModeWeight, mode_weights
+from fmu.analysis.maxima.mode_weights import ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import phase
+from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -108,18 +109,18 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
     )
 
 
-def quadratic_at(problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum) -> tuple[LocalQuadratic, str]:
+def quadratic_at(problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum) -> tuple[Quadratic, str]:
     """Return the log-probability around a maximum to second order, scaled, and the source of its curvature."""
     gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
     hessian, source = hessian_at(problem, maximum.theta)
-    return LocalQuadratic(scaled.to_scaled(maximum.theta), maximum.log_prob, gradient, hessian), source
+    return Quadratic(scaled.to_scaled(maximum.theta), maximum.log_prob, gradient, hessian), source
 
 
 def _in_si(
     problem: UpdatingProblem,
     total: float,
     found: Maximum,
-    model: LocalQuadratic,
+    model: Quadratic,
     curvature: str,
     mass: ModeWeight,
     frequencies: FloatArray,

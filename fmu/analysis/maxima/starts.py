@@ -8,14 +8,14 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
-from fmu.analysis.maxima.mode_weights import LocalQuadratic
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from fmu.analysis.maxima.results import Maxima
+    from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
     from fmu.types import LogDensity
 
 
@@ -28,6 +28,7 @@ sampling, and is far less than the distance to another maximum. It cannot show a
 find; nor can starts from the prior, unless one of them falls into its basin.
 """
 _HALVINGS = 30
+_MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 
 
 def starts(
@@ -85,16 +86,29 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     home = allotted(share, chains) if walkers == 1 else np.tile(allotted(share, walkers), chains)
     u = np.empty((len(home), scaled.ndim))
     for k in np.unique(home):
-        m = maxima[int(k)]
-        model = LocalQuadratic(
-            scaled.to_scaled(m.theta),
-            m.log_prob,
-            m.gradient * scaled.scale,
-            m.hessian * np.outer(scaled.scale, scaled.scale),
-        )
-        u[home == k] = _around(model, scaled, rng, int(np.sum(home == k)))
+        u[home == k] = _around(_scaled(maxima[int(k)], scaled), scaled, rng, int(np.sum(home == k)))
     theta: FloatArray = scaled.to_theta(u)
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1)
+
+
+def components(density: LogDensity, maxima: Maxima) -> tuple[list[Quadratic], FloatArray]:
+    """Return the maxima that may matter as quadratics in scaled units, and their shares, none below 1 %.
+
+    That is where a sampler may begin to learn the posterior. A share that was estimated far too low is then seen.
+    """
+    scaled = ScaledDensity(density)
+    chosen = sorted((m for m in maxima if m.share > _MAY_MATTER), key=lambda m: -m.share)[:_MOST_COMPONENTS]
+    return [_scaled(m, scaled) for m in chosen], np.maximum([m.share for m in chosen], NEGLIGIBLE)
+
+
+def _scaled(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
+    """Return the log-probability around a maximum to second order, in scaled units."""
+    return Quadratic(
+        scaled.to_scaled(maximum.theta),
+        maximum.log_prob,
+        maximum.gradient * scaled.scale,
+        maximum.hessian * np.outer(scaled.scale, scaled.scale),
+    )
 
 
 def allotted(share: FloatArray, n: int) -> IntArray:
@@ -120,7 +134,7 @@ def allotted(share: FloatArray, n: int) -> IntArray:
     return np.repeat(np.arange(len(share)), count)
 
 
-def _around(model: LocalQuadratic, scaled: ScaledDensity, rng: np.random.Generator, n: int) -> FloatArray:
+def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n: int) -> FloatArray:
     """Return `n` starts around one maximum, shape (n, ndim), scaled."""
     temperature = DISPERSION**2
     u = model.proposal(scaled.lower, scaled.upper, temperature).draw(rng, n)

@@ -21,7 +21,9 @@ from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.reading import check_trace
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
+from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts
+from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.tempering import first_ladder, rejections
 from fmu.types import FloatArray, IntArray
@@ -78,9 +80,9 @@ def to_trace(
     units = units_of(density)
     groups = {
         "posterior": _variables(result.posterior.position, names, units),
-        "sample_stats": _stats(result.posterior),
+        "sample_stats": _stats(result.posterior, density),
         "warmup_posterior": _variables(result.warmup.position, names, units),
-        "warmup_sample_stats": _stats(result.warmup),
+        "warmup_sample_stats": _stats(result.warmup, density),
         "constant_data": _constants(density, names),
     }
     if hasattr(density, "sample_prior"):
@@ -187,11 +189,19 @@ def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tup
     return xr.Dataset(variables, coords=_sample_coordinates(position))
 
 
-def _stats(draws: Draws) -> xr.Dataset:
-    """Return the sampler's statistics, one variable each, but for those of every rung."""
+def _stats(draws: Draws, density: Any) -> xr.Dataset:
+    """Return the sampler's statistics, one variable each, but for those of every rung.
+
+    Weights P/q of a mixture are those of a density in SI units.
+    """
     import xarray as xr
 
-    variables = {name: (("chain", "draw"), v) for name, v in draws.stats.items() if name != LOG_LIKELIHOOD}
+    log_volume = float(np.sum(np.log(ScaledDensity(density).scale)))
+    variables = {
+        name: (("chain", "draw"), v + log_volume if name in (LOG_WEIGHT, CANDIDATE) else v)
+        for name, v in draws.stats.items()
+        if name != LOG_LIKELIHOOD
+    }
     return xr.Dataset(variables, coords=_sample_coordinates(draws.position))
 
 

@@ -6,7 +6,7 @@ from scipy.integrate import simpson
 from scipy.special import log_ndtr, logsumexp
 from scipy.stats import kstest, truncnorm
 
-from fmu.analysis.maxima.mode_weights import SequentialNormal, log_mass
+from fmu.samplers.mixture.truncated_normal import SequentialNormal, log_mass
 
 COVARIANCE = np.array([[1.0, 0.8], [0.8, 2.0]])
 LOWER, UPPER = np.array([0.0, -1.0]), np.array([1.0, 3.0])
@@ -30,7 +30,7 @@ def log_gaussian(u, mean):
 
 
 def proposal(mean, densest):
-    return SequentialNormal(np.array(mean), np.linalg.inv(COVARIANCE), LOWER, UPPER, densest)
+    return SequentialNormal(np.array(mean), np.linalg.inv(COVARIANCE), LOWER, UPPER)
 
 
 @pytest.mark.parametrize("mean", [INSIDE, OUTSIDE, FAR, BOTH])
@@ -49,7 +49,7 @@ def test_weighted_draws_have_the_mass_and_the_mean(mean):
 
 def test_density_is_that_of_the_draws():
     """Without correlation the draws are exactly truncated normals, whatever the tilting."""
-    q = SequentialNormal(np.array([-3.0, 0.5]), np.diag([4.0, 1.0]), LOWER, UPPER, np.array([0.0, 0.5]))
+    q = SequentialNormal(np.array([-3.0, 0.5]), np.diag([4.0, 1.0]), LOWER, UPPER)
     u = q.draw(np.random.default_rng(2), 5000)
     expected = 0.0
     for k, (mean, sd) in enumerate([(-3.0, 0.5), (0.5, 1.0)]):
@@ -62,7 +62,7 @@ def test_density_is_that_of_the_draws():
 def test_tilting_is_what_makes_a_correlated_corner_tractable():
     mean = np.array([20.0, 20.0, -20.0])
     precision = np.linalg.inv(0.98 + 0.02 * np.eye(3))
-    q = SequentialNormal(mean, precision, np.zeros(3), np.ones(3), np.array([1.0, 1.0, 0.0]))
+    q = SequentialNormal(mean, precision, np.zeros(3), np.ones(3))
 
     def effective(q):
         u = q.draw(np.random.default_rng(3), 4000)
@@ -78,7 +78,7 @@ def test_tilting_is_what_makes_a_correlated_corner_tractable():
 
 def test_no_walls_is_the_gaussian_itself():
     infinite = np.full(2, np.inf)
-    q = SequentialNormal(np.zeros(2), np.linalg.inv(COVARIANCE), -infinite, infinite, np.zeros(2))
+    q = SequentialNormal(np.zeros(2), np.linalg.inv(COVARIANCE), -infinite, infinite)
     u = q.draw(np.random.default_rng(4), 20_000)
     np.testing.assert_allclose(np.cov(u.T), COVARIANCE, atol=0.1)
     np.testing.assert_allclose(np.ptp(log_gaussian(u, (0, 0)) - q.log_density(u)), 0.0, atol=1e-9)

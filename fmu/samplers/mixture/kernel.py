@@ -1,0 +1,141 @@
+"""Steps between independent candidates of a mixture, evaluated in blocks, and local steps of another kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.samplers.kernel import Info, State, Target
+from fmu.samplers.mixture.proposal import Mixture
+from fmu.samplers.trajectory import HamiltonianKernel
+from fmu.types import FloatArray
+
+BLOCK = 25
+"""Candidates of a chain that are evaluated in one batch: they do not depend on where the chain is."""
+LOG_WEIGHT, CANDIDATE = "log_weight", "candidate_log_weight"
+"""Statistics of a run: log P − log q after each step, and at its candidate (NaN if it has none)."""
+_OF_BLOCK = ("position", "log_prob", "log_weight")
+_LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
+
+
+@dataclass(frozen=True)
+class MixtureKernel:
+    """Local steps and steps to candidates of a mixture, in turn, bound to a density.
+
+    A candidate is accepted with probability min(1, w*/w), with the weights w = P/q of candidate and position. The
+    extra arrays of its State are the number of steps taken, ``step`` (); the block of candidates,
+    ``block_position`` (BLOCK, chains, ndim), ``block_log_prob`` and ``block_log_weight`` (BLOCK, chains), with the
+    number of the next one, ``next`` (); ``log_weight`` (chains,) of the positions; ``fit`` (), the fit of the
+    mixture that block and weights belong to; and the statistics of the last local step, ``local_...``.
+
+    Attributes
+    ----------
+    proposal : Mixture or None
+        None before the first fit: every step is then a local one.
+    local : Kernel
+    local_steps, jumps : int
+        So many local steps, then so many jumps.
+    fit : int
+        Number of the fit of the mixture; candidates and weights of an earlier one are not used.
+    """
+
+    target: Target
+    proposal: Mixture | None
+    local: Any
+    local_steps: int
+    jumps: int
+    fit: int = 0
+
+    def init(self, positions: FloatArray) -> tuple[State, Info]:
+        """Evaluate the start as the local kernel does."""
+        state, info = self.local.init(positions)
+        chains, ndim = positions.shape
+        extra = {
+            "step": np.array(0),
+            "fit": np.array(-1),
+            "next": np.array(BLOCK),
+            "block_position": np.zeros((BLOCK, chains, ndim)),
+            "block_log_prob": np.zeros((BLOCK, chains)),
+            "block_log_weight": np.zeros((BLOCK, chains)),
+            LOG_WEIGHT: np.full(chains, np.nan),
+        }
+        return replace(state, extra=extra), info
+
+    def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
+        """Take a local step, or one to a candidate."""
+        number = int(state.extra["step"])
+        state = replace(state, extra={**state.extra, "step": np.array(number + 1)})
+        if self.proposal is None or number % (self.local_steps + self.jumps) < self.local_steps:
+            return self._local(rng, state)
+        return self._jump(rng, state, self.proposal)
+
+    def _local(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
+        solves = gradients = np.zeros(len(state.position), dtype=np.int64)
+        start = State(state.position, state.log_prob, state.gradient)
+        if state.gradient is None and isinstance(self.local, HamiltonianKernel):  # a jump has left it behind
+            begun, cost = self.local.init(state.position)
+            start, solves, gradients = replace(begun, log_prob=state.log_prob), cost.n_solves, cost.n_gradients
+        end, info = self.local.step(rng, start)
+        log_weight = state.extra[LOG_WEIGHT]
+        if self.proposal is not None:
+            at_end = end.log_prob - self.proposal.log_density(end.position)
+            log_weight = np.where(info.accepted | (state.extra["fit"] != self.fit), at_end, log_weight)
+        of_step = {name: value for name, value in info.extra.items() if name != _OF_CONSECUTIVE_STEPS}
+        kept = {_LOCAL + name: value for name, value in of_step.items()}
+        extra = {**state.extra, LOG_WEIGHT: log_weight, "fit": np.array(self.fit), **kept}
+        if state.extra["fit"] != self.fit:
+            extra["next"] = np.array(BLOCK)
+        stats = {
+            "acceptance_rate": info.accepted.astype(float),
+            **of_step,
+            LOG_WEIGHT: log_weight,
+            CANDIDATE: np.full(len(log_weight), np.nan),
+        }
+        told = Info(info.accepted, end.log_prob, info.n_solves + solves, info.n_gradients + gradients, stats, info)
+        return replace(end, extra=extra), told
+
+    def _jump(self, rng: np.random.Generator, state: State, proposal: Mixture) -> tuple[State, Info]:
+        extra = dict(state.extra)
+        chains, ndim = state.position.shape
+        n_solves, n_nonfinite = (np.zeros(chains, dtype=np.int64) for _ in range(2))
+        if extra["fit"] != self.fit:
+            extra |= {"fit": np.array(self.fit), "next": np.array(BLOCK)}
+            extra[LOG_WEIGHT] = state.log_prob - proposal.log_density(state.position)
+        if extra["next"] == BLOCK:
+            u = proposal.draw(rng, BLOCK * chains)
+            found = self.target.evaluate(u)
+            log_weight = found.log_prob - proposal.log_density(u)
+            n_solves = found.n_solves.reshape(BLOCK, chains).sum(axis=0)
+            n_nonfinite = found.n_nonfinite.reshape(BLOCK, chains).sum(axis=0)
+            extra |= {
+                "next": np.array(0),
+                "block_position": u.reshape(BLOCK, chains, ndim),
+                "block_log_prob": found.log_prob.reshape(BLOCK, chains),
+                "block_log_weight": log_weight.reshape(BLOCK, chains),
+            }
+        k = int(extra["next"])
+        candidate, value, weight = (extra[f"block_{name}"][k] for name in _OF_BLOCK)
+        log_ratio = np.where(np.isfinite(value), weight - extra[LOG_WEIGHT], -np.inf)
+        accepted = -rng.standard_exponential(chains) <= log_ratio
+        position = np.where(accepted[:, None], candidate, state.position)
+        log_prob = np.where(accepted, value, state.log_prob)
+        extra |= {"next": np.array(k + 1), LOG_WEIGHT: np.where(accepted, weight, extra[LOG_WEIGHT])}
+        stats: dict[str, NDArray[Any]] = {
+            name.removeprefix(_LOCAL): _nothing(value) for name, value in extra.items() if name.startswith(_LOCAL)
+        }
+        stats |= {
+            "acceptance_rate": np.exp(np.minimum(0.0, log_ratio)),
+            "n_nonfinite": n_nonfinite,
+            LOG_WEIGHT: extra[LOG_WEIGHT],
+            CANDIDATE: weight,
+        }
+        info = Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), stats)
+        return State(position, log_prob, None, extra), info
+
+
+def _nothing(value: NDArray[Any]) -> NDArray[Any]:
+    """Return what a statistic of local steps is at a jump: NaN, or zero if it is a count, or False."""
+    return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

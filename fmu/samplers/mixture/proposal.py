@@ -1,0 +1,316 @@
+"""A mixture of truncated Gaussians, fitted to evaluations of a log-density."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.samplers.mixture.quadratic import (
+    Quadratic,
+    coefficients,
+    fitted,
+    n_coefficients,
+    of_moments,
+    standardised,
+)
+from fmu.types import BoolArray, FloatArray
+
+MOST = 8
+"""Components of a mixture."""
+GOOD, POOR = 0.9, 0.6
+"""Effective share of the draws above which a component is not split, and below which moments are tried."""
+_WIDE_SHARE = 0.1
+"""The wider copies of every component have this part of its weight, so that weights P/q stay bounded."""
+_POINTS = 3
+"""Points per coefficient of a quadratic, of all that a component is fitted to."""
+_SWEEPS = 3
+_GAIN = 0.02
+_BEND = 0.1
+"""Distance from a bound, scaled, at which log1p turns from linear to logarithmic."""
+_STRAIGHTER = 0.7
+_FIELDS = ("position", "log_prob", "gradient", "hessian")
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Coordinates x in which skewed posteriors are closer to Gaussian: log(1 + (u − lower)/s) for some, else u.
+
+    Near its lower bound such an x is linear in u, so that a posterior that leans on the bound stays as it is. Far
+    from it x is the logarithm: log-normal posteriors and the tails of inferred deviations become Gaussian.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (ndim,)
+        The box of u.
+    bent : ndarray of bool, shape (ndim,)
+        The coordinates in which x is not u; they need a finite lower bound.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    bent: BoolArray
+
+    def to_x(self, u: FloatArray) -> FloatArray:
+        """Return x of u, both of any leading shape."""
+        with np.errstate(invalid="ignore"):  # inf - (-inf), where it is not used
+            return np.where(self.bent, np.log1p((u - self.lower) / _BEND), u)
+
+    def to_u(self, x: FloatArray) -> FloatArray:
+        """Return u of x, within the box."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            u = np.where(self.bent, self.lower + _BEND * np.expm1(np.where(self.bent, x, 0.0)), x)
+        return np.clip(u, self.lower, self.upper)
+
+    def log_stretch(self, u: FloatArray) -> FloatArray:
+        """Return log |du/dx| at points u (n, ndim), shape (n,)."""
+        away = (u - self.lower)[:, self.bent]
+        return np.asarray(np.sum(np.log(_BEND + away), axis=1))
+
+    def quadratic(self, of_u: Quadratic) -> Quadratic:
+        """Return the log-density of x to second order, from that of u at the same point."""
+        away = np.where(self.bent, _BEND + of_u.position - np.where(self.bent, self.lower, 0.0), 1.0)
+        bent = self.bent.astype(float)
+        return Quadratic(
+            self.to_x(of_u.position),
+            of_u.log_prob + float(np.sum(np.log(away))),
+            of_u.gradient * away + bent,
+            of_u.hessian * np.outer(away, away) - np.diag(bent * of_u.gradient * away),
+        )
+
+
+class Mixture:
+    """A normalised mixture of Gaussians truncated to a box, each with wider copies.
+
+    Parameters
+    ----------
+    quadratics : sequence of Quadratic
+        The components, in the coordinates of `warp`: the log-density to second order, each around its own point.
+    weights : array_like, shape (components,)
+        Positive; they are normalised.
+    warp : Warp
+    """
+
+    def __init__(self, quadratics: Sequence[Quadratic], weights: FloatArray, warp: Warp) -> None:
+        self.quadratics, self.warp = tuple(quadratics), warp
+        self.weights = np.asarray(weights, dtype=float) / np.sum(weights)
+        lower, upper = warp.to_x(warp.lower), warp.to_x(warp.upper)
+        proposals = [q.proposals(lower, upper) for q in self.quadratics]
+        self._parts = [part for parts in proposals for part in parts]
+        self._of = np.repeat(np.arange(len(proposals)), [len(parts) for parts in proposals])
+        self._shares = np.concatenate(
+            [
+                w * np.array([1.0 - _WIDE_SHARE, *[_WIDE_SHARE / (len(parts) - 1)] * (len(parts) - 1)])
+                for w, parts in zip(self.weights, proposals, strict=True)
+            ]
+        )
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Any], lower: FloatArray, upper: FloatArray) -> Mixture:
+        """Return the mixture that `arrays` describes."""
+        quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
+        if "covariance" in arrays:
+            quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, arrays["covariance"], strict=True)]
+        return cls(quadratics, arrays["weights"], Warp(lower, upper, np.asarray(arrays["bent"], dtype=bool)))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Return the mixture as arrays, with a row per component."""
+        found = {name: np.array([getattr(q, name) for q in self.quadratics]) for name in _FIELDS}
+        if all(q.covariance is not None for q in self.quadratics):
+            found["covariance"] = np.array([q.covariance for q in self.quadratics])
+        return found | {"weights": self.weights, "bent": self.warp.bent.astype(float)}
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` independent draws, shape (n, ndim)."""
+        part = rng.choice(len(self._parts), size=n, p=self._shares)
+        x = np.empty((n, len(self.warp.lower)))
+        for k in np.unique(part):
+            x[part == k] = self._parts[k].draw(rng, int(np.sum(part == k)))
+        return self.warp.to_u(x)
+
+    def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return the mean covariance of the components, (ndim, ndim), from `n` draws of each."""
+        ndim = len(self.warp.lower)
+        total = 1e-12 * np.eye(ndim)
+        for k, weight in enumerate(self.weights):
+            one = self._parts[int(np.argmax(self._of == k))]
+            total += weight * np.cov(self.warp.to_u(one.draw(rng, n)).T).reshape(ndim, ndim)
+        return total
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return the logarithm of the normalised density at points u (n, ndim) of the box, shape (n,)."""
+        return np.asarray(logsumexp(self._by_part(self.warp.to_x(u)), axis=0)) - self.warp.log_stretch(u)
+
+    def responsibilities(self, u: FloatArray) -> FloatArray:
+        """Return the probability that each point came from each component, shape (components, n)."""
+        by_part = self._by_part(self.warp.to_x(u))
+        by_component = [logsumexp(by_part[self._of == k], axis=0) for k in range(len(self.quadratics))]
+        return np.asarray(np.exp(by_component - logsumexp(by_part, axis=0)))
+
+    def _by_part(self, x: FloatArray) -> FloatArray:
+        shares = np.log(self._shares)
+        return np.stack([s + part.log_density(x) for s, part in zip(shares, self._parts, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Evaluations of a log-density that stand for it, with weights.
+
+    Attributes
+    ----------
+    position : ndarray, shape (n, ndim)
+    log_prob, weight : ndarray, shape (n,)
+        Finite log-densities; weights by which the points represent the density.
+    """
+
+    position: FloatArray
+    log_prob: FloatArray
+    weight: FloatArray
+
+    @classmethod
+    def weighted(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
+        """Return draws from a distribution of density q with weights P/q, the largest cut (Ionides 2008)."""
+        log_w = log_prob - log_density
+        ok = np.isfinite(log_w)
+        log_w = np.minimum(log_w[ok], logsumexp(log_w[ok]) - 0.5 * np.log(max(ok.sum(), 1)))
+        return cls(position[ok], log_prob[ok], np.exp(log_w - log_w.max()))
+
+    def effective_share(self, log_density: FloatArray) -> float:
+        """Return the Kish effective size of draws from a distribution of density q, per draw, for these points.
+
+        With r = log P − log q it is 1/(E[eʳ] E[e⁻ʳ]), expectations over P.
+        """
+        r = self.log_prob - log_density
+        w = np.log(np.maximum(self.weight, 1e-300) / self.weight.sum())
+        return float(np.exp(-logsumexp(w + r) - logsumexp(w - r)))
+
+
+def fitted_mixture(points: Points, start: Mixture) -> Mixture:
+    """Return the mixture that fits a log-density, from one that is near it.
+
+    Coordinates are bent where the log-density is then closer to a quadratic. Each component's quadratic is fitted
+    to the points in proportion to its responsibility for them, and its weight is that responsibility (one step of
+    expectation and maximisation, a few times). A component is split as long as the mixture is expected to be poor
+    and the points allow it. Where that does not help, as along a bent ridge, components take the mean and the
+    covariance of their points instead.
+    """
+    responsibility = start.responsibilities(points.position)
+    warp = _straightened(points, responsibility, start.warp)
+    best, share = _settled(points, responsibility, warp)
+    while share < GOOD and len(best.quadratics) < MOST:
+        split = _split(points, best)
+        if split is None:
+            break
+        candidate, reached = _settled(points, split, warp)
+        if reached < share + _GAIN:
+            break
+        best, share = candidate, reached
+    if share < POOR:
+        for responsibility in _halved(points, warp):
+            candidate, reached = _settled(points, responsibility, warp, by_moments=True)
+            if reached > share + _GAIN:
+                best, share = candidate, reached
+    return best
+
+
+def _straightened(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
+    """Return the warp with every coordinate bent or straight, whichever is closer to a quadratic log-density."""
+
+    def unexplained(tried: Warp) -> float:
+        x = tried.to_x(points.position)
+        value = points.log_prob + tried.log_stretch(points.position)
+        total = 0.0
+        for weight in responsibility * points.weight:
+            if weight.sum() > 0:
+                total += weight.sum() * coefficients(standardised(x, weight)[0], value, weight)[1]
+        return total
+
+    if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
+        return warp
+    least = unexplained(warp)
+    for k in np.flatnonzero(np.isfinite(warp.lower)):
+        bent = warp.bent.copy()
+        bent[k] = not bent[k]
+        tried = Warp(warp.lower, warp.upper, bent)
+        left = unexplained(tried)
+        if left < _STRAIGHTER * least:
+            warp, least = tried, left
+    return warp
+
+
+def _settled(
+    points: Points, responsibility: FloatArray, warp: Warp, *, by_moments: bool = False
+) -> tuple[Mixture, float]:
+    """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share."""
+    found: tuple[Mixture, float] | None = None
+    x = warp.to_x(points.position)
+    value = points.log_prob + warp.log_stretch(points.position)
+    needed = _POINTS * n_coefficients(x.shape[1])
+    for _ in range(_SWEEPS):
+        weight = responsibility * points.weight
+        size = weight.sum(axis=1) ** 2 / np.maximum(np.sum(weight**2, axis=1), 1e-300)
+        enough = size >= min(needed, 0.5 * size.max())
+        if by_moments:
+            quadratics = [of_moments(x, w) for w in weight[enough]]
+        else:
+            quadratics = [fitted(x, value, w) for w in weight[enough]]
+        mixture = Mixture(quadratics, weight[enough].sum(axis=1), warp)
+        share = points.effective_share(mixture.log_density(points.position))
+        if found is None or share > found[1]:
+            found = mixture, share
+        if len(quadratics) == 1:
+            break
+        responsibility = mixture.responsibilities(points.position)
+    assert found is not None
+    return found
+
+
+def _halved(points: Points, warp: Warp) -> list[FloatArray]:
+    """Return responsibilities of 2, 4 and 8 groups: the points halved again and again along the longest axis."""
+    x, found = warp.to_x(points.position), list[FloatArray]()
+    groups = [np.ones(len(points.weight), dtype=bool)]
+    needed = 2 * _POINTS * x.shape[1]
+    while len(groups) < MOST:
+        halves = []
+        for group in groups:
+            w = np.where(group, points.weight, 0.0)
+            if w.sum() ** 2 < 2 * needed * np.sum(w**2):
+                return found
+            mean = w @ x / w.sum()
+            axis = np.linalg.eigh((w * (x - mean).T) @ (x - mean))[1][:, -1]
+            side = (x - mean) @ axis > 0
+            halves += [group & side, group & ~side]
+        groups = halves
+        found.append(np.array(groups, dtype=float))
+    return found
+
+
+def _split(points: Points, mixture: Mixture) -> FloatArray | None:
+    """Return responsibilities in which the component that fits worst is cut in two; None if it has too few points.
+
+    It is cut across the principal axis where two quadratics leave least unexplained.
+    """
+    responsibility = mixture.responsibilities(points.position)
+    r = points.log_prob - mixture.log_density(points.position)
+    r = r - np.average(r, weights=points.weight)
+    worst = int(np.argmax(responsibility @ (points.weight * np.minimum(r**2, 25.0))))
+    w = responsibility[worst] * points.weight
+    needed = 2 * _POINTS * n_coefficients(points.position.shape[1])
+    if w.sum() ** 2 < needed * np.sum(w**2):
+        return None
+    z, _, L = standardised(mixture.warp.to_x(points.position), w)
+    value = points.log_prob + mixture.warp.log_stretch(points.position)
+    _, _, axes = np.linalg.svd(L)  # L = U S Vᵀ: along the columns of V in z lie the principal axes in x
+    best, least = None, np.inf
+    for axis in axes:
+        side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(z @ axis, -50, 50)))
+        left = 0.0
+        for part in (w * side, w * (1.0 - side)):
+            left += part.sum() * coefficients(standardised(z, part)[0], value, part)[1]
+        if left < least:
+            parts = [responsibility[worst] * side, responsibility[worst] * (1.0 - side)]
+            best, least = np.concatenate([np.delete(responsibility, worst, axis=0), parts]), left
+    return best

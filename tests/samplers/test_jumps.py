@@ -1,0 +1,58 @@
+"""Jumps of the paper's samplers: chains cross between maxima, and the evidence comes from their candidates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.samplers.mixture.mixture import with_jumps
+from fmu.samplers.registry import named
+from tests.samplers.test_mixture import Apart, drawn
+
+
+@pytest.mark.parametrize("name", ["mh", "slice", "hmc"])
+def test_chains_cross_in_the_right_proportion(name):
+    target = Apart()
+    sampler = with_jumps(named(name)).starting_from(target.components(), np.array([0.5, 0.5]))
+    assert sampler.name == name
+    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=1500)
+    left = result.posterior.position[..., 0] < 0
+    assert left.mean() == pytest.approx(0.7, abs=0.05)
+    assert np.sum(left[:, 1:] != left[:, :-1], axis=1).min() > 20
+
+
+@pytest.fixture(scope="module")
+def section():
+    problem = fmu.cases.load("cantilever-section", pairing="index")
+    return problem, fmu.find_map(problem, 64)
+
+
+@pytest.mark.parametrize("name", ["hmc", "mixture"])
+def test_the_papers_second_experiment_by_number_converges_from_the_prior(section, name):
+    """No sampler with local steps alone reaches its highest maximum from everywhere."""
+    problem, maxima = section
+    assert len(maxima) > 1
+    trace = fmu.sample(problem, name, draws=500, warmup=500, maxima=maxima, init="prior", seed=2)
+    assert fmu.diagnose(trace, problem).converged
+    assert trace.attrs["sampler"] == name
+    assert np.all(trace["sample_stats"]["lp"] > maxima[0].log_prob - 40)
+    for method in ("importance", "bridge"):
+        found = fmu.evidence(trace, method)
+        assert found.log_evidence == pytest.approx(-117.165, abs=0.05)
+        assert found.error < 0.03
+        assert not found.warnings
+
+
+def test_jumps_can_be_refused(section):
+    problem, maxima = section
+    trace = fmu.sample(problem, "hmc", draws=20, warmup=20, maxima=maxima, init="start", jumps=False)
+    assert "log_weight" not in trace["sample_stats"]
+    with pytest.raises(ValueError, match=r"jumps: are for mh, slice and hmc only \(got True with emcee\)"):
+        fmu.sample(problem, "emcee", maxima=maxima, jumps=True)
+
+
+def test_a_single_maximum_needs_no_jumps():
+    problem = fmu.cases.load("cantilever-young")
+    trace = fmu.sample(problem, "mh", draws=20, warmup=20, maxima=fmu.find_map(problem, 16))
+    assert "log_weight" not in trace["sample_stats"]

@@ -1,0 +1,190 @@
+"""The mixture sampler: its exact density, what it learns, and that it crosses between separated maxima."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers import MixtureSampler, Run
+from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
+from fmu.samplers.mixture.mixture import first_warp
+from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
+from fmu.samplers.mixture.quadratic import Quadratic, fitted
+from tests.samplers.targets import SkewedGumbel, Target, TwoModes
+
+LOWER, UPPER = np.array([0.0, -1.0]), np.array([1.0, 2.0])
+STEEP = Quadratic(np.array([1.0, 0.2]), 3.0, np.array([9.0, -1.0]), np.array([[50.0, 12.0], [12.0, 9.0]]))
+FLAT = Quadratic(np.array([0.2, 1.0]), -1.0, np.zeros(2), np.array([[4.0, -1.0], [-1.0, 2.0]]))
+BENDS = [(False, False), (True, False), (True, True)]
+
+
+def mixture_of(bent, lower=LOWER, upper=UPPER):
+    warp = Warp(lower, upper, np.array(bent))
+    return Mixture([warp.quadratic(STEEP), warp.quadratic(FLAT)], [0.7, 0.3], warp)
+
+
+def midpoints(n=700):
+    axes = [a + (b - a) * (np.arange(n) + 0.5) / n for a, b in zip(LOWER, UPPER, strict=True)]
+    cell = np.prod(UPPER - LOWER) / n**2
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2), cell
+
+
+@pytest.mark.parametrize("bent", BENDS)
+def test_the_density_is_normalised_and_that_of_the_draws(bent):
+    q = mixture_of(bent)
+    points, cell = midpoints()
+    p = np.exp(q.log_density(points)) * cell
+    assert p.sum() == pytest.approx(1.0, abs=2e-3)
+    u = q.draw(np.random.default_rng(1), 40_000)
+    assert np.all((u >= LOWER) & (u <= UPPER))
+    mean = p @ points
+    sd = np.sqrt(p @ (points - mean) ** 2)
+    np.testing.assert_allclose((u.mean(axis=0) - mean) / sd, 0.0, atol=5 / 200)
+    np.testing.assert_allclose(u.std(axis=0) / sd, 1.0, atol=0.03)
+
+
+def test_a_half_bounded_coordinate_has_a_normalised_density():
+    q = mixture_of((True, False), np.array([0.0, -np.inf]), np.array([np.inf, np.inf]))
+    u = q.draw(np.random.default_rng(2), 40_000)
+    # E_q[uniform density on a box / q] is the share of the box, whatever q
+    box = np.array([[0.3, 0.0], [1.2, 1.0]])
+    inside = np.all((u > box[0]) & (u < box[1]), axis=1)
+    found = np.mean(inside / np.prod(box[1] - box[0]) * np.exp(-q.log_density(u)))
+    assert found == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_quadratic_keeps_its_value_and_slope_under_a_warp():
+    warp = Warp(LOWER, UPPER, np.array([True, False]))
+    of_x = warp.quadratic(FLAT)
+    for d in 1e-3 * np.random.default_rng(3).standard_normal((5, 2)):
+        u = (FLAT.position + d)[None]
+        exact = FLAT(u) + warp.log_stretch(u)
+        assert of_x(warp.to_x(u)) == pytest.approx(exact, abs=3e-7)
+
+
+def test_a_fit_finds_a_quadratic():
+    u = np.random.default_rng(4).uniform(LOWER, UPPER, (60, 2))
+    found = fitted(u, STEEP(u), np.exp(0.1 * STEEP(u)))
+    np.testing.assert_allclose(found(u), STEEP(u), atol=2e-4 * np.ptp(STEEP(u)))
+
+
+def test_a_banana_is_split_and_a_gaussian_is_not():
+    rng, box = np.random.default_rng(5), np.full(2, np.inf)
+    x = rng.standard_normal((4000, 2))
+    warp = Warp(-box, box, np.zeros(2, dtype=bool))
+    shares = {}
+    for name, bend in (("gaussian", 0.0), ("banana", 0.6)):
+        u = np.column_stack([x[:, 0], 0.3 * x[:, 1] + bend * x[:, 0] ** 2])
+        log_p = -0.5 * np.sum(x**2, axis=1)
+        points = Points(u, log_p, np.ones(len(u)))
+        one = Mixture([fitted(u, log_p, points.weight)], [1.0], warp)
+        found = fitted_mixture(points, one)
+        before, after = (points.effective_share(q.log_density(u)) for q in (one, found))
+        shares[name] = len(found.quadratics), before, after
+    assert shares["gaussian"][0] == 1
+    assert shares["gaussian"][1] > 0.8
+    assert shares["banana"][0] > 1
+    assert shares["banana"][2] > 1.3 * shares["banana"][1]
+
+
+class Apart(TwoModes):
+    """Two modes that no local step leaves."""
+
+    name = "apart"
+
+    def __init__(self):
+        super().__init__()
+        self.centres = np.array([[-10.0, 0.0], [12.0, 15.0]])
+        self.mean = self.weights @ self.centres
+        away = self.centres - self.mean
+        self.covariance = np.einsum("k,kij->ij", self.weights, self.covariances) + away.T * self.weights @ away
+        self.unbounded_view()
+
+    def components(self):
+        """The two maxima in scaled units."""
+        scaled, found = ScaledDensity(self), []
+        for centre, precision in zip(self.centres, self.precisions, strict=True):
+            value = float(self.log_prob(centre))
+            hessian = precision * np.outer(self.scale, self.scale)
+            found.append(Quadratic(scaled.to_scaled(centre), value, np.zeros(2), hessian))
+        return found
+
+    def log_evidence(self):
+        """∫ exp(log_prob) is 2π, as the weights add up to 1."""
+        return np.log(2 * np.pi)
+
+
+def drawn(target, sampler, *, chains=8, draws=600, warmup=400, seed=1, **more):
+    return Run(target, sampler, warmup=warmup, chains=chains, seed=seed, **more).extend(draws)
+
+
+@pytest.mark.parametrize("weights", [(0.5, 0.5), (0.99, 0.01)])
+def test_chains_cross_between_separated_modes_in_the_right_proportion(weights):
+    """Even if the search found the wrong shares."""
+    target = Apart()
+    sampler = MixtureSampler(target.components(), weights)
+    start = np.repeat(target.centres[:1], 8, axis=0)
+    result = drawn(target, sampler, init=start)
+    left = result.posterior.position[..., 0] < 0
+    share = left.mean()
+    assert share == pytest.approx(0.7, abs=0.03)
+    crossings = np.sum(left[:, 1:] != left[:, :-1], axis=1)
+    assert crossings.min() > 50
+    log_w = result.posterior.stats[CANDIDATE]
+    log_w = log_w[np.isfinite(log_w)]
+    found = logsumexp(log_w) - np.log(len(log_w)) + np.sum(np.log(target.scale))
+    assert found == pytest.approx(target.log_evidence(), abs=0.03)
+
+
+def test_a_mode_that_the_search_missed_joins():
+    target = Apart()
+    start = np.concatenate([np.repeat(target.centres[:1], 7, axis=0), target.centres[1:]])
+    result = drawn(target, MixtureSampler(target.components()[:1]), init=start)
+    assert np.mean(result.posterior.position[..., 0] < 0) == pytest.approx(0.7, abs=0.04)
+    assert len(result.learnt["components"]) == 2
+
+
+def test_without_components_local_steps_find_them():
+    target = SkewedGumbel()
+    result = drawn(target, MixtureSampler(), init="prior")
+    stats = result.posterior.stats
+    assert np.mean(stats["accepted"]) > 0.3
+    scaled = ScaledDensity(target)
+    settings = result.learnt
+    fields = ("position", "log_prob", "gradient", "hessian", "covariance")
+    quadratics = [Quadratic(*(np.array(one[name]) for name in fields)) for one in settings["components"]]
+    warp = Warp(scaled.lower, scaled.upper, np.array(settings["bent"]))
+    q = Mixture(quadratics, settings["weights"], warp)
+    u = scaled.to_scaled(result.posterior.position.reshape(-1, target.ndim))
+    expected = stats["lp"].ravel() - q.log_density(u)
+    np.testing.assert_allclose(stats[LOG_WEIGHT].ravel(), expected, atol=1e-8)
+
+
+def test_each_candidate_is_counted_once():
+    target = TwoModes()
+    result = drawn(target, MixtureSampler(local_steps=1, jumps=4), draws=100, warmup=50, init="prior")
+    jumps = np.isfinite(result.posterior.stats[CANDIDATE])
+    assert jumps.mean() == pytest.approx(0.8, abs=0.01)
+    assert result.posterior.stats["n_solves"][jumps].sum() == 4 * 25 * 8  # blocks of 25 for 80 jumps a chain
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"jumps": 0}, "jumps: must be a whole number of at least 1"),
+        ({"local_steps": 0}, "local_steps: must be a whole number of at least 1"),
+        ({"adapt": False}, "components: must be given if adapt is False"),
+        ({"components": [STEEP], "weights": [0.2, 0.8]}, r"weights: must be 1, one per component \(got 2\)"),
+        ({"components": [STEEP], "weights": [-1.0]}, "weights: must be positive"),
+    ],
+)
+def test_wrong_settings_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        MixtureSampler(**settings)
+
+
+def test_coordinates_with_a_lower_bound_alone_are_bent_at_first():
+    target = Target(3, [0.0, 0.0, -np.inf], [1.0, np.inf, np.inf])
+    np.testing.assert_array_equal(first_warp(target).bent, [False, True, False])
