@@ -32,6 +32,8 @@ GROUP = "tempering"
 """Group of a trace that keeps what the rungs of a ladder saw."""
 METHODS = ("stepping-stone", "thermodynamic")
 OF_MIXTURE = ("importance", "bridge")
+FEWEST_CANDIDATES = 100
+"""To estimate the tail of their weights from."""
 GOOD_K = 0.7
 """Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
 RHAT_LIMIT = 1.05
@@ -171,8 +173,10 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
 
 
 def has_candidates(trace: xr.DataTree) -> bool:
-    """Return whether a trace has the weights of candidates of a mixture."""
-    return has(trace, "sample_stats") and CANDIDATE in trace["sample_stats"]
+    """Return whether a trace has the weights of enough candidates of a mixture."""
+    if not has(trace, "sample_stats") or CANDIDATE not in trace["sample_stats"]:
+        return False
+    return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE)))) >= FEWEST_CANDIDATES
 
 
 def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:

@@ -54,7 +54,8 @@ def test_the_frame_has_four_maxima_of_comparable_share_and_one_of_none(frame, fr
 @pytest.mark.parametrize(("sampler", "chains"), [("mh", 16), ("slice", 16), ("hmc", 4), ("emcee", 1)])
 def test_by_default_every_chain_is_at_a_maximum_that_counts(frame, frame_maxima, sampler, chains):
     """From the prior a climb in four ends at the fifth, which holds nothing."""
-    trace = fmu.sample(frame, sampler, draws=15, warmup=15, chains=chains, seed=1, maxima=frame_maxima)
+    settings = {"draws": 15, "warmup": 15, "chains": chains, "seed": 1}
+    trace = fmu.sample(frame, sampler, **settings, maxima=frame_maxima, jumps=False)
     theta = np.stack([trace["posterior"][name] for name in frame.names], axis=-1)
     lp = trace["sample_stats"]["lp"].to_numpy()
     at = draws_of_maxima(theta.reshape(-1, 4), lp.ravel(), frame_maxima)

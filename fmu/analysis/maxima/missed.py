@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import gammaincinv
 
-from fmu.analysis.convergence.effective import by_walker, ess_mean
+from fmu.analysis.convergence.effective import by_walker, ess_mean, mcse_mean
 from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maximum
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, mass_in_words, theta_in_words
 from fmu.analysis.trace.reading import array_of, parameter_draws, parameter_names, parameter_units, walkers_of
@@ -145,6 +145,33 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     if wrong:
         wrong.append(_whereabouts(owner.reshape(len(draws), -1, walkers), maxima))
     return Comparison(wrong, outweighed)
+
+
+class Visits(NamedTuple):
+    """How chains were divided among the maxima, and how often they changed.
+
+    Attributes
+    ----------
+    share, error : ndarray, shape (maxima,)
+        Share of the draws of each maximum, and its Monte Carlo standard error; NaN if no chain ever changed.
+    crossings : ndarray of int, shape (chains,)
+        Changes from one maximum to another along each chain, or of all walkers of an ensemble.
+    """
+
+    share: FloatArray
+    error: FloatArray
+    crossings: IntArray
+
+
+def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
+    """Return how the draws of a run are divided among the maxima, and how often its chains crossed."""
+    walkers, draws = walkers_of(trace), parameter_draws(trace)
+    lp = array_of(trace, "sample_stats", "lp")
+    owner = draws_of_maxima(draws.reshape(-1, draws.shape[2]), lp.ravel(), maxima).reshape(len(draws), -1, walkers)
+    crossed = (owner[:, 1:] != owner[:, :-1]) & (owner[:, 1:] >= 0) & (owner[:, :-1] >= 0)
+    is_at = [(owner == k).reshape(lp.shape).astype(float) for k in range(len(maxima))]
+    error = [mcse_mean(at, walkers) if crossed.any() else np.nan for at in is_at]
+    return Visits(np.array([at.mean() for at in is_at]), np.array(error), crossed.sum(axis=(1, 2)))
 
 
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
