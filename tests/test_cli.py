@@ -221,12 +221,15 @@ def test_maxima_are_written_and_kept_in_the_trace(ran, young):
 
 
 def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, monkeypatch, tmp_path):
-    """All chains start in one place: the verdict names the maximum that they miss, and compare repeats it.
+    """All chains start in one place, without jumps: the verdict names the maximum that they miss.
+
+    `fmu compare` repeats it.
 
     The run is long enough, but effective draws do not make a verdict good: it is short of what was asked for.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fmu.analysis.maxima.search, "find_map", lambda problem, starts=None: section_maxima)
+    monkeypatch.setitem(fmu.sample.__kwdefaults__, "jumps", False)
     arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start", "--draws", "20", "--warmup", "60")
     until = ("--until-ess", "5", "--max-draws", "40", "--out", "here", "--no-report")
     run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *until])

@@ -98,7 +98,9 @@ def test_chains_in_one_mode_are_not_taken_for_converged(problem, maxima):
     """They agree with each other perfectly; the other maximum is what tells."""
     for k, other in ((0, 1), (1, 0)):
         start = np.repeat(maxima[k].theta[None], 4, axis=0)
-        trace = fmu.sample(problem, "mh", draws=1000, warmup=200, chains=4, seed=1, init=start, maxima=maxima)
+        trace = fmu.sample(
+            problem, "mh", draws=1000, warmup=200, chains=4, seed=1, init=start, maxima=maxima, jumps=False
+        )
         assert len(set(np.ravel(theta_of(trace)[..., 0] > BETWEEN))) == 1
         assert np.all(fmu.summary(trace)["rhat"] < 1.05)
         verdict = fmu.diagnose(trace)
@@ -109,7 +111,9 @@ def test_chains_in_one_mode_are_not_taken_for_converged(problem, maxima):
 
 def test_hmc_from_the_prior_is_not_taken_for_converged(problem, maxima):
     """It cannot cross; its chains hold the modes in the proportions of their starts."""
-    trace = fmu.sample(problem, "hmc", draws=60, warmup=60, chains=4, seed=1, init="prior", maxima=maxima)
+    trace = fmu.sample(
+        problem, "hmc", draws=60, warmup=60, chains=4, seed=1, init="prior", maxima=maxima, jumps=False
+    )
     homes = theta_of(trace)[..., 0] > BETWEEN
     assert np.all(homes == homes[:, :1])
     assert len(set(homes[:, 0])) == 2
