@@ -38,6 +38,8 @@ CASES = (
     ("shear-10dof", "shape"),
     ("garteur", "shape"),
 )
+AS_PRINTED = ("garteur",)
+"""Cases whose refits take far longer than a run: for them the table that the run itself prints is looked at."""
 WITHIN = 0.1
 """Nats."""
 CHAINS, DRAWS = 4, 2500
@@ -147,13 +149,15 @@ def rows(case: str, pairing: str) -> list[Row]:
     """Return the modes of a case."""
     whole = fmu.cases.load(case, pairing)
     trace = fmu.sample(whole, "hmc", seed=1)
-    table = fmu.leave_one_out(trace, whole)
+    table = fmu.leave_one_out(trace) if case in AS_PRINTED else fmu.leave_one_out(trace, whole)
     exact = by_quadrature() if case == "shear-2dof" else None
     of_whole = (0.0, 0.0) if exact is not None else log_evidence(whole)
     found = []
     for k, (label, row) in enumerate(table.iterrows()):
         if exact is not None:
             reference, error = float(exact[k]), 0.0
+        elif np.isnan(row["elpd"]):
+            reference, error = np.nan, np.nan
         else:
             log_z, error = log_evidence(whole.using([other for other in table.index if other != label]))
             reference, error = of_whole[0] - log_z, float(np.hypot(of_whole[1], error))
@@ -190,12 +194,19 @@ def main(directory: str, *cases: str) -> int:
     return 1 if failures else 0
 
 
+def _with_error(row: Row) -> str:
+    """Return the reference with its standard error, if it was computed and has one."""
+    if np.isnan(row.reference):
+        return ""
+    return f"{row.reference:.3f}" + (f" ± {row.reference_error:.3f}" if row.reference_error else "")
+
+
 def write(found: list[Row], uniform: list[float], failures: list[str], directory: Path) -> None:
     """Write ``left-out.md`` into the directory."""
     cells = [
         [row.case, row.mode, row.method or "none", f"{row.pareto_k:.2f}",
          f"{row.elpd:.3f} ± {row.error:.3f}" if np.isfinite(row.elpd) else "",
-         f"{row.reference:.3f} ± {row.reference_error:.3f}" if row.reference_error else f"{row.reference:.3f}",
+         _with_error(row),
          f"{row.elpd - row.reference:+.3f}" if np.isfinite(row.elpd) else "", significant(row.p, 2)]
         for row in found
     ]  # fmt: skip
@@ -225,7 +236,8 @@ difference of two evidences, from a run of HMC with the mode and one without it:
 is fitted to half of its draws in coordinates without bounds, and gives the evidence by the mean of its importance
 weights or, where their Pareto k is above 0.5, by a bridge to the other half of the draws. For shear-2dof it is
 Gauss–Legendre quadrature with a formula for the frequencies, without anything of fmu. {printed} of {modes} modes
-have a number; the largest difference is {largest:.3f} nat.
+have a number; the largest difference is {largest:.3f} nat. Of garteur the table is the one that a run prints:
+refits would take far longer than the run, and modes that need one have no number.
 
 {table}
 "importance weights" are smoothed (PSIS), of the draws with the mode; they are used where their Pareto k is below
