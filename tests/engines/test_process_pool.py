@@ -66,6 +66,15 @@ def test_the_error_of_one_task_stops_the_others(pool, tmp_path):
     assert not (tmp_path / "never").exists()
 
 
+@pytest.fixture
+def interrupts():
+    """SIGINT raises KeyboardInterrupt, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interrupts")
 def test_an_interrupt_stops_the_tasks(pool, tmp_path):
     def interrupt():
         engine_tasks.wait_for(tmp_path / "beat")
