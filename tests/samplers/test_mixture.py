@@ -70,6 +70,28 @@ def test_a_fit_finds_a_quadratic():
     np.testing.assert_allclose(found(u), STEEP(u), atol=2e-4 * np.ptp(STEEP(u)))
 
 
+def test_a_few_points_with_all_the_weight_are_fitted_all_the_same():
+    """The first candidates may miss the posterior nearly everywhere."""
+    rng, ndim = np.random.default_rng(7), 6
+    box = np.full(ndim, np.inf)
+    u = rng.standard_normal((200, ndim))
+    log_p = -0.5 * np.sum((u / 1e-3) ** 2, axis=1)
+    points = Points.weighted(u, log_p, -0.5 * np.sum(u**2, axis=1))
+    assert points.weight.sum() ** 2 / np.sum(points.weight**2) > 3 * ndim
+    warp = Warp(-box, box, np.zeros(ndim, dtype=bool))
+    wide = Quadratic(np.zeros(ndim), 0.0, np.zeros(ndim), np.eye(ndim))
+    found = fitted_mixture(points, Mixture([wide], [1.0], warp))
+    assert np.linalg.det(np.cov(found.draw(rng, 4000).T)) < 1e-3
+
+
+def test_a_nearly_singular_curvature_can_be_drawn_from():
+    flat = np.diag([1e-9, 1e16])
+    q = Quadratic(np.zeros(2), 0.0, np.zeros(2), flat)
+    warp = Warp(LOWER, UPPER, np.zeros(2, dtype=bool))
+    u = Mixture([q], [1.0], warp).draw(np.random.default_rng(6), 100)
+    assert np.all(np.isfinite(Mixture([q], [1.0], warp).log_density(u)))
+
+
 def test_a_banana_is_split_and_a_gaussian_is_not():
     rng, box = np.random.default_rng(5), np.full(2, np.inf)
     x = rng.standard_normal((4000, 2))

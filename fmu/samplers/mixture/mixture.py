@@ -271,7 +271,10 @@ class MixtureTuner:
             np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
         ]
         log_q = np.asarray(logsumexp(of_stages, axis=0)) - np.log(len(self.drawn.log_prob))
-        mixture = fitted_mixture(Points.weighted(u, log_prob, log_q), self.mixture)
+        try:
+            mixture = fitted_mixture(Points.weighted(u, log_prob, log_q), self.mixture)
+        except np.linalg.LinAlgError:  # go on with the mixture that there is
+            return
         log_mean = float(logsumexp(log_prob - log_q)) - np.log(len(self.drawn.log_prob))
         self._take(_with_found(mixture, state, log_mean))
 

@@ -172,10 +172,17 @@ class Points:
 
     @classmethod
     def weighted(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
-        """Return draws from a distribution of density q with weights P/q, the largest cut (Ionides 2008)."""
+        """Return draws from a distribution of density q with weights P/q, the largest cut (Ionides 2008).
+
+        Where a few draws have nearly all the weight, the weights are evened out by an exponent below 1: what is
+        fitted then is wider than P, and the next draws come nearer.
+        """
         log_w = log_prob - log_density
         ok = np.isfinite(log_w)
         log_w = np.minimum(log_w[ok], logsumexp(log_w[ok]) - 0.5 * np.log(max(ok.sum(), 1)))
+        least = min(_POINTS * (position.shape[1] + 1), 0.5 * len(log_w))
+        while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
+            log_w = 0.7 * log_w
         return cls(position[ok], log_prob[ok], np.exp(log_w - log_w.max()))
 
     def effective_share(self, log_density: FloatArray) -> float:

@@ -9,8 +9,9 @@ import numpy as np
 from fmu.samplers.mixture.truncated_normal import SequentialNormal
 from fmu.types import FloatArray
 
-FLATTEST = 1e-2
-"""Least eigenvalue of a precision, in coordinates of order one."""
+FLATTEST, STEEPEST = 1e-2, 1e12
+"""Least and largest eigenvalue of a precision, in coordinates of order one."""
+_CONDITION = 1e13
 _FLAT = 20.0
 _MOST_WIDENED = 2.5
 _PULL = 1e-3
@@ -71,10 +72,12 @@ class Quadratic:
         return found
 
 
-def definite(hessian: FloatArray, least: float = FLATTEST) -> FloatArray:
-    """Return a symmetric matrix with its eigenvalues raised to `least`."""
+def definite(hessian: FloatArray) -> FloatArray:
+    """Return a symmetric matrix with its eigenvalues moved into bounds: it and its inverse are definite."""
     values, vectors = np.linalg.eigh(hessian)
-    return np.asarray((vectors * np.maximum(values, least)) @ vectors.T)
+    values = np.minimum(values, STEEPEST)
+    values = np.maximum(values, max(FLATTEST, values[-1] / _CONDITION))
+    return np.asarray((vectors * values) @ vectors.T)
 
 
 def _temperature(ndim: int) -> float:
