@@ -136,6 +136,14 @@ def test_a_bent_ridge_against_quadrature():
         assert found.elpd == pytest.approx(by_quadrature()[k], abs=0.1)
 
 
+def test_the_only_mode_in_use_is_not_left_out(few, problem):
+    """There would be nothing to update with; the other modes are predicted by it."""
+    only = problem.using(problem.data.labels[:1])
+    table = fmu.leave_one_out(few(only), only)
+    assert table["method"].iloc[0] != "refit"
+    assert list(table["method"].iloc[1:]) == 2 * ["not used in updating"]
+
+
 def test_the_table_is_kept_in_the_trace(make_result, problem, tmp_path):
     mean, spread = posterior_of((True,) * 3, np.diag(0.5 / BETA))
     draws = np.random.default_rng(4).multivariate_normal(mean, spread, (4, 500))

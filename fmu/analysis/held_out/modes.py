@@ -160,7 +160,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
         row = _weighted(problem, k, draws, smoothed.get(label)) if used else _not_used(trace, problem, k, draws)
         measured = float(np.asarray(problem.data.frequencies_hz)[k])
         rows.append(replace(row, measured=measured, prior_sd=float(prior_sd[k]), used=used))
-        if not (row.method and row.mcse_elpd <= ACCEPTED):
+        is_only_one = used and sum(problem.data.use) == 1  # without it there is nothing to update with
+        if not (row.method and row.mcse_elpd <= ACCEPTED) and not is_only_one:
             doubtful.append(k)
     per_mode = most_s / (solve_s * (len(doubtful) + 1)) if most_s > 0.0 else 0.0
     if doubtful and per_mode >= SOLVES:
