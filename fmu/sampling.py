@@ -76,9 +76,9 @@ def sample(
         An `UpdatingProblem`, or anything with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
         ``log_prob_and_grad``.
     sampler : str or Sampler, optional
-        ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"`` or ``"tempering"`` with default settings, or a settings
-        object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. By default ``"hmc"`` if the
-        problem has exact gradients, otherwise ``"mh"``.
+        ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"`` or ``"tempering"`` with default settings,
+        or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. By default
+        ``"hmc"`` if the problem has exact gradients, otherwise ``"mh"``.
     draws, warmup : int
         Steps kept, and steps before them. An ensemble draws as many vectors per step as it has walkers.
     chains : int
