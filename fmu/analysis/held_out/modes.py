@@ -76,10 +76,10 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     """Compare each measured mode with its prediction from the other modes.
 
     A mode used in updating is predicted by the posterior without it; one that was not used, by the posterior
-    itself. Where the draws cover the posterior without a mode, they are weighted by importance (PSIS, Vehtari,
-    Gelman & Gabry 2017). Where they do not, which the Pareto k of the weights shows, the problem is updated
-    without the mode (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k. `fmu.sample` does
-    so, and keeps the table in the trace, unless it would take more than half as long as the draws.
+    itself. The problem is updated without the mode (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) =
+    log Z - log Z_-k. `fmu.sample` does so, and keeps the table in the trace, unless it would take more than half
+    as long as the draws. Then the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the
+    Pareto k of the weights is low.
 
     Parameters
     ----------
@@ -160,8 +160,9 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
         row = _weighted(problem, k, draws, smoothed.get(label)) if used else _not_used(trace, problem, k, draws)
         measured = float(np.asarray(problem.data.frequencies_hz)[k])
         rows.append(replace(row, measured=measured, prior_sd=float(prior_sd[k]), used=used))
-        is_only_one = used and sum(problem.data.use) == 1  # without it there is nothing to update with
-        if not (row.method and row.mcse_elpd <= ACCEPTED) and not is_only_one:
+        # weights with a Pareto k of 0.4 were off by 0.4 nats: where a refit is affordable, none are relied on
+        is_left_out = used and sum(problem.data.use) > 1  # without the only one there is nothing to update with
+        if is_left_out or (not used and not row.mcse_elpd <= ACCEPTED):
             doubtful.append(k)
     per_mode = most_s / (solve_s * (len(doubtful) + 1)) if most_s > 0.0 else 0.0
     if doubtful and per_mode >= SOLVES:
