@@ -197,8 +197,9 @@ def sample(
                 maxima = found = find_map(of_model)
         start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
         if maxima is not None:
-            several = sum(m.share > NEGLIGIBLE or not isinstance(says, dict) for m in maxima) > 1
-            if jumps is None and several and can_jump(settings):
+            starts_there = isinstance(says, dict)  # otherwise a chain may be caught at any of them
+            caught_at = [m for m in maxima if m.share > NEGLIGIBLE or not starts_there]
+            if jumps is None and len(caught_at) > 1 and can_jump(settings):
                 settings = with_jumps(settings)
             settings = settings.starting_from(*components(problem, maxima))
 

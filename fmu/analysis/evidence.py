@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.effective import GOOD_K, pareto_k
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.numbers import apart, given, significant, with_sd
@@ -34,8 +35,6 @@ METHODS = ("stepping-stone", "thermodynamic")
 OF_MIXTURE = ("importance", "bridge")
 FEWEST_CANDIDATES = 100
 """To estimate the tail of their weights from."""
-GOOD_K = 0.7
-"""Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
 RHAT_LIMIT = 1.05
 """With an R-hat of the log-likelihood above this, the chains of a rung disagree too much for an evidence."""
 
@@ -165,10 +164,8 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     t = trace[GROUP]["inverse_temperature"].to_numpy()
     estimate = {"stepping-stone": _stepping_stone, "thermodynamic": _thermodynamic}[method]
     whole = estimate(draws, t)
-    alone = np.array([estimate(chain[None], t).value for chain in draws])
     within = effective.mcse_mean(whole.influence)
-    between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
-    error = float(np.fmax(within, between))
+    between, error = _errors(within, [estimate(chain[None], t).value for chain in draws])
     return Evidence(whole.value, error, method, within, between, _rung_table(draws, t))
 
 
@@ -181,32 +178,44 @@ def has_candidates(trace: xr.DataTree) -> bool:
 
 def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
     """Return the evidence from the log-weights log P − log q of candidates and of draws."""
-    from arviz_stats.base.array import array_stats
-
     of_candidates, of_draws = (array_of(trace, "sample_stats", name) for name in (CANDIDATE, LOG_WEIGHT))
     jumped = ~np.isnan(of_candidates[0])  # all chains jump at the same steps
     candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
-    pareto_k = float(array_stats.psislw(-candidates[np.isfinite(candidates)])[1])
     ratio = min(1.0, effective.ess_bulk(of_draws) / of_draws.size)
 
     def estimated(q: FloatArray, p: FloatArray) -> tuple[float, float]:
-        if method == "importance":
-            total = float(logsumexp(q))
-            relative = np.exp(q - total) * len(q)
-            return total - float(np.log(len(q))), float(np.std(relative) / np.sqrt(len(q)))
-        return _bridged(q, p, ratio)
+        return by_importance(q) if method == "importance" else by_bridge(q, p, ratio)
 
     value, within = estimated(candidates.ravel(), of_draws.ravel())
     alone = [estimated(q, p)[0] for q, p in zip(candidates, of_draws, strict=True)]
-    between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
+    between, error = _errors(within, alone)
     table = data_frame({"log_evidence": alone}, "chain", range(len(alone)))
-    return Evidence(value, float(np.fmax(within, between)), method, within, between, table, pareto_k)
+    shape = pareto_k(candidates[np.isfinite(candidates)])
+    return Evidence(value, error, method, within, between, table, shape)
 
 
-def _bridged(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
-    """Return log-evidence and standard error by the optimal bridge between log-weights of candidates and of draws.
+def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
+    """Return the standard error from the chains' own estimates, NaN for a single one, and the larger one."""
+    between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
+    return between, float(np.fmax(within, between))
 
-    A draw counts as `ratio` independent ones.
+
+def by_importance(q: FloatArray) -> tuple[float, float]:
+    """Return log-evidence and standard error from log-weights log P − log q (n,) of independent draws from q."""
+    total = float(logsumexp(q))
+    relative = np.exp(q - total) * len(q)
+    return total - float(np.log(len(q))), float(np.std(relative) / np.sqrt(len(q)))
+
+
+def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
+    """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
+
+    Parameters
+    ----------
+    q, p : ndarray, shape (n,) and (m,)
+        Log-weights log P − log q of independent draws from q, and of draws from the posterior.
+    ratio : float
+        How many independent draws one of the posterior counts for, in the error of Frühwirth-Schnatter (2004).
     """
     n = ratio * len(p)
     of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))

@@ -123,7 +123,7 @@ def _costs(everything: Sequence[Findings]) -> str:
     return (
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
         "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
-        f"differences there, as the paper does, and exact gradients in the long runs. "
+        "differences there, as the paper does, and exact gradients in the long runs. "
         "There mh, slice and HMC jump between maxima where several are known. "
         f"{SOLVE}{TO_CONVERGE}"
         f"{WOULD_NEED}\n\n" + markdown_table(header, rows, words=(0, 1, 2))

@@ -92,6 +92,16 @@ def test_a_nearly_singular_curvature_can_be_drawn_from():
     assert np.all(np.isfinite(Mixture([q], [1.0], warp).log_density(u)))
 
 
+def test_arrays_keep_components_with_a_covariance_beside_one_without():
+    """A maximum that a chain has found joins without one, and the run may be stopped before the next fit."""
+    u = np.random.default_rng(8).uniform(LOWER, UPPER, (60, 2))
+    warp = Warp(LOWER, UPPER, np.array([True, False]))
+    q = Mixture([fitted(warp.to_x(u), STEEP(u), np.ones(60)), warp.quadratic(FLAT)], [0.7, 0.3], warp)
+    again = Mixture.of_arrays(q.arrays(), LOWER, UPPER)
+    np.testing.assert_array_equal(again.log_density(u), q.log_density(u))
+    assert again.quadratics[1].covariance is None
+
+
 def test_a_banana_is_split_and_a_gaussian_is_not():
     rng, box = np.random.default_rng(5), np.full(2, np.inf)
     x = rng.standard_normal((4000, 2))

@@ -21,7 +21,8 @@ from scipy.stats import kstest, multivariate_t
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.held_out.refit import pareto_k
+from fmu.analysis.convergence.effective import pareto_k
+from fmu.analysis.evidence import by_bridge, by_importance
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.numbers import significant
 from fmu.tables import markdown_table
@@ -103,7 +104,7 @@ def log_evidence(of: fmu.UpdatingProblem, seed: int = 1) -> tuple[float, float]:
     A mixture of Student distributions is fitted to one half of the draws, in coordinates without bounds. The mean
     of its importance weights needs no right proportion between maxima, of which chains that never cross know
     nothing. Where the weights have too heavy a tail, the mixture is bridged to the other half of the draws with
-    the optimal bridge (Meng & Wong 1996); that error is of Frühwirth-Schnatter (2004), with the ESS of the draws.
+    the optimal bridge.
     """
     trace = fmu.sample(of, "hmc", chains=CHAINS, draws=DRAWS, warmup=500, seed=seed)
     space = _Unbounded(of)
@@ -126,23 +127,9 @@ def log_evidence(of: fmu.UpdatingProblem, seed: int = 1) -> tuple[float, float]:
 
     l2 = log_ratio(other)
     if pareto_k(l2) < GOOD_K:
-        w = np.exp(l2 - l2.max())
-        log_z = float(np.log(w.mean()) + l2.max())
-        return log_z, float(np.std(w) / np.mean(w) / np.sqrt(len(w)))
-    l1 = log_ratio(kept)
+        return by_importance(l2)
     effective = min(len(kept), float(fmu.summary(trace)["ess_bulk"].min()) / 2)
-    s1, s2 = effective / (effective + len(other)), len(other) / (effective + len(other))
-    log_z = float(np.median(l1))
-    for _ in range(200):
-        above = logsumexp(l2 - np.logaddexp(np.log(s1) + l2 - log_z, np.log(s2))) - np.log(len(l2))
-        below = logsumexp(-np.logaddexp(np.log(s1) + l1 - log_z, np.log(s2))) - np.log(len(l1))
-        log_z, before = float(above - below), log_z
-        if abs(log_z - before) < 1e-10:
-            break
-    f1 = 1.0 / (s1 * np.exp(np.minimum(l1 - log_z, 700.0)) + s2)
-    f2 = 1.0 / (s1 + s2 * np.exp(np.minimum(log_z - l2, 700.0)))
-    variance = np.var(f1) / np.mean(f1) ** 2 / effective + np.var(f2) / np.mean(f2) ** 2 / len(other)
-    return log_z, float(np.sqrt(variance))
+    return by_bridge(l2, log_ratio(kept), effective / len(kept))
 
 
 def rows(case: str, pairing: str) -> list[Row]:

@@ -1,6 +1,6 @@
-"""R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity.
+"""R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity; the tail of weights.
 
-All functions take draws of shape (chains, draws). Chains of a single point are measured with ArviZ (Vehtari,
+All but `pareto_k` take draws of shape (chains, draws). Chains of a single point are measured with ArviZ (Vehtari,
 Gelman, Simpson, Carpenter & Bürkner 2021, doi:10.1214/20-BA1221). An ensemble's walkers depend on one another, so
 that its draws are measured by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5;
 Sokal's window).
@@ -28,6 +28,8 @@ TAIL = (0.05, 0.95)
 """Quantiles of the tail ESS (Vehtari et al. 2021, section 4.3)."""
 WINDOW = 5
 """Autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
+GOOD_K = 0.7
+"""Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
 _MIN_DRAWS = 4
 
 
@@ -329,3 +331,10 @@ def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
         first = draws[:, : steps * walkers : distance]
         row[:] = [rhat(x) for x in np.moveaxis(first, -1, 0)]
     return at, values
+
+
+def pareto_k(log_w: FloatArray) -> float:
+    """Return the shape of the tail of importance weights, from their logarithms (n,)."""
+    from arviz_stats.base.array import array_stats
+
+    return float(array_stats.psislw(-log_w)[1])

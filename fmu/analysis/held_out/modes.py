@@ -11,8 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
-from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, approximation, left_out, pareto_k
+from fmu.analysis.convergence.effective import ess_bulk, mcse_mean, pareto_k
+from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, approximation, left_out
 from fmu.analysis.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.conversion import GIVEN_OTHERS
 from fmu.analysis.trace.reading import (

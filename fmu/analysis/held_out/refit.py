@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import logsumexp
 
+from fmu.analysis.convergence.effective import GOOD_K, pareto_k
 from fmu.analysis.maxima.mode_weights import (
     TEMPERATURES,
     Proposal,
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 
 ERROR, ACCEPTED = 0.02, 0.05
 """Wanted standard error of a log-density, and the largest that is accepted."""
-GOOD_K = 0.7
-"""Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
 SOLVES, MOST_SOLVES = 12_000, 120_000
 """What leaving a mode out takes at least, as a rule, and at most, in solves."""
 _STARTS = 32
@@ -313,10 +312,3 @@ def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[
             covariance = np.cov(members.T).reshape(n, n) + 1e-3 * around
             found.append(Quadratic(members.mean(axis=0), 0.0, np.zeros(n), np.linalg.inv(covariance)))
     return found
-
-
-def pareto_k(log_w: FloatArray) -> float:
-    """Return the shape of the tail of importance weights, from their logarithms (n,)."""
-    from arviz_stats.base.array import array_stats
-
-    return float(array_stats.psislw(-log_w)[1])

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
-from fmu.analysis.maxima.missed import visits
+from fmu.analysis.maxima.missed import Visits, visits
 from fmu.analysis.maxima.results import MOST_SHOWN, NEGLIGIBLE, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, walkers_of
@@ -130,27 +130,26 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
     found = run.maxima
     count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
     lead = f"{count} Share: part of the posterior probability. Starts: optimiser starts that ended there."
-    said = [*_crossings(run, found), *found.at_bounds()]
+    seen = visits(run.trace, found)
+    several = sum(m.share > NEGLIGIBLE for m in found) > 1
+    said = [*([_crossings(run, seen)] if several else []), *found.at_bounds()]
     if len(found) > MOST_SHOWN:
         said.append(f"The other {len(found) - MOST_SHOWN} are lower; map.csv lists them.")
-    parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found))
+    parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found, seen))
     if said:
         parts = (*parts, Items(tuple(said)))
     return PageSection("maxima", title, parts)
 
 
-def _crossings(run: ReportedRun, found: Maxima) -> list[str]:
-    """Say how often the chains crossed between the maxima, if there are several that matter."""
-    if sum(m.share > NEGLIGIBLE for m in found) < 2:
-        return []
-    seen = visits(run.trace, found)
+def _crossings(run: ReportedRun, seen: Visits) -> str:
+    """Say how often the chains crossed between the maxima."""
     fewest, most = (whole(n) for n in (seen.crossings.min(), seen.crossings.max()))
     each = "ensemble" if walkers_of(run.trace) > 1 else "chain"
     often = fewest if fewest == most else f"{fewest} to {most}"
-    return [f"Each {each} crossed between maxima {often} times."]
+    return f"Each {each} crossed between maxima {often} times."
 
 
-def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
+def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
     """Return a column per maximum, beside start, posterior mean and measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(f"maximum {k}" for k in range(1, len(best) + 1))
@@ -158,13 +157,10 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     rows = [
         ("log-probability", "nats", MISSING, *(rounded(m.log_prob, 1.0) for m in best), *nothing),
         ("share", "", MISSING, *(share_of_mass(m.share) for m in best), *nothing),
-        *(
-            [("share of the draws", "", MISSING, *_shares_of_draws(run, found), *nothing)]
-            if len(found) > 1
-            else []
-        ),
         ("starts", "", MISSING, *(str(m.starts) for m in best), *nothing),
     ]
+    if len(found) > 1:
+        rows.insert(2, ("share of the draws", "", MISSING, *_shares_of_draws(seen)[: len(best)], *nothing))
     for k, (name, si) in enumerate(zip(found.names, found.units, strict=True)):
         unit = shown(si)
         n = decimals(run.value(name, "sd"))
@@ -180,12 +176,11 @@ def _maxima_table(run: ReportedRun, found: Maxima) -> PageTable:
     )
 
 
-def _shares_of_draws(run: ReportedRun, found: Maxima) -> list[str]:
+def _shares_of_draws(seen: Visits) -> list[str]:
     """Return the share of the draws of each maximum, with its Monte Carlo error if chains crossed."""
-    seen = visits(run.trace, found)
     return [
         f"{share(part)} ± {share(error)}" if error > 0 else share(part)
-        for part, error in zip(seen.share[:MOST_SHOWN], seen.error, strict=False)
+        for part, error in zip(seen.share, seen.error, strict=True)
     ]
 
 

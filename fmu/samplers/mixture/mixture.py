@@ -168,21 +168,27 @@ class MixtureTuner:
 
     def __init__(self, sampler: MixtureSampler, density: LogDensity, chains: int, steps: int) -> None:
         self.sampler, self.density, self.chains, self.steps = sampler, density, chains, steps
-        self.done = self.n_fits = 0
+        self.done = 0
         self.first = 0 if sampler.components is not None else max(int(_LOCAL_PART * steps), 1)
         self.fit_at = [self.first + int(part * (steps - self.first)) for part in _FITS]
-        self.stages: list[Mixture] = []  # of which candidates were evaluated, and how many
-        self.counts: list[int] = []
+        self.target = Target(density)
+        self.stages: list[Mixture] = []  # of each fit, the last one in use
+        self.counts: list[int] = []  # of the candidates of each that were evaluated
         self.drawn = Evaluated(np.empty((0, density.ndim)), np.empty(0))
         self.covariance: FloatArray | None = None
         self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
-        self.mixture = sampler.mixture(density)
-        if self.mixture is None:
+        given = sampler.mixture(density)
+        if given is None:
             self.local = self.local_settings.tuner(density, chains, self.first)
         else:
-            self._begin_with(self.mixture)
+            self._begin_with(given)
         self._take_kernel()
+
+    @property
+    def mixture(self) -> Mixture | None:
+        """The mixture in use; None before the first fit."""
+        return self.stages[-1] if self.stages else None
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
@@ -220,7 +226,6 @@ class MixtureTuner:
         """Return the state of the tuner as plain data."""
         return {
             "done": self.done,
-            "n_fits": self.n_fits,
             "drawn": self.drawn._asdict(),
             "stages": {str(k): stage.arrays() for k, stage in enumerate(self.stages)},
             "counts": list(self.counts),
@@ -230,13 +235,12 @@ class MixtureTuner:
 
     def restore(self, state: Tree) -> None:
         """Take over what another tuner had learnt."""
-        self.done, self.n_fits = state["done"], state["n_fits"]
+        self.done = state["done"]
         self.drawn, self.counts = Evaluated(**state["drawn"]), [int(n) for n in state["counts"]]
         lower, upper = self.density.lower, self.density.upper
         stages = state["stages"]
         self.stages = [Mixture.of_arrays(stages[str(k)], lower, upper) for k in range(len(stages))]
         if self.stages:
-            self.mixture = self.stages[-1]
             self._take_covariance(state["covariance"])
         if self.local is not None:
             self.local.restore(state["local"])
@@ -254,8 +258,7 @@ class MixtureTuner:
         near = log_prob >= np.median(log_prob) - _FAR - self.density.ndim
         points = Points(u[near], log_prob[near], np.ones(int(near.sum())))
         warp = first_warp(self.density)
-        value = points.log_prob + warp.log_stretch(points.position)
-        one = fitted(warp.to_x(points.position), value, points.weight)
+        one = fitted(*points.under(warp), points.weight)
         self.drawn = Evaluated(np.empty((0, self.density.ndim)), np.empty(0))
         self._begin_with(fitted_mixture(points, Mixture([one], np.ones(1), warp)))
 
@@ -279,10 +282,8 @@ class MixtureTuner:
         self._take(_with_found(mixture, state, log_mean))
 
     def _take(self, mixture: Mixture) -> None:
-        self.mixture = mixture
         self.stages.append(mixture)
         self.counts.append(0)
-        self.n_fits += 1
 
     def _take_covariance(self, covariance: FloatArray) -> None:
         self.covariance = covariance
@@ -293,8 +294,8 @@ class MixtureTuner:
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
-        sampler, target = self.sampler, Target(self.density)
-        self.kernel = MixtureKernel(target, self.mixture, local, sampler.local_steps, sampler.jumps, self.n_fits)
+        steps, jumps = self.sampler.local_steps, self.sampler.jumps
+        self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages))
 
 
 class Evaluated(NamedTuple):

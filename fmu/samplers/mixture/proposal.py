@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -112,15 +112,15 @@ class Mixture:
     def of_arrays(cls, arrays: Mapping[str, Any], lower: FloatArray, upper: FloatArray) -> Mixture:
         """Return the mixture that `arrays` describes."""
         quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
-        if "covariance" in arrays:
-            quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, arrays["covariance"], strict=True)]
+        covariances = [None if np.isnan(c).any() else c for c in arrays["covariance"]]
+        quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, covariances, strict=True)]
         return cls(quadratics, arrays["weights"], Warp(lower, upper, np.asarray(arrays["bent"], dtype=bool)))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the mixture as arrays, with a row per component."""
+        """Return the mixture as arrays, with a row per component; NaN for a covariance that it has not."""
         found = {name: np.array([getattr(q, name) for q in self.quadratics]) for name in _FIELDS}
-        if all(q.covariance is not None for q in self.quadratics):
-            found["covariance"] = np.array([q.covariance for q in self.quadratics])
+        none = np.full(self.quadratics[0].hessian.shape, np.nan)
+        found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
         return found | {"weights": self.weights, "bent": self.warp.bent.astype(float)}
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -185,6 +185,10 @@ class Points:
             log_w = 0.7 * log_w
         return cls(position[ok], log_prob[ok], np.exp(log_w - log_w.max()))
 
+    def under(self, warp: Warp) -> tuple[FloatArray, FloatArray]:
+        """Return x of the points, and the log-density of x there."""
+        return warp.to_x(self.position), self.log_prob + warp.log_stretch(self.position)
+
     def effective_share(self, log_density: FloatArray) -> float:
         """Return the Kish effective size of draws from a distribution of density q, per draw, for these points.
 
@@ -225,27 +229,24 @@ def fitted_mixture(points: Points, start: Mixture) -> Mixture:
 
 def _straightened(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
     """Return the warp with every coordinate bent or straight, whichever is closer to a quadratic log-density."""
-
-    def unexplained(tried: Warp) -> float:
-        x = tried.to_x(points.position)
-        value = points.log_prob + tried.log_stretch(points.position)
-        total = 0.0
-        for weight in responsibility * points.weight:
-            if weight.sum() > 0:
-                total += weight.sum() * coefficients(standardised(x, weight)[0], value, weight)[1]
-        return total
-
+    weights = responsibility * points.weight
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
         return warp
-    least = unexplained(warp)
+    least = _unexplained(*points.under(warp), weights)
     for k in np.flatnonzero(np.isfinite(warp.lower)):
         bent = warp.bent.copy()
         bent[k] = not bent[k]
         tried = Warp(warp.lower, warp.upper, bent)
-        left = unexplained(tried)
+        left = _unexplained(*points.under(tried), weights)
         if left < _STRAIGHTER * least:
             warp, least = tried, left
     return warp
+
+
+def _unexplained(x: FloatArray, value: FloatArray, weights: Iterable[FloatArray]) -> float:
+    """Return the sum of squares that quadratics, one for each of the `weights`, leave of a log-density."""
+    left = (w.sum() * coefficients(standardised(x, w)[0], value, w)[1] for w in weights if w.sum() > 0)
+    return float(sum(left))
 
 
 def _settled(
@@ -253,8 +254,7 @@ def _settled(
 ) -> tuple[Mixture, float]:
     """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share."""
     found: tuple[Mixture, float] | None = None
-    x = warp.to_x(points.position)
-    value = points.log_prob + warp.log_stretch(points.position)
+    x, value = points.under(warp)
     needed = _POINTS * n_coefficients(x.shape[1])
     for _ in range(_SWEEPS):
         weight = responsibility * points.weight
@@ -308,15 +308,13 @@ def _split(points: Points, mixture: Mixture) -> FloatArray | None:
     needed = 2 * _POINTS * n_coefficients(points.position.shape[1])
     if w.sum() ** 2 < needed * np.sum(w**2):
         return None
-    z, _, L = standardised(mixture.warp.to_x(points.position), w)
-    value = points.log_prob + mixture.warp.log_stretch(points.position)
+    x, value = points.under(mixture.warp)
+    z, _, L = standardised(x, w)
     _, _, axes = np.linalg.svd(L)  # L = U S Vᵀ: along the columns of V in z lie the principal axes in x
     best, least = None, np.inf
     for axis in axes:
         side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(z @ axis, -50, 50)))
-        left = 0.0
-        for part in (w * side, w * (1.0 - side)):
-            left += part.sum() * coefficients(standardised(z, part)[0], value, part)[1]
+        left = _unexplained(z, value, (w * side, w * (1.0 - side)))
         if left < least:
             parts = [responsibility[worst] * side, responsibility[worst] * (1.0 - side)]
             best, least = np.concatenate([np.delete(responsibility, worst, axis=0), parts]), left
