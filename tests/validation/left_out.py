@@ -44,6 +44,9 @@ AS_PRINTED = ("garteur",)
 WITHIN = 0.1
 """Nats."""
 CHAINS, DRAWS = 4, 2500
+"""Chains from the prior, and from each maximum."""
+HOPELESS, MOST_MAXIMA = 20.0, 4
+"""A maximum that lies further below the highest one does not matter, in nats."""
 GROUPS, FREEDOM = 12, 5
 WEIGHED = 40_000
 """Draws of the mixture of `GROUPS` Student distributions that evidences are weighed with."""
@@ -101,19 +104,27 @@ class _Unbounded:
 def log_evidence(of: fmu.UpdatingProblem, seed: int = 1) -> tuple[float, float]:
     """Return log-evidence and standard error, by importance sampling or bridge sampling from a run of HMC.
 
-    A mixture of Student distributions is fitted to one half of the draws, in coordinates without bounds. The mean
-    of its importance weights needs no right proportion between maxima, of which chains that never cross know
-    nothing. Where the weights have too heavy a tail, the mixture is bridged to the other half of the draws with
-    the optimal bridge.
+    Chains start at draws from the prior and at every maximum that may matter, and do not jump. A mixture of
+    Student distributions is fitted to one half of their draws, in coordinates without bounds. The mean of its
+    importance weights needs no right proportion between maxima, of which chains that never cross know nothing.
+    Where the weights have too heavy a tail, the mixture is bridged to the other half of the draws with the optimal
+    bridge.
     """
-    trace = fmu.sample(of, "hmc", chains=CHAINS, draws=DRAWS, warmup=500, seed=seed)
+    found = fmu.find_map(of)
+    that_matter = [m.theta for m in found if m.log_prob > found[0].log_prob - HOPELESS][:MOST_MAXIMA]
+    start = [*of.sample_prior(np.random.default_rng(seed), CHAINS), *np.repeat(that_matter, CHAINS, axis=0)]
+    trace = fmu.sample(
+        of, "hmc", chains=len(start), draws=DRAWS, warmup=500, seed=seed, init=np.array(start), jumps=False
+    )
     space = _Unbounded(of)
     draws = space.coordinates(parameter_draws(trace))
     fitted, kept = (part.reshape(-1, of.ndim) for part in np.array_split(draws, 2, axis=1))
     rng = np.random.default_rng(seed)
     around = np.linalg.cholesky(np.cov(fitted.T).reshape(of.ndim, of.ndim))
     _, group = kmeans2(np.linalg.solve(around, fitted.T).T, GROUPS, minit="++", rng=rng)
-    parts = [fitted[group == g] for g in range(GROUPS) if np.sum(group == g) > 4 * of.ndim]
+    parts = [
+        one for one in (fitted[group == g] for g in range(GROUPS)) if len(np.unique(one, axis=0)) > 4 * of.ndim
+    ]
     share = np.array([len(part) for part in parts]) / sum(map(len, parts))
     students = [multivariate_t(part.mean(axis=0), np.cov(part.T), FREEDOM) for part in parts]
     counts = rng.multinomial(WEIGHED, share)
@@ -219,12 +230,13 @@ Written by `python -m tests.validation.left_out results` in {minutes:.0f} minute
 
 `fmu.leave_one_out` compares each measured mode with its prediction from the other modes. elpd is the log-density
 of what was measured of the mode given the others, log p(y_k | y_-k) = log Z − log Z_-k. The reference is the
-difference of two evidences, from a run of HMC with the mode and one without it: a mixture of Student distributions
-is fitted to half of its draws in coordinates without bounds, and gives the evidence by the mean of its importance
-weights or, where their Pareto k is above 0.5, by a bridge to the other half of the draws. For shear-2dof it is
-Gauss–Legendre quadrature with a formula for the frequencies, without anything of fmu. {printed} of {modes} modes
-have a number; the largest difference is {largest:.3f} nat. Of garteur the table is the one that a run prints:
-refits would take far longer than the run, and modes that need one have no number.
+difference of two evidences, from a run of HMC with the mode and one without it, whose chains start at draws from
+the prior and at the maxima of `find_map`: a mixture of Student distributions is fitted to half of its draws in
+coordinates without bounds, and gives the evidence by the mean of its importance weights or, where their Pareto k
+is above 0.5, by a bridge to the other half of the draws. For shear-2dof it is Gauss–Legendre quadrature with a
+formula for the frequencies, without anything of fmu. {printed} of {modes} modes have a number; the largest
+difference is {largest:.3f} nat. Of garteur the table is the one that a run prints: refits would take far longer
+than the run, and modes that need one have no number.
 
 {table}
 "importance weights" are smoothed (PSIS), of the draws with the mode; they are used where their Pareto k is below
