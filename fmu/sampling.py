@@ -91,7 +91,7 @@ def sample(
         prior if no `maxima` are given. ``"prior"``: at draws from the prior. ``"start"``: at ``problem.start``.
         An array: there (SI units).
     jumps : bool, optional
-        Whether every tenth step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent candidate from a mixture
+        Whether every other step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent candidate from a mixture
         that warm-up fits to the posterior, so that chains cross between separated maxima
         (`fmu.samplers.mixture.mixture.with_jumps`). By default where two maxima or more have 1 % of the
         probability each; or are known at all, if the chains do not start at them.
