@@ -70,6 +70,34 @@ def test_a_fit_finds_a_quadratic():
     np.testing.assert_allclose(found(u), STEEP(u), atol=2e-4 * np.ptp(STEEP(u)))
 
 
+def test_gradients_determine_a_quadratic_from_fewer_points_than_coefficients():
+    rng, ndim = np.random.default_rng(11), 6
+    root = rng.standard_normal((ndim, ndim))
+    exact = Quadratic(rng.standard_normal(ndim), 2.0, rng.standard_normal(ndim), root @ root.T + np.eye(ndim))
+    u = exact.position + 0.3 * rng.standard_normal((12, ndim))
+    slope = exact.gradient - (u - exact.position) @ exact.hessian
+    elsewhere = exact.position + rng.standard_normal((50, ndim))
+    found, alone = (fitted(u, exact(u), np.ones(12), of)(elsewhere) for of in (slope, None))
+    size = np.ptp(exact(elsewhere))
+    np.testing.assert_allclose(found, exact(elsewhere), atol=1e-3 * size)
+    assert np.max(np.abs(alone - exact(elsewhere))) > 0.1 * size
+
+
+def test_the_gradient_under_a_warp_is_that_of_the_density_of_x():
+    warp = Warp(LOWER, UPPER, np.array([True, False]))
+    u = np.random.default_rng(12).uniform(0.2, 0.8, (5, 2)) * (UPPER - LOWER) + LOWER
+    step = 1e-5
+    of_u = np.stack([(FLAT(u + step * e) - FLAT(u - step * e)) / (2 * step) for e in np.eye(2)], axis=1)
+    x, _, slope = Points(u, FLAT(u), np.ones(5), of_u).under(warp)
+
+    def value(x):
+        u = warp.to_u(x)
+        return FLAT(u) + warp.log_stretch(u)
+
+    of_x = np.stack([(value(x + step * e) - value(x - step * e)) / (2 * step) for e in np.eye(2)], axis=1)
+    np.testing.assert_allclose(slope, of_x, atol=1e-6 * np.max(np.abs(of_x)))
+
+
 def test_a_few_points_with_all_the_weight_are_fitted_all_the_same():
     """The first candidates may miss the posterior nearly everywhere."""
     rng, ndim = np.random.default_rng(7), 6

@@ -162,8 +162,8 @@ class MixtureTuner:
     """Fits the mixture again and again, to all candidates so far, weighted by the mixtures that they came from.
 
     Where no component is known, local steps take the first half of the warm-up, and the first fit is to their
-    draws. A chain that has found what the mixture does not know gives it a component. The local steps after the
-    first fit have a metric from the covariance of the mixture.
+    draws, with the gradients if those were evaluated. A chain that has found what the mixture does not know gives
+    it a component. The local steps after the first fit have a metric from the covariance of the mixture.
     """
 
     def __init__(self, sampler: MixtureSampler, density: LogDensity, chains: int, steps: int) -> None:
@@ -174,7 +174,7 @@ class MixtureTuner:
         self.target = Target(density)
         self.stages: list[Mixture] = []  # of each fit, the last one in use
         self.counts: list[int] = []  # of the candidates of each that were evaluated
-        self.drawn = Evaluated(np.empty((0, density.ndim)), np.empty(0))
+        self.drawn = Evaluated.none(density.ndim)
         self.covariance: FloatArray | None = None
         self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
@@ -196,7 +196,7 @@ class MixtureTuner:
         if info.parts is not None and self.local is not None:
             self.local.update(State(state.position, state.log_prob, state.gradient), info.parts)
         if self.mixture is None:
-            self.drawn = self.drawn.with_more(state.position, state.log_prob)
+            self.drawn = self.drawn.with_more(state.position, state.log_prob, state.gradient)
             if self.done == self.first:
                 self._fit_to_draws()
         elif info.parts is None and int(state.extra["next"]) == 1:  # a new block
@@ -253,19 +253,20 @@ class MixtureTuner:
 
     def _fit_to_draws(self) -> None:
         """Fit the first mixture to the later half of the local steps' draws."""
-        keep = slice(len(self.drawn.log_prob) // 2, None)
-        u, log_prob = self.drawn.position[keep], self.drawn.log_prob[keep]
+        u, log_prob, slope = (one[len(one) // 2 :] for one in self.drawn)
         near = log_prob >= np.median(log_prob) - _FAR - self.density.ndim
-        points = Points(u[near], log_prob[near], np.ones(int(near.sum())))
+        slopes = None if np.isnan(slope).any() else slope[near]
+        points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
         warp = first_warp(self.density)
-        one = fitted(*points.under(warp), points.weight)
-        self.drawn = Evaluated(np.empty((0, self.density.ndim)), np.empty(0))
+        x, value, of_x = points.under(warp)
+        one = fitted(x, value, points.weight, of_x)
+        self.drawn = Evaluated.none(self.density.ndim)
         self._begin_with(fitted_mixture(points, Mixture([one], np.ones(1), warp)))
 
     def _fit(self, state: State) -> None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012)."""
         assert self.mixture is not None
-        u, log_prob = self.drawn
+        u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         u, log_prob = u[known], log_prob[known]
         if len(u) <= n_coefficients(self.density.ndim):
@@ -299,14 +300,21 @@ class MixtureTuner:
 
 
 class Evaluated(NamedTuple):
-    """Points (n, ndim) at which the density was evaluated, and its logarithm there (n,)."""
+    """Points (n, ndim) at which the density was evaluated, its logarithm there (n,), and gradients or NaN."""
 
     position: FloatArray
     log_prob: FloatArray
+    gradient: FloatArray
 
-    def with_more(self, position: FloatArray, log_prob: FloatArray) -> Evaluated:
+    @classmethod
+    def none(cls, ndim: int) -> Evaluated:
+        """Return no points."""
+        return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
+
+    def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
         """Return these points and others."""
-        return Evaluated(np.concatenate([self.position, position]), np.concatenate([self.log_prob, log_prob]))
+        more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
+        return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
 def _with_found(mixture: Mixture, state: State, log_mean: float) -> Mixture:

@@ -65,14 +65,17 @@ class Warp:
             u = np.where(self.bent, self.lower + _BEND * np.expm1(np.where(self.bent, x, 0.0)), x)
         return np.clip(u, self.lower, self.upper)
 
+    def stretch(self, u: FloatArray) -> FloatArray:
+        """Return du/dx of every coordinate at points u (..., ndim)."""
+        return np.where(self.bent, _BEND + u - np.where(self.bent, self.lower, 0.0), 1.0)
+
     def log_stretch(self, u: FloatArray) -> FloatArray:
         """Return log |du/dx| at points u (n, ndim), shape (n,)."""
-        away = (u - self.lower)[:, self.bent]
-        return np.asarray(np.sum(np.log(_BEND + away), axis=1))
+        return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
 
     def quadratic(self, of_u: Quadratic) -> Quadratic:
         """Return the log-density of x to second order, from that of u at the same point."""
-        away = np.where(self.bent, _BEND + of_u.position - np.where(self.bent, self.lower, 0.0), 1.0)
+        away = self.stretch(of_u.position)
         bent = self.bent.astype(float)
         return Quadratic(
             self.to_x(of_u.position),
@@ -164,11 +167,14 @@ class Points:
     position : ndarray, shape (n, ndim)
     log_prob, weight : ndarray, shape (n,)
         Finite log-densities; weights by which the points represent the density.
+    gradient : ndarray, shape (n, ndim), optional
+        Of the log-density.
     """
 
     position: FloatArray
     log_prob: FloatArray
     weight: FloatArray
+    gradient: FloatArray | None = None
 
     @classmethod
     def weighted(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
@@ -185,9 +191,11 @@ class Points:
             log_w = 0.7 * log_w
         return cls(position[ok], log_prob[ok], np.exp(log_w - log_w.max()))
 
-    def under(self, warp: Warp) -> tuple[FloatArray, FloatArray]:
-        """Return x of the points, and the log-density of x there."""
-        return warp.to_x(self.position), self.log_prob + warp.log_stretch(self.position)
+    def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Return x of the points, and the log-density of x there with its gradient, if that is known."""
+        log_prob = self.log_prob + warp.log_stretch(self.position)
+        slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
+        return warp.to_x(self.position), log_prob, slope
 
     def effective_share(self, log_density: FloatArray) -> float:
         """Return the Kish effective size of draws from a distribution of density q, per draw, for these points.
@@ -243,10 +251,16 @@ def _straightened(points: Points, responsibility: FloatArray, warp: Warp) -> War
     return warp
 
 
-def _unexplained(x: FloatArray, value: FloatArray, weights: Iterable[FloatArray]) -> float:
+def _unexplained(
+    x: FloatArray, value: FloatArray, slope: FloatArray | None, weights: Iterable[FloatArray]
+) -> float:
     """Return the sum of squares that quadratics, one for each of the `weights`, leave of a log-density."""
-    left = (w.sum() * coefficients(standardised(x, w)[0], value, w)[1] for w in weights if w.sum() > 0)
-    return float(sum(left))
+    total = 0.0
+    for w in weights:
+        if w.sum() > 0:
+            z, _, L = standardised(x, w)
+            total += w.sum() * coefficients(z, value, w, None if slope is None else slope @ L)[1]
+    return total
 
 
 def _settled(
@@ -254,7 +268,7 @@ def _settled(
 ) -> tuple[Mixture, float]:
     """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share."""
     found: tuple[Mixture, float] | None = None
-    x, value = points.under(warp)
+    x, value, slope = points.under(warp)
     needed = _POINTS * n_coefficients(x.shape[1])
     for _ in range(_SWEEPS):
         weight = responsibility * points.weight
@@ -263,7 +277,7 @@ def _settled(
         if by_moments:
             quadratics = [of_moments(x, w) for w in weight[enough]]
         else:
-            quadratics = [fitted(x, value, w) for w in weight[enough]]
+            quadratics = [fitted(x, value, w, slope) for w in weight[enough]]
         mixture = Mixture(quadratics, weight[enough].sum(axis=1), warp)
         share = points.effective_share(mixture.log_density(points.position))
         if found is None or share > found[1]:
@@ -308,13 +322,13 @@ def _split(points: Points, mixture: Mixture) -> FloatArray | None:
     needed = 2 * _POINTS * n_coefficients(points.position.shape[1])
     if w.sum() ** 2 < needed * np.sum(w**2):
         return None
-    x, value = points.under(mixture.warp)
+    x, value, slope = points.under(mixture.warp)
     z, _, L = standardised(x, w)
     _, _, axes = np.linalg.svd(L)  # L = U S Vᵀ: along the columns of V in z lie the principal axes in x
     best, least = None, np.inf
     for axis in axes:
         side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(z @ axis, -50, 50)))
-        left = _unexplained(z, value, (w * side, w * (1.0 - side)))
+        left = _unexplained(x, value, slope, (w * side, w * (1.0 - side)))
         if left < least:
             parts = [responsibility[worst] * side, responsibility[worst] * (1.0 - side)]
             best, least = np.concatenate([np.delete(responsibility, worst, axis=0), parts]), left

@@ -89,8 +89,8 @@ def n_coefficients(ndim: int) -> int:
     return (ndim + 1) * (ndim + 2) // 2
 
 
-def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray) -> Quadratic:
-    """Return the quadratic that fits log-densities best, by weighted least squares.
+def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None) -> Quadratic:
+    """Return the quadratic that fits log-densities and their gradients best, by weighted least squares.
 
     It is fitted in coordinates in which the weighted points have unit covariance. There, curvatures that the
     points do not determine are drawn towards those of a Gaussian with their covariance, and the precision is made
@@ -102,13 +102,15 @@ def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray) -> Quadratic
     u : ndarray, shape (n, ndim)
     log_prob, weight : ndarray, shape (n,)
         Finite log-densities; weights that are not all zero.
+    slope : ndarray, shape (n, ndim), optional
+        Gradients of the log-density. In these coordinates they count as much as the log-densities.
     """
     z, mean, L = standardised(u, weight)
-    c = coefficients(z, log_prob, weight)[0]
+    c = coefficients(z, log_prob, weight, None if slope is None else slope @ L)[0]
     H = _symmetric(c[1 + len(mean) :], len(mean))
     back = np.linalg.inv(L)
-    slope, curvature = back.T @ c[1 : 1 + len(mean)], back.T @ definite(H) @ back
-    return Quadratic(mean, float(c[0]), slope, curvature, L @ L.T)
+    gradient, curvature = back.T @ c[1 : 1 + len(mean)], back.T @ definite(H) @ back
+    return Quadratic(mean, float(c[0]), gradient, curvature, L @ L.T)
 
 
 def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
@@ -128,17 +130,34 @@ def standardised(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatAr
     return np.linalg.solve(L, (u - mean).T).T, mean, L
 
 
-def coefficients(z: FloatArray, log_prob: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Return the coefficients of the quadratic in standardised z, and the weighted mean square of what is left."""
+def coefficients(
+    z: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
+) -> tuple[FloatArray, float]:
+    """Return the coefficients of the quadratic in standardised z, and the weighted mean square of what is left.
+
+    What is left is of the log-density alone. Normal equations are accurate enough: z has unit covariance, and
+    `_PULL` bounds their condition by 1/_PULL².
+    """
     ndim = z.shape[1]
     i, j = np.triu_indices(ndim)
     columns = np.concatenate([np.ones((len(z), 1)), z, -z[:, i] * z[:, j] * np.where(i == j, 0.5, 1.0)], axis=1)
     w = weight / weight.sum()
-    root = np.sqrt(w)
-    pull = _PULL * np.concatenate([np.zeros(ndim + 1), np.ones(len(i))])
-    towards = pull * np.concatenate([np.zeros(ndim + 1), (i == j).astype(float)])
-    A = np.concatenate([columns * root[:, None], np.diag(pull)])
-    c = np.linalg.lstsq(A, np.concatenate([log_prob * root, towards]), rcond=None)[0]
+    weighted = columns.T * w
+    pull = np.concatenate([np.zeros(ndim + 1), np.full(len(i), _PULL**2)])
+    A, b = (
+        weighted @ columns + np.diag(pull),
+        weighted @ log_prob + pull * (np.concatenate([np.zeros(ndim + 1), i == j])),
+    )
+    if slope is not None:
+        place = np.empty((ndim, ndim), dtype=int)
+        place[i, j] = place[j, i] = 1 + ndim + np.arange(len(i))
+        one_z = np.concatenate([np.ones((len(z), 1)), -z], axis=1)
+        of_slopes, right = (one_z.T * w) @ one_z, (one_z.T * w) @ slope
+        for k in range(ndim):  # the derivative by z_k has the coefficients of z_k and of all products with it
+            at = np.concatenate([[1 + k], place[k]])
+            A[np.ix_(at, at)] += of_slopes
+            b[at] += right[:, k]
+    c = np.linalg.solve(A, b)
     return c, float(w @ (log_prob - columns @ c) ** 2)
 
 
