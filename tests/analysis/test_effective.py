@@ -163,3 +163,12 @@ def test_autocorrelation_of_an_ensemble_is_about_its_common_mean():
     assert np.all(values[:, 1:20] > 0.85)  # 16 of the variance 17 is that of the places, less at longer lags
     still = np.ones((1, 40))
     assert np.isnan(effective.autocorrelation(still)).all()
+
+
+def test_the_tail_of_weights_that_do_not_differ():
+    """A run must not end with an error because a chain has not moved."""
+    log_w = np.random.default_rng(2).standard_normal(400)
+    stuck = np.where(np.arange(400) < 100, log_w.max() + 1.0, log_w)
+    assert effective.pareto_k(stuck) == np.inf
+    assert effective.pareto_k(np.full(400, 3.0)) == -np.inf
+    assert -0.5 < effective.pareto_k(log_w) < 0.7

@@ -334,7 +334,14 @@ def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
 
 
 def pareto_k(log_w: FloatArray) -> float:
-    """Return the shape of the tail of importance weights, from their logarithms (n,)."""
+    """Return the shape of the tail of importance weights, from their logarithms (n,).
+
+    The largest weights may all be the same, as in a chain that has not moved: then it is infinite, or minus
+    infinity if all weights are the same.
+    """
     from arviz_stats.base.array import array_stats
 
-    return float(array_stats.psislw(-log_w)[1])
+    try:
+        return float(array_stats.psislw(-log_w)[1])
+    except ValueError:  # ArviZ: all tail values are the same
+        return np.inf if np.ptp(log_w) > 0 else -np.inf
