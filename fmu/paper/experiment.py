@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.convergence.diagnosis import judged
+from fmu.analysis.convergence.diagnosis import diagnose, judged
 from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map
@@ -25,7 +25,7 @@ from fmu.paper.convergence import (
     solves_at_this_pace,
     solves_needed,
 )
-from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan, Runs, long_settings, paper_settings
+from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan, Runs, long_settings, long_start, paper_settings
 from fmu.paper.published import EXPERIMENTS
 from fmu.paper.published import Experiment as Published
 from fmu.paper.spectrum import paired_names, shares
@@ -73,6 +73,8 @@ class Result:
         Traces under the paper's protocol and of the long runs, by sampler.
     pace : mapping of str to DataTree
         Traces with the paper's settings from draws of the posterior; none if no trusted long run converged.
+    one_start : DataTree
+        Trace of HMC without jumps, all of whose chains start at the start vector.
     reference : Reference
     diagnoses : mapping of str to Diagnosis
         The verdicts on the long runs, compared with the maxima and each other.
@@ -94,6 +96,7 @@ class Result:
     paper: Mapping[str, xr.DataTree]
     long: Mapping[str, xr.DataTree]
     pace: Mapping[str, xr.DataTree]
+    one_start: xr.DataTree
     reference: Reference
     diagnoses: Mapping[str, Diagnosis]
     comparison: pd.DataFrame
@@ -133,7 +136,8 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         s: runs.run(f"{s}, paper's protocol", paper_settings(s), plan.paper, "start", jumps=False)
         for s in PAPER_SAMPLERS
     }
-    long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], "prior") for s in SAMPLERS}
+    long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], long_start(s)) for s in SAMPLERS}
+    one_start = runs.run("hmc, from one start", long_settings("hmc"), plan.one_start, "start", jumps=False)
     _, diagnoses, comparison = judged(long)
     pace = {}
     for s, length in plan.pace.items():
@@ -152,6 +156,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         paper=paper,
         long=long,
         pace=pace,
+        one_start=one_start,
         reference=reference,
         diagnoses=diagnoses,
         comparison=comparison,
@@ -295,6 +300,41 @@ def comparison_table(result: Result) -> pd.DataFrame:
     table["paper_error"] = [off.get(s, np.nan) for s in table.index]
     table["published_error"] = [published.get(s, np.nan) for s in table.index]
     return table
+
+
+class OneStart(NamedTuple):
+    """What chains from one start vector came to.
+
+    Attributes
+    ----------
+    chains, draws : int
+    rhat, ess : float
+        The largest R-hat, and the smallest bulk ESS.
+    off : float
+        Distance of the worst mean from the reference, in posterior standard deviations.
+    reasons : tuple of str
+        Why the run has not converged.
+    """
+
+    chains: int
+    draws: int
+    rhat: float
+    ess: float
+    off: float
+    reasons: tuple[str, ...]
+
+
+def one_start(result: Result) -> OneStart:
+    """Return what the chains from the start vector came to."""
+    table, trace = summary(result.one_start), result.one_start
+    return OneStart(
+        int(trace.attrs["chains"]),
+        int(trace.attrs["draws"]),
+        float(table["rhat"].max()),
+        float(table["ess_bulk"].min()),
+        _distance(result, posterior_mean(trace)),
+        diagnose(trace).reasons,
+    )
 
 
 def agreement(result: Result) -> tuple[float, float, tuple[str, ...]]:

@@ -11,11 +11,13 @@ from fmu.analysis.convergence.diagnosis import CONVERGED
 from fmu.numbers import fixed, significant, whole
 from fmu.paper.experiment import (
     PAIRED_BY,
+    OneStart,
     Result,
     agreement,
     comparison_table,
     directory_of,
     frequency_table,
+    one_start,
     parameter_table,
 )
 from fmu.paper.plan import PAPER_SAMPLERS
@@ -50,6 +52,8 @@ class Findings:
         By sampler, why the long run has not converged, and the warnings about the model.
     places : mapping of str to mapping of str to float
         Share of each long run's draws at which each combination of physical modes is paired.
+    one_start : OneStart
+        What chains from the start vector came to.
     agreement : tuple
         See `fmu.paper.experiment.agreement`.
     origin : str
@@ -75,6 +79,7 @@ class Findings:
     reasons: Mapping[str, tuple[str, ...]]
     warnings: Mapping[str, tuple[str, ...]]
     places: Mapping[str, Mapping[str, float]]
+    one_start: OneStart
     agreement: tuple[float, float, tuple[str, ...]]
     origin: str
     settings: Mapping[str, str]
@@ -88,6 +93,7 @@ class Findings:
         """Return the findings of the runs of an experiment."""
         traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
         traces |= {f"{name}, long": trace for name, trace in result.long.items()}
+        traces["hmc, one start"] = result.one_start
         maxima = result.maxima.table()
         maxima["modes"] = result.maxima_modes
         return cls(
@@ -100,6 +106,7 @@ class Findings:
             reasons={name: diagnosis.reasons for name, diagnosis in result.diagnoses.items()},
             warnings={name: diagnosis.warnings for name, diagnosis in result.diagnoses.items()},
             places=result.places,
+            one_start=one_start(result),
             agreement=agreement(result),
             origin=result.reference.origin,
             settings={key: str(trace.attrs["settings"]) for key, trace in traces.items()},
@@ -196,8 +203,8 @@ CLOSE = 1.25
 CLOSE_LENGTHS = 2.0
 """Lengths and errors with a smaller ratio are not distinguished: each is that of one run."""
 SEPARATED = (
-    "The posterior has separated modes and each run reports the ones it fell into: results that differ between "
-    "samplers here say nothing about the samplers. "
+    "The posterior has separated modes, and a run that has not converged reports the ones it fell into: that its "
+    "results differ says nothing about the sampler. "
 )
 
 

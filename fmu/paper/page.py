@@ -29,6 +29,7 @@ def experiment_page(findings: Findings) -> str:
     parts += ["## Convergence and cost\n", reached_and_cost(findings), statement(findings).strip() + "\n"]
     parts += ["## What the paper says on its samplers\n", claims(findings)]
     parts += ["## Where the posterior has its maxima\n", maxima(findings), places(findings)]
+    parts += ["## Chains from one start\n", one_start(findings)]
     parts += ["## Whether the model fits\n", fit(findings)]
     parts += ["## Settings\n", settings(findings)]
     return "\n".join(parts)
@@ -44,7 +45,8 @@ def _how_to_read(findings: Findings) -> str:
     return (
         f"*Published*: {tables}. *Recomputed*: the model at the published parameters.{by_shape} *The paper's "
         "protocol, ours*: 1000 samples of one chain from the paper's start vector, all of them kept, settings "
-        "fixed by hand. *Long run*: several chains from draws of the prior, after a warm-up; mean of the "
+        "fixed by hand. *Long run*: several chains from draws of the prior, after a warm-up, and emcee's "
+        "walkers, which cannot cross between modes, from around the maxima; mean of the "
         f"parameters with the {share(CI_PROB)} equal-tailed interval. Frequencies are those of the model at the "
         "parameters' mean, and errors |f − f_m|/f_m, as in the paper; *predicted* is the posterior predictive "
         f"mean with its {share(CI_PROB)} interval for a new measurement, eq. (10).\n\n"
@@ -231,17 +233,35 @@ def maxima(findings: Findings) -> str:
             [*header, "lower", "share of the probability", "modes paired", "starts"], rows, words=(0, -2)
         )
     )
-    if len(findings.separate_maxima) > 1:
+    if len(findings.separate_maxima) > 1 and not all(map(findings.is_converged, findings.comparison.index)):
         text += f"\n{SEPARATED}"
         if findings.never_visited:
             text += f"Never near number 1: {', '.join(TITLES[s] for s in findings.never_visited)}. "
-        text += "A test of the chains alone cannot show a mode that no chain has visited.\n"
+        text += "\n"
     return text
+
+
+def one_start(findings: Findings) -> str:
+    """Return what R-hat says of chains that all start at one vector, and what is true."""
+    run = findings.one_start
+    text = (
+        f"HMC without jumps, {run.chains} chains of {whole(run.draws)} draws, all from the paper's start vector: "
+        f"the largest R-hat is {fixed(run.rhat, 4)}, the smallest bulk ESS {whole(run.ess)}, and the worst mean "
+        f"lies {fixed(run.off, 1)} posterior standard deviations off the reference. "
+    )
+    if not run.reasons:
+        return text + "The run has converged.\n"
+    listed = "".join(f"- {reason}\n" for reason in run.reasons)
+    return (
+        text
+        + "Chains from one start fall into one mode: that they agree shows nothing of the modes that none has "
+        f"visited. The search for maxima does. Not converged:\n\n{listed}"
+    )
 
 
 def fit(findings: Findings) -> str:
     """Return the warnings about the model from the first converged run."""
-    for name in ("hmc", "emcee", "mh", "slice"):
+    for name in ("hmc", "emcee", "mixture", "mh", "slice"):
         if findings.is_converged(name):
             listed = "".join(f"- {warning}.\n" for warning in findings.warnings[name])
             return listed or "No warnings.\n"
@@ -269,7 +289,7 @@ def settings(findings: Findings) -> str:
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]
         errors = [findings.certificates[key].get(name) for name in ("frequency_error", "log_prob_error")]
-        given = json.loads(settings)
+        given = {name: _count(value) for name, value in json.loads(settings).items()}
         learnt = {name: x for name, x in json.loads(findings.learnt[key]).items() if given.get(name) is None}
         steps = f"{chains} × ({warmup} + {draws})"
         rows.append(
@@ -278,7 +298,7 @@ def settings(findings: Findings) -> str:
                 steps,
                 *(significant(e, 2) for e in errors),
                 "; ".join(_brief("", learnt)) or MISSING,
-                f"`{settings}`",
+                f"`{json.dumps(given, separators=(',', ':'))}`",
             )
         )
     return (
@@ -290,6 +310,12 @@ def settings(findings: Findings) -> str:
             ("run", "steps", "frequency", "log-probability", "learnt", "settings"), rows, words=(0, 1, 4, 5)
         )
     )
+
+
+def _count(value: Any) -> Any:
+    """Return a setting; of a list of components, which are hundreds of numbers, how many they are."""
+    is_long = isinstance(value, list) and any(isinstance(one, dict) for one in value)
+    return f"{len(value)}, at the maxima" if is_long else value
 
 
 def _brief(name: str, value: Any) -> list[str]:

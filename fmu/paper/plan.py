@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 PAPER_SAMPLERS = ("mh", "slice", "hmc")
-SAMPLERS = (*PAPER_SAMPLERS, "emcee")
+SAMPLERS = (*PAPER_SAMPLERS, "emcee", "mixture")
 PAIRINGS = ("index", "shape")
 
 
@@ -53,7 +53,9 @@ class Plan:
     pace : mapping of str to Length
         Runs with the paper's settings from draws of the posterior: for the cost of an effective draw.
     long : mapping of str to Length
-        The long runs, one per sampler, from draws of the prior.
+        The long runs, one per sampler (`long_start`).
+    one_start : Length
+        HMC without jumps, all chains from the start vector: what R-hat says of chains from one start.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
     starts : int
@@ -80,8 +82,10 @@ class Plan:
             "slice": Length(4_000, 500, 4),
             "hmc": Length(2_000, 1_000, 4),
             "emcee": Length(4_000, 500, 4),
+            "mixture": Length(2_000, 1_000, 4),
         }
     )
+    one_start: Length = Length(2_000, 1_000, 4)
     weighted: tuple[tuple[str, str], ...] = (
         ("cantilever-young", "index"),
         ("cantilever-young", "shape"),
@@ -94,7 +98,7 @@ class Plan:
     @property
     def steps(self) -> int:
         """Steps of one experiment in all."""
-        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values())
+        runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values(), self.one_start)
         return sum(length.steps for length in runs)
 
 
@@ -118,6 +122,14 @@ def long_settings(name: str) -> Sampler:
     They mix about four times as fast here as emcee's default, the stretch move.
     """
     return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else named(name)
+
+
+def long_start(name: str) -> str:
+    """Return where a long run starts: at draws from the prior; emcee around the maxima of the posterior.
+
+    Walkers cannot cross between separated maxima: those that start near a negligible one stay there.
+    """
+    return "maxima" if name == "emcee" else "prior"
 
 
 class Runs:

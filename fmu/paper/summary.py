@@ -124,7 +124,8 @@ def _costs(everything: Sequence[Findings]) -> str:
         "The paper's protocol is one chain of 1000 samples, which no test can call converged. *sd off*: "
         "distance of its worst mean from the reference, in posterior standard deviations. HMC takes central "
         "differences there, as the paper does, and exact gradients in the long runs. "
-        "There mh, slice and HMC jump between maxima where several are known. "
+        "There mh, slice and HMC jump between maxima where several are known, and emcee, which cannot, starts "
+        "around the maxima; the others start at draws from the prior. "
         f"{SOLVE}{TO_CONVERGE}"
         f"{WOULD_NEED}\n\n" + markdown_table(header, rows, words=(0, 1, 2))
     )

@@ -34,7 +34,9 @@ def plan():
             "slice": Length(40, 10, 2),
             "hmc": Length(30, 20, 2),
             "emcee": Length(20, 5, 2),
+            "mixture": Length(40, 20, 2),
         },
+        one_start=Length(30, 20, 2),
         starts=16,
         box_points=2**8,
     )

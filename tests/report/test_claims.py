@@ -9,7 +9,7 @@ from fmu.paper.findings import SEPARATED, judge, statement
 from fmu.paper.page import experiment_page
 from fmu.paper.summary import summary_page
 
-RATES = {"mh": 0.02, "slice": 0.01, "hmc": 0.05, "emcee": 0.03}
+RATES = {"mh": 0.02, "slice": 0.01, "hmc": 0.05, "emcee": 0.03, "mixture": 0.005}
 
 
 TO_CONVERGE = {  # samples, solves, seconds
@@ -17,8 +17,9 @@ TO_CONVERGE = {  # samples, solves, seconds
     "slice": (8_000, 60_000, 30.0),
     "hmc": (3_000, 50_000, 4.5),
     "emcee": (9_000, 90_000, 9.0),
+    "mixture": (5_000, 400_000, 40.0),
 }
-OFF = {"mh": 3.0, "slice": 1.0, "hmc": 0.1, "emcee": None}
+OFF = {"mh": 3.0, "slice": 1.0, "hmc": 0.1, "emcee": None, "mixture": None}
 
 
 @pytest.fixture
@@ -125,9 +126,20 @@ def test_statement_on_separated_modes(make):
     maxima = make().maxima
     split = pd.concat([maxima, maxima.assign(log_prob=maxima["log_prob"] - 67)])
     assert SEPARATED.strip() in statement(make(open_=tuple(RATES), maxima=split))
-    page = experiment_page(make(open_=tuple(RATES), maxima=split))
-    assert "say nothing about the samplers" in page
-    assert "say nothing about the samplers" not in experiment_page(make(open_=tuple(RATES)))
+    assert SEPARATED.strip() in experiment_page(make(open_=("emcee",), maxima=split))
+    assert SEPARATED.strip() not in experiment_page(make(open_=("emcee",)))
+    assert SEPARATED.strip() not in experiment_page(make(maxima=split))  # all runs crossed between them
+
+
+def test_chains_from_one_start_are_not_believed_for_their_rhat(make):
+    run = make().one_start._replace(rhat=1.0004, off=219.6, reasons=("maximum 1 was never visited",))
+    page = experiment_page(make(one_start=run)).split("## Chains from one start")[1]
+    assert "the largest R-hat is 1.0004" in page
+    assert "lies 219.6 posterior standard deviations off" in page
+    assert "- maximum 1 was never visited" in page
+    page = experiment_page(make(one_start=run._replace(reasons=()))).split("## Chains from one start")[1]
+    assert "The run has converged." in page
+    assert "Not converged" not in page.split("## Whether")[0]
 
 
 def test_no_efficiency_is_given_for_what_did_not_converge(make):

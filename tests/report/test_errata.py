@@ -114,13 +114,13 @@ def test_page(errata):
 def test_separated_modes_are_an_erratum_of_the_comparison(findings):
     columns = {"log_prob": [-40.4, -107.9, -9e4], "modes": ["S1", "W2", "T1"], "starts": [1, 9, 2]}
     maxima = pd.DataFrame(columns, index=[1, 2, 3]).assign(share=[1.0, 0.0, 0.0])
-    reasons = {"mh": ("maximum 1 was never visited", "R-hat"), "slice": (), "hmc": ("R-hat",), "emcee": ()}
-    by_number = replace(findings, pairing="index", maxima=maxima, reasons=reasons)
+    run = findings.one_start._replace(rhat=1.0004, off=219.6)
+    by_number = replace(findings, pairing="index", maxima=maxima, one_start=run)
     (erratum,) = separated_modes(by_number)
     assert "2 separated maxima" in erratum.found
     assert "67.5 lower" in erratum.found
     assert "12 points" in erratum.evidence
-    assert "1 never came near number 1" in erratum.evidence
+    assert "R-hat 1.0004, worst mean 219.6 posterior standard deviations off" in erratum.evidence
     assert list(separated_modes(findings)) == []
 
 
