@@ -21,6 +21,7 @@ from tests.benchmarks.peers.target import Target, WeakPlane, WholeBeam, disagree
 CASES = {"cantilever-young": "shape", "cantilever-section": "shape", "shear-10dof": "index"}
 """Cases and how their modes are paired."""
 OURS = {
+    "mixture": Length(1000, 2000),
     "hmc": Length(1000, 2000),
     "mh": Length(2000, 12000),
     "slice": Length(1000, 3000),

@@ -1,9 +1,11 @@
-"""fmu's four samplers with their default settings."""
+"""fmu's samplers with their default settings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
+from fmu.analysis.estimate import gradient_cost
 from fmu.samplers import named, run
 from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch
 from tests.benchmarks.peers.target import Target
@@ -12,9 +14,18 @@ CHAINS = 4
 
 
 def sampler(name: str, target: Target, length: Length) -> Callable[[int], Outcome]:
-    """Return what runs one of fmu's samplers for a seed, from starts drawn from the prior."""
+    """Return what runs one of fmu's samplers for a seed, from starts drawn from the prior.
+
+    Evaluations are gradients for HMC, else log-probabilities; the few gradients of the mixture's local steps count
+    as what they cost.
+    """
     settings = named(name)
-    unit = "n_gradients" if name == "hmc" else "n_solves"
+    cost = gradient_cost(target.problem, target.starts(0, CHAINS))
+
+    def booked(time: Cost, stats: Any) -> Cost:
+        gradients = int(stats["n_gradients"].sum())
+        evaluations = gradients if name == "hmc" else stats["n_solves"].sum() + (cost - 1.0) * gradients
+        return Cost(time.cpu_s, time.wall_s, round(evaluations))
 
     def once(seed: int) -> Outcome:
         starts = target.starts(seed, CHAINS * settings.walkers)
@@ -40,14 +51,10 @@ def sampler(name: str, target: Target, length: Length) -> Callable[[int], Outcom
         kept = result.posterior.stats
         return Outcome(
             result.posterior.position,
-            warmup=_booked(warmed[0], result.warmup.stats[unit].sum()),
-            draws=_booked(drawn, kept[unit].sum()),
+            warmup=booked(warmed[0], result.warmup.stats),
+            draws=booked(drawn, kept),
             walkers=settings.walkers,
             divergences=int(kept["diverging"].sum()) if "diverging" in kept else None,
         )
 
     return once
-
-
-def _booked(time: Cost, evaluations: int) -> Cost:
-    return Cost(time.cpu_s, time.wall_s, int(evaluations))
