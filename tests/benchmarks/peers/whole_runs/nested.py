@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.types import FloatArray
 from tests.benchmarks.peers.target import Target
-from tests.benchmarks.peers.whole_runs.runs import ENOUGH, MOST_CALLS, Meter, WholeRun
+from tests.benchmarks.peers.whole_runs.runs import ENOUGH, MOST_CALLS, OTHERWISE, Meter, WholeRun
 
 
 def nautilus_whole(target: Target, networks: int) -> Callable[[int], WholeRun]:
@@ -19,6 +19,7 @@ def nautilus_whole(target: Target, networks: int) -> Callable[[int], WholeRun]:
 
     What it calls exploration is its warm-up; all of its points are kept, by default.
     """
+    most = MOST_CALLS.get(target.case, OTHERWISE)
 
     def once(seed: int) -> WholeRun:
         meter = Meter(target)
@@ -30,9 +31,9 @@ def nautilus_whole(target: Target, networks: int) -> Callable[[int], WholeRun]:
             vectorized=True,
             seed=seed,
         )
-        sampler.run(n_eff=0, n_like_max=MOST_CALLS)
+        sampler.run(n_eff=0, n_like_max=most)
         explored = meter.read()
-        ended = sampler.run(n_eff=ENOUGH, n_like_max=MOST_CALLS)
+        ended = sampler.run(n_eff=ENOUGH, n_like_max=most)
         x, log_w, _ = sampler.posterior()
         evidence = (float(sampler.log_z), float(sampler.n_eff) ** -0.5)
         drawn = meter.read()
@@ -43,6 +44,7 @@ def nautilus_whole(target: Target, networks: int) -> Callable[[int], WholeRun]:
 
 def dynesty_whole(target: Target) -> Callable[[int], WholeRun]:
     """Return what runs dynesty's dynamic nested sampling, its way to posteriors, for a seed."""
+    most = MOST_CALLS.get(target.case, OTHERWISE)
 
     def once(seed: int) -> WholeRun:
         meter = Meter(target)
@@ -52,11 +54,11 @@ def dynesty_whole(target: Target) -> Callable[[int], WholeRun]:
             target.problem.ndim,
             rstate=np.random.default_rng(seed),
         )
-        sampler.run_nested(n_effective=ENOUGH, maxcall=MOST_CALLS, print_progress=False)
+        sampler.run_nested(n_effective=ENOUGH, maxcall=most, print_progress=False)
         found = sampler.results
         evidence = (float(found.logz[-1]), float(found.logzerr[-1]))
         drawn = meter.read()
-        ended = drawn.evaluations < MOST_CALLS
+        ended = drawn.evaluations < most
         return _weighted(found.samples, found.importance_weights(), evidence, ended, draws=drawn)
 
     return once

@@ -15,7 +15,7 @@ from tests.benchmarks.peers.whole_runs.rows import (
     doubts,
     reference,
 )
-from tests.benchmarks.peers.whole_runs.runs import ENOUGH, MOST_CALLS
+from tests.benchmarks.peers.whole_runs.runs import COSTLY, ENOUGH, MOST_CALLS, ON_COSTLY, OTHERWISE
 
 TEXT = """### Everything counted: from nothing to {enough} effective draws
 
@@ -29,7 +29,8 @@ the whole prior first, and then often has more than it was asked for.
 - nautilus with its four networks, and with ellipsoids alone (`n_networks=0`), in batches (`vectorized=True`), to
   `n_eff={enough}`; *warm-up* is its exploration, whose points it keeps. dynesty's dynamic sampler, which its
   documentation recommends for posteriors, to `n_effective={enough}`; it takes one point at a time. One seed each,
-  at most {most} calls. They get prior transform and likelihood, and their ESS is Kish's, of the weighted draws:
+  at most {most} calls, {least} on {costly}, where fmu runs {there} alone: its log-probability takes ten times as
+  long as the others'. They get prior transform and likelihood, and their ESS is Kish's, of the weighted draws:
   equally weighted ones would have less.
 - *Means, se*: how far the means are from those of the reference, in standard errors, the largest over the
   parameters; the reference is the peer with most effective draws. *Log-evidence*: of the mixture by importance.
@@ -59,7 +60,8 @@ def page(rows: list[WholeRow]) -> list[str]:
     counts = {row.label: len(row.runs) for row in rows if row.ours}
     several = max(counts.values())
     seeds = f"{MIXTURE}: {several} seeds, the others one" if several > 1 else "One seed"
-    text = TEXT.format(enough=ENOUGH, seeds=seeds, most=whole(MOST_CALLS), far=FAR, near=NEAR_ENOUGH)
+    few = {"least": whole(MOST_CALLS[COSTLY]), "costly": COSTLY, "there": " and ".join(ON_COSTLY)}
+    text = TEXT.format(enough=ENOUGH, **few, seeds=seeds, most=whole(OTHERWISE), far=FAR, near=NEAR_ENOUGH)
     parts = [text, goals(rows)]
     for name, of_posterior in by_posterior(rows).items():
         parts += [f"#### {name}\n", table(of_posterior)]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmu.numbers import whole
-from tests.benchmarks.peers.whole_runs.runs import FMU, MOST_CALLS, WholeRun
+from tests.benchmarks.peers.whole_runs.runs import FMU, WholeRun
 
 FAR = 4.0
 NEAR_ENOUGH = 0.05
@@ -116,7 +116,9 @@ def doubts(row: WholeRow, rows: list[WholeRow]) -> list[str]:
     """Return why a row is not right."""
     found = []
     if not row.ended:
-        found.append("its verdict is not good" if row.ours else f"not at an end after {whole(MOST_CALLS)} calls")
+        found.append(
+            "its verdict is not good" if row.ours else f"not at an end after {whole(row.spent('cost'))} calls"
+        )
     if row is not reference(rows) and not deviation(row, rows) < FAR:
         found.append("its means are off")
     evidence = row.evidence()
