@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test test-kernels lint notebooks notebooks-save bench validate mutants clean-environment
+.PHONY: help paper test test-kernels lint notebooks notebooks-save bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -65,6 +65,11 @@ bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into
 	.venv/bin/python -m tests.benchmarks.peers.report .benchmarks/peers.json .benchmarks/peers.md results/benchmarks/peers.png
 	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md .benchmarks/profile.md .benchmarks/peers.md
 	.venv/bin/python -m pytest --quiet tests/test_readme.py
+
+bench-whole: export OPENBLAS_NUM_THREADS = 1
+bench-whole: $(READY_BENCH)  ## Measure whole runs, search and warm-up counted, beside nested samplers, into results/whole-runs.md
+	.venv/bin/python -m tests.benchmarks.peers.whole_runs .benchmarks/whole.json
+	.venv/bin/python -m tests.benchmarks.peers.whole_runs.page .benchmarks/whole.json results/whole-runs.md results/benchmarks/whole-runs.png
 
 validate: export OPENBLAS_NUM_THREADS = 1
 validate: $(READY)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)

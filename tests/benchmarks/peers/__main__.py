@@ -14,7 +14,7 @@ from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
-PEERS = ("numpyro", "jax", "nutpie", "pints", "emcee", "nautilus-sampler", "dynesty")
+PEERS = ("numpyro", "jax", "nutpie", "pints", "emcee")
 
 
 def main(out: str, *options: str) -> None:
@@ -24,9 +24,7 @@ def main(out: str, *options: str) -> None:
     # XLA and BLAS count the cores when they are loaded
     from tests.benchmarks.peers.contenders import CASES, SEEDS, check, contenders
     from tests.benchmarks.peers.target import Target
-    from tests.benchmarks.peers.whole_runs.runs import POSTERIORS, measured
 
-    one_seed = "--one-seed" in options
     rows, differences, near = [], {}, {}
     for case in [option for option in options if option in CASES] or CASES:
         target = Target.load(case, CASES[case])
@@ -46,7 +44,7 @@ def main(out: str, *options: str) -> None:
             }
             rows.append(row)
             ready.append((run, row))
-        for seed in SEEDS[: 1 if one_seed else None]:
+        for seed in SEEDS[: 1 if "--one-seed" in options else None]:
             for run, row in ready:
                 began = time.process_time()
                 outcome = run(seed)
@@ -56,10 +54,8 @@ def main(out: str, *options: str) -> None:
                 took = time.process_time() - began
                 name, ess = f"{row['label']} ({row['model']})", round(row["runs"][-1]["ess"])
                 print(f"{case}, seed {seed}: {name}, {took:.0f} s, ESS {ess}", flush=True)
-    posteriors = [one for one in POSTERIORS if one[0] in options] or POSTERIORS
-    whole = measured(posteriors, one_seed)
     versions = {name: version(name) for name in PEERS}
-    result = {"versions": versions, "differences": differences, "near_a_bound": near, "rows": rows, "whole": whole}
+    result = {"versions": versions, "differences": differences, "near_a_bound": near, "rows": rows}
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     Path(out).write_text(json.dumps(result, indent=1))
 

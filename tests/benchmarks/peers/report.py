@@ -16,8 +16,6 @@ from fmu.samplers.registry import SAMPLERS
 from fmu.tables import markdown_table
 from tests.benchmarks.peers.figure import draw, short
 from tests.benchmarks.peers.outcome import Cost, Figures
-from tests.benchmarks.peers.whole_runs.page import page
-from tests.benchmarks.peers.whole_runs.rows import WholeRow, by_posterior
 
 HEAD = """## Peers
 
@@ -43,7 +41,8 @@ batches of as many chains, measured in this run: for fmu's HMC {costs}.
   over the parameters. The reference is the peer with most effective draws of those with R-hat < {good:g}. PINTS
   goes on adapting after the warm-up, as is its default.
 
-Versions: {versions}.
+Versions: {versions}. With everything counted, the search for maxima too, and beside nautilus and
+dynesty: [whole runs](whole-runs.md).
 """
 
 AGAINST_NUTS = """### HMC against NUTS
@@ -158,12 +157,10 @@ def main(source: str, target: str, figure: str) -> None:
     for case in cases:
         of_case = [row for row in rows if row.case == case]
         parts += [f"### {case}\n", comparison(of_case), ahead(of_case)]
-    whole = [WholeRow.read(row) for row in result["whole"]]
-    parts += page(whole)
     parts.append(f"![ESS per solve and per second]({Path(figure).parent.name}/{Path(figure).name})\n")
     Path(target).parent.mkdir(parents=True, exist_ok=True)
     Path(target).write_text("\n".join(parts))
-    draw({case: [row for row in rows if row.case == case] for case in cases}, by_posterior(whole), figure)
+    draw({case: [row for row in rows if row.case == case] for case in cases}, figure)
 
 
 def every_nuts(rows: list[Row]) -> list[Row]:

@@ -1,10 +1,16 @@
-"""The page of the whole runs: what was wanted of the mixture sampler, and a table for every posterior."""
+"""The page of the whole runs: python -m tests.benchmarks.peers.whole_runs.page RUN.json OUT.md FIGURE.png."""
 
 from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
 
 from fmu.numbers import whole, with_sd
 from fmu.tables import markdown_table
 from tests.benchmarks.peers.figure import short
+from tests.benchmarks.peers.whole_runs.figure import draw
 from tests.benchmarks.peers.whole_runs.rows import (
     FAR,
     KNOWN,
@@ -16,8 +22,11 @@ from tests.benchmarks.peers.whole_runs.rows import (
     reference,
 )
 from tests.benchmarks.peers.whole_runs.runs import COSTLY, ENOUGH, MOST_CALLS, ON_COSTLY, OTHERWISE
+from tests.benchmarks.table import machine
 
-TEXT = """### Everything counted: from nothing to {enough} effective draws
+TEXT = """# Whole runs: from nothing to {enough} effective draws
+
+Written by `make bench-whole`. {machine}
 
 Each sampler by itself with its defaults, until it has {enough} effective draws. All evaluations count: the search
 for maxima, warm-up, and whatever else comes before the draws. The unit is one log-probability, as the model is
@@ -29,13 +38,16 @@ the whole prior first, and then often has more than it was asked for.
 - nautilus with its four networks, and with ellipsoids alone (`n_networks=0`), in batches (`vectorized=True`), to
   `n_eff={enough}`; *warm-up* is its exploration, whose points it keeps. dynesty's dynamic sampler, which its
   documentation recommends for posteriors, to `n_effective={enough}`; it takes one point at a time. One seed each,
-  at most {most} calls, {least} on {costly}, where fmu runs {there} alone: its log-probability takes ten times as
-  long as the others'. They get prior transform and likelihood, and their ESS is Kish's, of the weighted draws:
-  equally weighted ones would have less.
+  at most {most} calls. They get prior transform and likelihood, and their ESS is Kish's, of the weighted
+  draws: equally weighted ones would have less.
+- On {costly} fmu runs {there} alone, and a peer has at most {least} calls: its log-probability takes some thirty
+  times as long as the others'.
 - *Means, se*: how far the means are from those of the reference, in standard errors, the largest over the
   parameters; the reference is the peer with most effective draws. *Log-evidence*: of the mixture by importance.
 - *Right*: the run has ended by itself (fmu's: its verdict is good), its means are within {far:g} standard errors,
   and its log-evidence within {far:g} of the value known, or of the reference's, or within {near:g} of it.
+
+Everything had one processor core; seconds are processor seconds. Versions: {versions}.
 """
 
 WANTED_AFTER = {
@@ -55,16 +67,35 @@ draws in proportion.
 MIXTURE, NAUTILUS = "mixture", "nautilus"
 
 
-def page(rows: list[WholeRow]) -> list[str]:
-    """Return the parts of the page."""
+def main(source: str, target: str, figure: str) -> None:
+    """Write page and figure."""
+    result = json.loads(Path(source).read_text())
+    rows = [WholeRow.read(row) for row in result["rows"]]
+    Path(target).parent.mkdir(parents=True, exist_ok=True)
+    picture = Path(figure).relative_to(Path(target).parent)
+    Path(target).write_text("\n".join([*page(rows, result["versions"]), f"![Whole runs]({picture})\n"]))
+    draw(by_posterior(rows), figure)
+
+
+def page(rows: list[WholeRow], versions: dict[str, Any]) -> list[str]:
+    """Return the parts of the page, without the figure."""
     counts = {row.label: len(row.runs) for row in rows if row.ours}
     several = max(counts.values())
-    seeds = f"{MIXTURE}: {several} seeds, the others one" if several > 1 else "One seed"
-    few = {"least": whole(MOST_CALLS[COSTLY]), "costly": COSTLY, "there": " and ".join(ON_COSTLY)}
-    text = TEXT.format(enough=ENOUGH, **few, seeds=seeds, most=whole(OTHERWISE), far=FAR, near=NEAR_ENOUGH)
+    text = TEXT.format(
+        machine=machine(),
+        enough=ENOUGH,
+        seeds=f"The mixture has {several} seeds, the others one" if several > 1 else "One seed each",
+        most=whole(OTHERWISE),
+        least=whole(MOST_CALLS[COSTLY]),
+        costly=COSTLY,
+        there=" and ".join(ON_COSTLY),
+        far=FAR,
+        near=NEAR_ENOUGH,
+        versions=", ".join(f"{name} {version}" for name, version in versions.items()),
+    )
     parts = [text, goals(rows)]
     for name, of_posterior in by_posterior(rows).items():
-        parts += [f"#### {name}\n", table(of_posterior)]
+        parts += [f"## {name}\n", table(of_posterior)]
     return parts
 
 
@@ -124,3 +155,7 @@ def table(rows: list[WholeRow]) -> str:
         lines.append(["*known*", *[""] * 6, with_sd(value, error), "", ""])
     head = ["sampler", "search", "warm-up", "draws", "ESS", "ESS per evaluation", "ESS per s", "log-evidence"]
     return markdown_table([*head, "means, se", "right"], lines, (0, 9))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -142,19 +142,18 @@ def fmu_whole(target: Target, name: str) -> Callable[[int], WholeRun]:
     return once
 
 
-def measured(posteriors: Iterable[tuple[str, str]] = POSTERIORS, one_seed: bool = False) -> list[dict[str, Any]]:
-    """Run everybody on every posterior, and return the runs as plain data, an entry a contender."""
+def measured(case: str, pairing: str, one_seed: bool = False) -> list[dict[str, Any]]:
+    """Run everybody on one posterior, and return the runs as plain data, an entry a contender."""
     rows = []
-    for case, pairing in posteriors:
-        target = Target.load(case, pairing)
-        for whose, name, seeds, run in contenders(target):
-            runs = []
-            for seed in range(1, 1 + (1 if one_seed else seeds)):
-                runs.append(asdict(run(seed)))
-                cost = WholeRun.read(runs[-1]).cost
-                took = f"{cost.cpu_s:.0f} s, {cost.evaluations} evaluations, ESS {round(runs[-1]['ess'])}"
-                print(f"{target.title}, whole run, seed {seed}: {name}, {took}", flush=True)
-            rows.append({"posterior": target.title, "whose": whose, "label": name, "runs": runs})
+    target = Target.load(case, pairing)
+    for whose, name, seeds, run in contenders(target):
+        runs = []
+        for seed in range(1, 1 + (1 if one_seed else seeds)):
+            runs.append(asdict(run(seed)))
+            cost = WholeRun.read(runs[-1]).cost
+            took = f"{cost.cpu_s:.0f} s, {cost.evaluations} evaluations, ESS {round(runs[-1]['ess'])}"
+            print(f"{target.title}, seed {seed}: {name}, {took}", flush=True)
+        rows.append({"posterior": target.title, "whose": whose, "label": name, "runs": runs})
     return rows
 
 
