@@ -40,10 +40,11 @@ the whole prior first, and then often has more than it was asked for.
   documentation recommends for posteriors, to `n_effective={enough}`; it takes one point at a time. One seed each,
   at most {most} calls. They get prior transform and likelihood, and their ESS is Kish's, of the weighted
   draws: equally weighted ones would have less.
-- On {costly} fmu runs {there} alone, and a peer has at most {least} calls: its log-probability takes some thirty
-  times as long as the others'.
+- On {costly}, whose log-probability takes some thirty times as long as the others', fmu runs {there} alone, and a
+  peer has at most {least} calls.
 - *Means, se*: how far the means are from those of the reference, in standard errors, the largest over the
-  parameters; the reference is the peer with most effective draws. *Log-evidence*: of the mixture by importance.
+  parameters; the reference is the peer with most effective draws. Were it wrong, all others would be far off.
+  *Log-evidence*: of the mixture by importance.
 - *Right*: the run has ended by itself (fmu's: its verdict is good), its means are within {far:g} standard errors,
   and its log-evidence within {far:g} of the value known, or of the reference's, or within {near:g} of it.
 
@@ -104,29 +105,34 @@ def goals(rows: list[WholeRow]) -> str:
     lines = []
     for name, of_posterior in by_posterior(rows).items():
         mixture = next(row for row in of_posterior if row.label == MIXTURE)
-        best = max((row for row in of_posterior if row.label.startswith(NAUTILUS)), key=WholeRow.per_evaluation)
-        after, everything, theirs = mixture.after_warmup(), mixture.per_evaluation(), best.per_evaluation()
-        wanted, least = WANTED_AFTER.get(name), max(WANTED_WHOLE.get(name, 0.0), theirs)
-        met = [None if wanted is None else after >= wanted, everything >= least]
-        verdicts = ["—" if is_met is None else "yes" if is_met else "**no**" for is_met in met]
+        theirs = [row for row in of_posterior if row.label.startswith(NAUTILUS) and row.ended]
+        best = theirs[0] if theirs else None  # most per evaluation first
+        least = max(WANTED_WHOLE.get(name, 0.0), best.per_evaluation() if best else 0.0)
         lines.append(
             [
                 name,
-                short(after),
-                "—" if wanted is None else f"≥ {wanted:.2f}",
-                verdicts[0],
-                short(everything),
-                f"≥ {short(least)}",
-                verdicts[1],
-                short(theirs),
-                f"{whole(mixture.spent('cost'))} for {whole(mixture.ess())}",
-                f"{whole(best.spent('cost'))} for {whole(best.ess())}",
-                short(best.ess() / mixture.needed(best.ess())),
+                *_judged(mixture.after_warmup(), WANTED_AFTER.get(name, 0.0)),
+                *_judged(mixture.per_evaluation(), least),
+                short(best.per_evaluation()) if best else "not at an end",
+                _for_ess(mixture),
+                _for_ess(best) if best else "—",
+                short(best.ess() / mixture.needed(best.ess())) if best else "—",
             ]
         )
     head = ["ESS per evaluation of the mixture", "after warm-up", "wanted", "met", "everything counted", "wanted"]
     head += ["met", "best nautilus", "evaluations for ESS", "of that nautilus", "mixture to its ESS"]
     return f"{markdown_table(head, lines, (0, 3, 6))}\n{GOALS}"
+
+
+def _judged(value: float, least: float) -> tuple[str, str, str]:
+    """Return what was measured, what was wanted, and whether that is met; 0 for nothing."""
+    if least == 0.0:
+        return short(value), "—", "—"
+    return short(value), f"≥ {short(least)}", "yes" if value >= least else "**no**"
+
+
+def _for_ess(row: WholeRow) -> str:
+    return f"{whole(row.spent('cost'))} for {whole(row.ess())}"
 
 
 def table(rows: list[WholeRow]) -> str:
