@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from fmu.numbers import whole
 from fmu.samplers.registry import SAMPLERS as SAMPLERS
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def sample(
     groups: int | None = None,
     until_ess: float | None = None,
     max_draws: int | None = None,
+    max_solves: int | None = None,
     maxima: Maxima | None = None,
     checkpoint: str | os.PathLike[str] | Checkpoint | None = None,
     workers: int | str | Engine = 1,
@@ -106,7 +108,9 @@ def sample(
         of a run with as many `draws`. An ensemble needs 50 autocorrelation times of steps whatever is asked for:
         four of 32 walkers then have an ESS of at least 6400.
     max_draws : int, optional
-        The most steps kept, whatever the verdict. Default: 32 times `draws`.
+        The most steps kept, whatever the verdict. Default: 32 times `draws`, or no limit if there is `max_solves`.
+    max_solves : int, optional
+        No more is drawn than about so many solves allow, warm-up included; the first `draws` are always made.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
         the maxima of an updating problem are searched for if `until_ess` or ``init="maxima"`` needs them.
@@ -130,7 +134,8 @@ def sample(
         The trace, see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
         solves after the last draw (for predictions and the like); ``gradient_cost``, how many times as long as a
         log-probability its exact gradient took, if the sampler takes some; and the certificate of the reduced
-        model, if there is one (`fmu.analysis.certificate.certify`). The trace of an updating problem also has the
+        model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, at which a run with `until_ess`
+        ended before its verdict was good, in words. The trace of an updating problem also has the
         groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
         ``identifiability`` (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`).
 
@@ -138,9 +143,9 @@ def sample(
     ------
     ValueError
         If the sampler's name is unknown, `jumps` is True for a sampler without local steps, a trace cannot store a
-        parameter's name, a number is out of range, `max_draws` is given without `until_ess`, a chain would start
-        outside the bounds or where the log-probability is not finite, or `checkpoint` holds another run, or one
-        that is running.
+        parameter's name, a number is out of range, `max_draws` or `max_solves` is given without `until_ess`, a
+        chain would start outside the bounds or where the log-probability is not finite, or `checkpoint` holds
+        another run, or one that is running.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
@@ -172,7 +177,7 @@ def sample(
     if jumps:
         settings = with_jumps(settings)
     draws = whole_number("draws", draws, 1)
-    limit = most_draws(draws, until_ess, max_draws)
+    limits = Limits.of(draws, until_ess, max_draws, max_solves)
     failure_rate_exceeded(0, 0, max_failure_rate)
     arguments = _checked(problem, settings, init, warmup=warmup, chains=chains, groups=groups, seed=seed)
     saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
@@ -226,12 +231,14 @@ def sample(
                 ),
                 live=live_diagnostics,
             )
-            result = begun.extend(draws)
-            while result.draws < limit:
+            result, limit = begun.extend(draws), ""
+            while until_ess is not None and not limit:
                 missing = draws_missing(as_trace(result, predictions=False), until_ess, maxima)
                 if not missing:
                     break
-                result = begun.extend(min(missing, limit - result.draws))
+                allowed, limit = limits.allow(result)
+                if allowed:
+                    result = begun.extend(min(missing, allowed))
         except Interrupted as stopped:
             stack.close()
             if stopped.result is None:
@@ -255,6 +262,8 @@ def sample(
         if of_model is not None:
             trace = _with_structure(trace, of_model, maxima, full_solves)
         trace.attrs |= {"complete": 1, "after_n_solves": solves() - solved_before}
+        if limit:
+            trace.attrs["limit"] = limit
     return trace
 
 
@@ -357,13 +366,43 @@ def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None, ful
     return with_left_out(with_identifiability(trace, problem, maxima), problem)
 
 
-def most_draws(draws: int, until_ess: float | None, max_draws: int | None) -> int:
-    """Return the most steps that `sample` keeps; ValueError if the numbers contradict each other."""
-    from fmu.samplers.settings import positive_number, whole_number
+class Limits(NamedTuple):
+    """The most steps that `sample` keeps, and the solves with which it stops."""
 
-    if until_ess is None:
+    draws: int | None
+    solves: int | None
+
+    @classmethod
+    def of(cls, draws: int, until_ess: float | None, max_draws: int | None, max_solves: int | None) -> Limits:
+        """Return the limits of a run; ValueError if the numbers contradict each other."""
+        from fmu.samplers.settings import positive_number, whole_number
+
+        if until_ess is None:
+            for name, given in (("max_draws", max_draws), ("max_solves", max_solves)):
+                if given is not None:
+                    raise ValueError(f"{name}: needs until_ess, as draws is the number without it (got {given!r})")
+            return cls(None, None)
+        positive_number("until_ess", until_ess)
+        if max_solves is not None:
+            max_solves = whole_number("max_solves", max_solves, 1)
         if max_draws is not None:
-            raise ValueError(f"max_draws: needs until_ess, as draws is the number without it (got {max_draws!r})")
-        return draws
-    positive_number("until_ess", until_ess)
-    return GROWTH_LIMIT * draws if max_draws is None else whole_number("max_draws", max_draws, draws)
+            max_draws = whole_number("max_draws", max_draws, draws)
+        elif max_solves is None:
+            max_draws = GROWTH_LIMIT * draws
+        return cls(max_draws, max_solves)
+
+    def allow(self, result: RunResult) -> tuple[int, str]:
+        """Return how many further steps a run may take; if none, which limit it has reached, else nothing.
+
+        A step is taken to need as many solves as those so far. Less than one in a hundred more is not worth it.
+        """
+        allowed = []
+        if self.draws is not None:
+            allowed.append((self.draws - result.draws, f"{whole(self.draws)} draws per chain"))
+        if self.solves is not None:
+            drawn = int(result.posterior.stats["n_solves"].sum())
+            left = self.solves - drawn - int(result.warmup.stats["n_solves"].sum())
+            steps = max(left, 0) * result.draws // max(drawn, 1)
+            allowed.append((steps if steps > result.draws // 100 else 0, f"{whole(self.solves)} solves"))
+        steps, limit = min(allowed)
+        return steps, "" if steps else limit

@@ -17,6 +17,7 @@ from fmu import cli
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.trace.conversion import save_trace
 from fmu.config.kept import KeptProblem
+from fmu.samplers.kernel import Sampler
 
 BUILT_IN = fmu.cases.path("cantilever-young").read_bytes()
 
@@ -75,7 +76,7 @@ def ran(young, tmp_path_factory):
 def converged(young, tmp_path_factory):
     """The directory of a run that was long enough, and what it printed."""
     folder = tmp_path_factory.mktemp("converged")
-    length = ("--draws", 50, "--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
+    length = ("--warmup", 200, "--sampler", "hmc", "--out", "here", "--until-ess", 450)
     with pytest.MonkeyPatch.context() as patch:
         result = commands_in(folder, patch, young)("run", "cantilever-young", *length, "--no-report")
     assert result.exit_code == 0, result.output
@@ -223,20 +224,18 @@ def test_maxima_are_written_and_kept_in_the_trace(ran, young):
 def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, monkeypatch, tmp_path):
     """All chains start in one place, without jumps: the verdict names the maximum that they miss.
 
-    `fmu compare` repeats it.
-
-    The run is long enough, but effective draws do not make a verdict good: it is short of what was asked for.
+    `fmu compare` repeats it. Effective draws in plenty do not make it good: the run ends at its limit.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fmu.analysis.maxima.search, "find_map", lambda problem, starts=None: section_maxima)
     monkeypatch.setitem(fmu.sample.__kwdefaults__, "jumps", False)
-    arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start", "--draws", "20", "--warmup", "60")
-    until = ("--until-ess", "5", "--max-draws", "40", "--out", "here", "--no-report")
+    monkeypatch.setattr(Sampler, "first", (60, 20))
+    arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start")
+    until = ("--max-solves", "400", "--out", "here", "--no-report")
     run = CliRunner().invoke(cli.main, ["run", "cantilever-section", *arguments, *until])
     assert run.exit_code == 1, run.output
-    assert "--max-draws reached before --until-ess 5: mh" in run.stdout
+    assert "--max-solves 400 reached before convergence: mh" in run.stdout
     assert "The model, from the draws of mh (not converged)" in run.stdout
-    assert pd.read_csv("here/summary-mh.csv")[["ess_bulk", "ess_tail"]].min().min() >= 5
     lines = run.stdout.splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("mh  not converged"))
     end = next(k for k, line in enumerate(lines) if line.startswith("    - the draws were elsewhere: "))
@@ -256,24 +255,38 @@ def test_sampling_on_until_there_is_enough(converged):
     out, result = converged
     assert "Stopped" not in result.stdout
     assert "hmc  converged" in result.stdout.splitlines()
-    steps = fmu.load_trace(out / "hmc.nc")["posterior"].sizes["draw"]
-    assert 50 < steps <= 1600
+    trace = fmu.load_trace(out / "hmc.nc")
+    assert 50 < trace["posterior"].sizes["draw"] <= 1600
+    assert trace["warmup_posterior"].sizes["draw"] == 200
+    assert "limit" not in trace.attrs
     assert pd.read_csv(out / "summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
 
 
-def test_sampling_on_stops_at_the_limit_and_says_so(invoke):
-    arguments = ("--draws", 10, "--warmup", 20, "--chains", 2, "--sampler", "mh", "--out", "here", "--no-report")
-    result = invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-draws", 35)
+def test_sampling_ends_at_the_limit_and_says_so(invoke, monkeypatch):
+    monkeypatch.setattr(Sampler, "first", (20, 10))
+    arguments = ("--chains", 2, "--sampler", "mh", "--out", "here", "--no-report")
+    result = invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-solves", 300)
     assert result.exit_code == 1
     assert result.stderr == ""
-    assert result.stdout.splitlines()[-3:] == [
-        "--max-draws reached before --until-ess 1e+06: mh",
+    assert result.stdout.splitlines()[-5:] == [
+        "",
+        "--max-solves 300 reached before --until-ess 1e+06: mh",
+        "To go on: fmu run --resume here --max-solves 3000",
         "",
         "Written to here",
     ]
+    assert "- the run ended at its limit of 300 solves" in result.stdout
     trace = fmu.load_trace("here/mh.nc")
-    assert trace["posterior"].sizes["draw"] == 35
+    assert trace.attrs["limit"] == "300 solves"
+    assert 280 < trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"] < 320
+    assert trace["posterior"].sizes["draw"] > 20
     assert trace["warmup_posterior"].sizes["draw"] == 20
+
+
+def test_draws_are_drawn_exactly_and_need_not_suffice(ran):
+    out, result = ran
+    assert fmu.load_trace(out / "mh.nc")["posterior"].sizes["draw"] == 6
+    assert any(line.startswith("mh  not converged") for line in result.stdout.splitlines())
 
 
 def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(converged, monkeypatch, tmp_path):
@@ -307,10 +320,14 @@ def test_numbers_that_do_not_apply_are_dashes(invoke):
         (["run", "cantilever-young", "--draws", "0"], ["--draws", "0 is not in the range x>=1"]),
         (["run", "cantilever-young", "--draws", "-3"], ["--draws", "-3"]),
         (["run", "cantilever-young", "--until-ess", "0"], ["--until-ess", "0"]),
-        (["run", "cantilever-young", "--max-draws", "5"], ["max_draws: needs until_ess", "(got 5)"]),
+        (["run", "cantilever-young", "--max-solves", "0"], ["--max-solves", "0 is not in the range x>=1"]),
         (
-            ["run", "cantilever-young", "--until-ess", "9", "--max-draws", "5"],
-            ["max_draws", "at least 1000 (got 5)"],
+            ["run", "cantilever-young", "--draws", "5", "--until-ess", "9"],
+            ["--draws 5 fixes the number of draws: leave out --until-ess"],
+        ),
+        (
+            ["run", "cantilever-young", "--draws", "5", "--max-solves", "9"],
+            ["--draws 5 fixes the number of draws: leave out --max-solves"],
         ),
         (["run", "cantilever-young", "--draws", "many"], ["--draws", "'many'"]),
         (["run", "cantilever-young", "--warmup", "-1"], ["--warmup", "-1"]),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fmu.numbers import fixed, whole
-from fmu.samplers.registry import named
+from fmu.samplers.registry import named, planned
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -27,11 +27,12 @@ _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 
 class Estimate(NamedTuple):
-    """Estimated cost of a part of a run: name, solves, seconds."""
+    """Estimated cost of a part of a run: name, solves, seconds; for a sampler that may go on, its most solves."""
 
     name: str
     solves: float
     seconds: float
+    most: int | None = None
 
 
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
@@ -44,7 +45,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     problem : UpdatingProblem
         It is solved a few times, to measure how long a solve takes.
     orders : mapping of str
-        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``init`` of the run.
+        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. Without draws,
+        each sampler is estimated to the first verdict.
     starts : int
         Optimiser starts of the search for maxima.
     workers : int
@@ -62,20 +64,22 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     for name in orders["samplers"]:
         settings = named(name)
         lines = orders["chains"] * settings.walkers
-        warmup, draws, distinct = settings.cost
+        warmup, draws = planned(name, orders["warmup"], orders["draws"])
+        of_warmup, of_draw, distinct = settings.cost
         per_step = per_gradient if settings.takes_gradients else 1
-        solves = lines * (orders["warmup"] * warmup + orders["draws"] * draws) * per_step
+        solves = lines * (warmup * of_warmup + draws * of_draw) * per_step
         if not is_slow:
             side_by_side, each_s = 1, one_s + _OVERHEAD_S
             with suppress(ValueError):  # a start without a finite log-probability: the run will report it
-                each_s = _seconds_in_a_sampler(problem, settings, orders)
+                each_s = _seconds_in_a_sampler(problem, settings, orders, warmup, draws)
         else:
             each_s = one_s + _OVERHEAD_S
             # a function's evaluations are shared out, those of the chains of one step at most
             side_by_side = min(workers, lines) if is_function else min(workers, orders["groups"] or 1)
-        found.append(Estimate(name, solves, solves * each_s / side_by_side))
+        most = orders["max_solves"] if orders["draws"] is None else None
+        found.append(Estimate(name, solves, solves * each_s / side_by_side, most))
         if is_slow and not is_function:
-            predicted = lines * orders["draws"] * distinct
+            predicted = lines * draws * distinct
             found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
     if problem.model.reduced_sizes:
         full_s = _timed(lambda: problem.model.full_frequencies(problem.start[None, : problem.n_structural]))
@@ -88,8 +92,12 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
 
 
 def estimates_in_words(parts: list[Estimate]) -> str:
-    """Return the estimates in one line: ``hmc: about 36 000 solves, 12 s``."""
-    return "; ".join(f"{part.name}: about {_rounded(part.solves)} solves, {_time(part.seconds)}" for part in parts)
+    """Return the estimates in one line: ``hmc: about 36 000 solves, 12 s (at most 2 000 000, 11 min)``."""
+    found = []
+    for name, solves, seconds, most in parts:
+        longest = "" if most is None else f" (at most {whole(most)}, {_time(seconds * most / solves)})"
+        found.append(f"{name}: about {_rounded(solves)} solves, {_time(seconds)}{longest}")
+    return "; ".join(found)
 
 
 def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
@@ -138,22 +146,24 @@ def _timed(work: Callable[[], object]) -> float:
     return took
 
 
-def _seconds_in_a_sampler(problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any]) -> float:
+def _seconds_in_a_sampler(
+    problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any], warmup: int, draws: int
+) -> float:
     """Return the time of a solve, the work of the sampler included, in the first steps of warm-up."""
     from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, GroupState, RunContext, advance
     from fmu.samplers.loop.run import n_groups
 
-    context = RunContext(problem, settings, max(orders["warmup"], 1))
+    context = RunContext(problem, settings, max(warmup, 1))
     rng = np.random.default_rng(0)
     chains = orders["chains"] // n_groups(orders["groups"], orders["chains"], settings)
     shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
     theta = problem.sample_prior(rng, chains * settings.walkers).reshape(shape)
-    phase = WARMUP if orders["warmup"] else DRAWS
+    phase, steps = (WARMUP, warmup) if warmup else (DRAWS, draws)
     group = GroupState.at(context.scaled.to_scaled(theta), rng)
     each_s = []
     for _ in range(_PROBES):
         began = time.perf_counter()
-        done = advance(context, Chunk(group, phase, max(orders[phase], 1), _PROBE_S, 1))
+        done = advance(context, Chunk(group, phase, steps, _PROBE_S, 1))
         solves = int(done.steps.stats["n_solves"].sum())
         each_s.append((time.perf_counter() - began) / max(solves, 1))
         group = done.group

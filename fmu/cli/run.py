@@ -15,13 +15,13 @@ from click.core import ParameterSource
 from fmu.cli.messages import STOPPED, warnings_as_notes
 from fmu.cli.output import claimed, make_writable
 from fmu.cli.problems import built, pairing_option, problem_of
-from fmu.cli.sampled import sampled, tell
+from fmu.cli.sampled import MAX_SOLVES, sampled, tell
 from fmu.config.kept import ORIGIN, KeptProblem, kept
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.phases import told_to
 from fmu.runs import Checkpoint
-from fmu.sampling import DEFAULTS, GROWTH_LIMIT, INITS, SAMPLERS, StoppedRun, default_sampler, most_draws
+from fmu.sampling import DEFAULTS, INITS, SAMPLERS, StoppedRun, default_sampler
 
 if TYPE_CHECKING:
     from fmu.engines.base import Engine
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fmu.runs.run_directory import RunDirectory
 
 _FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
-_FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate"}
+_FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate", "max_solves"}
 """Options that may change when a run is resumed: the draws do not depend on them."""
 
 
@@ -47,8 +47,14 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
               help="Sampler. Repeat the option for several.  [default: hmc; mh for a Python function without "
                    "gradients]")  # fmt: skip
 @pairing_option
-@_option("--draws", _FROM_1, "Draws kept per chain.")
-@_option("--warmup", _FROM_0, "Warm-up steps per chain, before the draws.")
+@click.option("--draws", type=_FROM_1, help="Draws kept per chain, whether that is enough or not. Without it, "
+              "every sampler draws until it has converged.")  # fmt: skip
+@click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Without --draws, "
+              "also until every effective sample size is at least N. Convergence needs 400.")  # fmt: skip
+@click.option("--max-solves", type=_FROM_1, metavar="N", default=MAX_SOLVES, show_default=True, help="Without "
+              "--draws, about how many solves a sampler may take, warm-up included. One that needs more ends "
+              "there, with exit code 1; with --resume and a larger number it goes on.")  # fmt: skip
+@click.option("--warmup", type=_FROM_0, help="Warm-up steps per chain, before the draws.  [default: 1000]")
 @_option("--chains", _FROM_1, "Number of chains (emcee: ensembles).")
 @_option("--groups", _FROM_1, "Number of independent groups of chains, each with its own adaptation, for several "
          "workers. The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip
@@ -57,11 +63,6 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
          "may miss a maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
 @_option("--init", click.Choice(INITS), "Where the chains start: around the maxima, in proportion to their "
          "probability; at draws from the prior; or at the start values.")  # fmt: skip
-@_option("--until-ess", click.FloatRange(min=0, min_open=True), "Sample until the run has converged and every "
-         "effective sample size is at least N. Exit code 1 if --max-draws is reached first.",
-         metavar="N")  # fmt: skip
-@_option("--max-draws", _FROM_1, "Maximum number of draws per chain with --until-ess.  "
-         f"[default: {GROWTH_LIMIT} times --draws]")  # fmt: skip
 @_option("--max-failure-rate", click.FloatRange(0, 1), "Stop if more than this fraction of the solves fails.")
 @_option("--out", click.Path(path_type=Path), "Output directory.  [default: runs/CASE-PAIRING]")
 @_option("--overwrite", None, "Replace the files of an earlier run in the output directory.", is_flag=True)
@@ -98,7 +99,8 @@ def run(
     (SAMPLER.nc) and a summary (summary-SAMPLER.csv) for each sampler, comparison.csv, an HTML report
     (report/index.html), a list of failed solves if there are any (failures-SAMPLER.csv), and a copy of CASE
     (problem.toml, run.json). Draws are saved during the run. Ctrl-C stops it cleanly; --resume continues a run
-    that was stopped or killed, bit for bit.
+    that was stopped or killed, bit for bit. The exit code is 1 if a sampler has not converged, unless --draws was
+    given.
     """
     with ExitStack() as stack:
         stack.enter_context(stoppable())
@@ -124,7 +126,7 @@ def run(
                     _echo_estimate(problem, asked.orders, bool(orders["samplers"]), at_work.workers)
                 outcome = sampled(problem, asked, running, at_work, report, speaks)
             try:
-                code = tell(outcome, problem, directory, asked.orders["until_ess"])
+                code = tell(outcome, problem, directory, asked.orders)
                 if reports:
                     from fmu.report.pages import publish
 
@@ -132,7 +134,8 @@ def run(
                         index = publish(outcome.traces, directory)
                     click.echo(f"Report: {index}")
             finally:
-                running.ended()
+                if not any("limit" in trace.attrs for trace in outcome.traces.values()):
+                    running.ended()
         except StoppedRun as stop:
             return _stopped(directory, f": {stop.where}")
         except KeyboardInterrupt:
@@ -150,7 +153,12 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
-    most_draws(orders["draws"], orders["until_ess"], orders["max_draws"])
+    if orders["draws"] is not None:
+        for name in ("until_ess", "max_solves"):
+            if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
+                raise click.UsageError(
+                    f"--draws {orders['draws']} fixes the number of draws: leave out --{name.replace('_', '-')}."
+                )
     if orders["groups"] is not None:
         from fmu.samplers.loop.run import n_groups
         from fmu.samplers.registry import named

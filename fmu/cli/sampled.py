@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,9 @@ from fmu.interruption import shielded
 from fmu.numbers import typed
 from fmu.progress import Report, labelled
 from fmu.runs import Checkpoint
+
+MAX_SOLVES = 2_000_000
+"""Solves of a sampler, warm-up included, after which a run that has not converged ends, unless told otherwise."""
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,6 +61,7 @@ def sampled(
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map
     from fmu.analysis.trace.conversion import load_trace
     from fmu.runs.maxima import keep_maxima, kept_maxima
+    from fmu.samplers.registry import planned
 
     with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
         maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
@@ -68,8 +72,7 @@ def sampled(
             maxima = find_map(problem, starts)
             keep_maxima(running.folder, maxima, problem)
         outcome = Sampled(maxima, {}, {})
-        arguments = {key: asked.orders[key] for key in sampling.DEFAULTS if key in asked.orders}
-        arguments |= {"maxima": maxima, "workers": workers}
+        arguments = _until(asked.orders) | {"maxima": maxima, "workers": workers}
         every = asked.orders["keep_draws"], asked.orders["keep_seconds"]
         for name in dict.fromkeys(asked.orders["samplers"]):
             if name in asked.finished:
@@ -77,15 +80,29 @@ def sampled(
             else:
                 checkpoint = Checkpoint(running.of_sampler(name), *every)
                 progress = report and labelled(report, name)
-                trace = _drawn(name, problem, running, checkpoint=checkpoint, progress=progress, **arguments)
+                warmup, draws = planned(name, asked.orders["warmup"], asked.orders["draws"])
+                arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
+                trace = _drawn(name, problem, running, **arguments)
             outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
             _write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
-            if name not in asked.finished:
+            if "limit" in trace.attrs:  # it can be resumed with a larger limit
+                asked.save(running.path)
+            elif name not in asked.finished:
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
                     running.finished(name, asked)
     _write_csv(maxima.table(), running.path / "map.csv")
     return outcome
+
+
+def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a run that are arguments of `fmu.sample`; without draws, when its sampling ends."""
+    from fmu.analysis.convergence.remedies import ESS_LIMIT
+
+    arguments = {key: orders[key] for key in sampling.DEFAULTS if key in orders}
+    if orders["draws"] is None:
+        return arguments | {"until_ess": max(orders["until_ess"] or 0.0, ESS_LIMIT)}
+    return arguments | {"max_solves": None}
 
 
 def _drawn(name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any) -> xr.DataTree:
@@ -131,7 +148,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
     write_durably(path, table.to_csv().encode())
 
 
-def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, until_ess: float | None) -> int:
+def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
     """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
     from fmu.analysis.convergence.diagnosis import is_enough
     from fmu.analysis.evidence import found_evidences
@@ -144,13 +161,16 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, until_ess:
     comparison, verdicts = echo_comparison(traces, summaries)
     _write_csv(comparison, directory / "comparison.csv")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
-    short = []
-    if until_ess is not None:
-        short = [name for name, found in verdicts.items() if not is_enough(found, summaries[name], until_ess)]
-        if short:
-            click.echo(f"\n--max-draws reached before --until-ess {typed(until_ess)}: {', '.join(short)}")
+    if limited := [name for name, trace in traces.items() if "limit" in trace.attrs]:
+        most, until = orders["max_solves"], orders["until_ess"]
+        aim = f"--until-ess {typed(until)}" if until else "convergence"
+        click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(limited)}")
+        click.echo(f"To go on: fmu run --resume {directory} --max-solves {10 * most}")
     click.echo(f"\nWritten to {directory}")
-    return FAILED if short else 0
+    if orders["draws"] is not None:
+        return 0
+    least = orders["until_ess"] or 0.0
+    return 0 if all(is_enough(one, summaries[name], least) for name, one in verdicts.items()) else FAILED
 
 
 def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:

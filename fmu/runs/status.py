@@ -170,7 +170,7 @@ class RunReader:
         files = dict(numbered(directory, "group"))
         n = max([run.get("groups") or 1, *files])
         found = [self._group(files[k]) if k in files else None for k in range(1, n + 1)]
-        length = run.get("warmup", orders.get("warmup", 0)), orders.get("draws")
+        length = run.get("warmup", orders.get("warmup") or 0), orders.get("draws")
         now = time.time()
         groups = tuple(
             Progress(label) if one is None else one.progress(label, *length, now, state == RUNNING)

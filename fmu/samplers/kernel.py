@@ -99,6 +99,8 @@ class Sampler(ABC):
     cost : tuple of three float
         Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after it,
         and distinct draws.
+    first : tuple of two int
+        Steps of warm-up, and draws after which a run that ends when it has converged is first judged.
     takes_gradients : bool
         Whether each evaluation includes the gradient.
     learns_together : bool
@@ -111,6 +113,7 @@ class Sampler(ABC):
     title: ClassVar[str]
     colour: ClassVar[str]
     cost: ClassVar[tuple[float, float, float]]
+    first: ClassVar[tuple[int, int]] = (1000, 1000)
     takes_gradients: ClassVar[bool] = False
     learns_together: ClassVar[bool] = False
 

@@ -28,6 +28,14 @@ def sampler_class(name: str) -> type[Sampler]:
     return found
 
 
+def planned(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
+    """Return the warm-up steps and draws of a run; without `draws`, those until it is first judged."""
+    from fmu.samplers.kernel import Sampler
+
+    usual, first = (Sampler if draws is not None else sampler_class(name)).first
+    return usual if warmup is None else warmup, first if draws is None else draws
+
+
 def named(name: str) -> Sampler:
     """Return a sampler with its default settings; ValueError, with the known names, if there is none."""
     return sampler_class(name)()

@@ -128,8 +128,8 @@ def test_tail_counts_by_itself(make_trace):
     table = summary(make_trace(position))
     table.loc["x1", "ess_tail"] = 399.0
     assert convergence_failures(make_trace(position), table) == [
-        "x1: tail ESS is 399; at least 400 are needed; about 660 draws are needed: --until-ess 400 or --draws 660 "
-        "(Python: until_ess=400 or draws=660)"
+        "x1: tail ESS is 399; at least 400 are needed; about 660 draws are needed: leave out --draws, "
+        "or --draws 660 (Python: until_ess=400 or draws=660)"
     ]
 
 
@@ -169,7 +169,7 @@ def test_short_ensembles_have_not_converged(make_trace, good_ensembles):
     assert len(failures) == 1  # R-hat over walkers, also above its limit, would say nothing else
     assert failures[0].startswith("x0: the run is 25")
     assert "; about " in failures[0]
-    assert " steps are needed: --until-ess 400 or --draws " in failures[0]
+    assert " steps are needed: leave out --draws, or --draws " in failures[0]
 
 
 def test_walkers_in_separate_modes_in_equal_proportion_have_not_converged(make_trace, good_ensembles):
@@ -232,8 +232,8 @@ def test_standard_error_is_held_against_the_sd(make_trace, good):
     table = summary(trace)
     table.loc["x1", "mcse_mean"] = 0.11 * table.loc["x1", "sd"]
     assert convergence_failures(trace, table) == [
-        "x1: MCSE over sd is 0.110; it must be below 0.1; about 790 draws are needed: --until-ess 400 or "
-        "--draws 790 (Python: until_ess=400 or draws=790)"
+        "x1: MCSE over sd is 0.110; it must be below 0.1; about 790 draws are needed: leave out --draws, "
+        "or --draws 790 (Python: until_ess=400 or draws=790)"
     ]
     table.loc["x1", "mcse_mean"] = np.nan
     assert convergence_failures(trace, table) == ["x1: MCSE over sd is nan; it must be below 0.1"]

@@ -26,7 +26,7 @@ def test_no_run(folder):
     assert list((folder / "empty").iterdir()) == []
 
 
-@pytest.mark.parametrize("said", [("--groups", 3), ("--cluster", "nowhere"), ("--max-draws", 3), ("--groups", 2)])
+@pytest.mark.parametrize("said", [("--groups", 3), ("--cluster", "nowhere"), ("--max-solves", 3), ("--groups", 2)])
 def test_bad_input_writes_nothing(folder, said):
     assert_refused(run(*of("hmc", "tempering"), *said))
     assert sorted(path.name for path in folder.iterdir()) == ["k2.csv", "two.toml"]

@@ -4,6 +4,7 @@ import pytest
 
 import fmu
 from fmu.runs.run_directory import RunDirectory
+from fmu.samplers.hmc import HamiltonianMonteCarlo
 from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
 from tests.runs.keeping import at_keep
 
@@ -44,16 +45,42 @@ def test_a_group_of_chains_a_worker(folder):
     assert fmu.load_trace(folder / "out" / "hmc.nc").attrs["groups"] == 2
 
 
-def test_until_enough(folder, at_keep):
-    until = ("--until-ess", 60, "--max-draws", 40)
-    assert run(*of("mh"), *until).exit_code == 1
-    assert fmu.load_trace("out/mh.nc")["posterior"].sizes["draw"] == 40
+OPEN = ("--sampler", "hmc", "--chains", 2, "--starts", 2)
+SELDOM = ("--keep-draws", 1000)
+
+
+@pytest.fixture
+def judged_soon(monkeypatch):
+    """Runs are first judged after few draws, and no mode is left out: whether that is affordable is measured."""
+    monkeypatch.setattr(HamiltonianMonteCarlo, "first", (30, 20))
+    monkeypatch.setattr("fmu.analysis.held_out.modes.with_left_out", lambda trace, problem: trace)
+
+
+@pytest.mark.usefixtures("judged_soon")
+def test_until_it_has_converged(folder, at_keep):
+    """Broken off in the extension: how many draws are enough is decided from the draws alone."""
+    assert run(*SELDOM, length=OPEN).exit_code == 0
+    assert fmu.load_trace("out/hmc.nc")["posterior"].sizes["draw"] > 160
     (folder / "out").rename(folder / "one")
-    at_keep((10 + 30) // 5, cut)  # while the run is carried on
+    at_keep(5, cut)  # the first are of warm-up, and of 20, 40, 80 and 160 draws
     with pytest.raises(Cut):
-        run(*of("mh"), *until)
-    assert resume().exit_code == 1
-    assert_same("mh", folder / "out", folder / "one")
+        run(*SELDOM, length=OPEN)
+    assert resume().exit_code == 0
+    assert_same("hmc", folder / "out", folder / "one")
+
+
+@pytest.mark.usefixtures("judged_soon")
+def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder):
+    assert run(*SELDOM, length=OPEN).exit_code == 0
+    (folder / "out").rename(folder / "one")
+    assert run(*SELDOM, "--max-solves", 1000, length=OPEN).exit_code == 1
+    assert fmu.load_trace("out/hmc.nc").attrs["limit"] == "1 000 solves"
+    again = resume()
+    assert again.exit_code == 1
+    assert "To go on: fmu run --resume out --max-solves 10000" in again.stdout
+    assert resume("--max-solves", 100000).exit_code == 0
+    assert_same("hmc", folder / "out", folder / "one")
+    assert not (folder / "out" / "checkpoints").exists()
 
 
 def test_the_problem_is_that_of_the_beginning(folder, whole, at_keep):

@@ -69,7 +69,7 @@ class Diagnosis:
     searched : bool
         Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
     stopped : str
-        If the run was stopped early, after how many draws, in words; else empty.
+        If the run was stopped early, after how many draws or at which limit, in words; else empty.
     fit : ModelFit
         Whether the data contradict the model, and what could have; provisional where the run has not converged.
     """
@@ -185,6 +185,8 @@ def judge(
     warnings += information_warnings(trace) + repeatability_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
+    if "limit" in trace.attrs:
+        stopped = f"the run ended at its limit of {trace.attrs['limit']}"
     return Diagnosis(
         not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped, fit=fit
     )
@@ -235,18 +237,16 @@ def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
     return found.converged and fewest(table) >= until_ess
 
 
-def draws_missing(trace: xr.DataTree, until_ess: float | None, maxima: Maxima | None) -> int:
+def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
     """Return how many steps to draw before a run is judged again; 0 if it needs no more.
 
     Parameters
     ----------
     trace : xarray.DataTree
-    until_ess : float, optional
-        Bulk and tail ESS wanted of every parameter, beside convergence. None: the run needs no more draws.
+    until_ess : float
+        Bulk and tail ESS wanted of every parameter, beside convergence.
     maxima : Maxima, optional
     """
-    if until_ess is None:
-        return 0
     draws = int(trace.attrs["draws"])
     if walkers_of(trace) > 1:  # their length, which takes least time, is what they lack longest
         growth = MIN_AUTOCORRELATION_TIMES / float(np.min(autocorrelation_times_run(trace)))

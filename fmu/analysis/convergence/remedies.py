@@ -161,15 +161,12 @@ def for_too_few_draws(
     margin = _MARGIN if lengths is None else _MARGIN_OF_STEPS
     number = in_two_digits(margin * growth * int(trace.attrs["draws"]))
     is_reliable = fewest(table) >= RELIABLE_ESS if lengths is None else np.min(lengths) >= RELIABLE_TIMES
-    about, what, ess = (
-        "about" if is_reliable else "at least",
-        "draws" if lengths is None else "steps",
-        typed(required),
-    )
-    return (
-        f"; {about} {number} {what} are needed: --until-ess {ess} or --draws {number} "
-        f"(Python: until_ess={ess} or draws={number})"
-    )
+    about, what = "about" if is_reliable else "at least", "draws" if lengths is None else "steps"
+    needed = f"; {about} {number} {what} are needed"
+    if "limit" in trace.attrs:
+        return needed
+    python = f"Python: until_ess={typed(required)} or draws={number}"
+    return f"{needed}: leave out --draws, or --draws {number} ({python})"
 
 
 def in_two_digits(draws: float) -> int:
