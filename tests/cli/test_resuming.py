@@ -4,7 +4,7 @@ import pytest
 
 import fmu
 from fmu.runs.run_directory import RunDirectory
-from fmu.samplers.hmc import HamiltonianMonteCarlo
+from fmu.samplers.mixture.mixture import MixtureSampler
 from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
 from tests.runs.keeping import at_keep
 
@@ -45,14 +45,14 @@ def test_a_group_of_chains_a_worker(folder):
     assert fmu.load_trace(folder / "out" / "hmc.nc").attrs["groups"] == 2
 
 
-OPEN = ("--sampler", "hmc", "--chains", 2, "--starts", 2)
+OPEN = ("--sampler", "mixture", "--chains", 2, "--starts", 2)
 SELDOM = ("--keep-draws", 1000)
 
 
 @pytest.fixture
 def judged_soon(monkeypatch):
     """Runs are first judged after few draws, and no mode is left out: whether that is affordable is measured."""
-    monkeypatch.setattr(HamiltonianMonteCarlo, "first", (30, 20))
+    monkeypatch.setattr(MixtureSampler, "first", (60, 20))
     monkeypatch.setattr("fmu.analysis.held_out.modes.with_left_out", lambda trace, problem: trace)
 
 
@@ -60,26 +60,26 @@ def judged_soon(monkeypatch):
 def test_until_it_has_converged(folder, at_keep):
     """Broken off in the extension: how many draws are enough is decided from the draws alone."""
     assert run(*SELDOM, length=OPEN).exit_code == 0
-    assert fmu.load_trace("out/hmc.nc")["posterior"].sizes["draw"] > 160
+    assert fmu.load_trace("out/mixture.nc")["posterior"].sizes["draw"] > 160
     (folder / "out").rename(folder / "one")
     at_keep(5, cut)  # the first are of warm-up, and of 20, 40, 80 and 160 draws
     with pytest.raises(Cut):
         run(*SELDOM, length=OPEN)
     assert resume().exit_code == 0
-    assert_same("hmc", folder / "out", folder / "one")
+    assert_same("mixture", folder / "out", folder / "one")
 
 
 @pytest.mark.usefixtures("judged_soon")
 def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder):
     assert run(*SELDOM, length=OPEN).exit_code == 0
     (folder / "out").rename(folder / "one")
-    assert run(*SELDOM, "--max-solves", 1000, length=OPEN).exit_code == 1
-    assert fmu.load_trace("out/hmc.nc").attrs["limit"] == "1 000 solves"
+    assert run(*SELDOM, "--max-solves", 500, length=OPEN).exit_code == 1
+    assert fmu.load_trace("out/mixture.nc").attrs["limit"] == "500 solves"
     again = resume()
     assert again.exit_code == 1
-    assert "To go on: fmu run --resume out --max-solves 10000" in again.stdout
+    assert "To go on: fmu run --resume out --max-solves 5000" in again.stdout
     assert resume("--max-solves", 100000).exit_code == 0
-    assert_same("hmc", folder / "out", folder / "one")
+    assert_same("mixture", folder / "out", folder / "one")
     assert not (folder / "out" / "checkpoints").exists()
 
 
