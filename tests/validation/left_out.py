@@ -239,8 +239,8 @@ difference is {largest:.3f} nat. Of garteur the table is the one that a run prin
 than the run, and modes that need one have no number.
 
 {table}
-"importance weights" are smoothed (PSIS), of the draws with the mode; they are used where their Pareto k is below
-0.5. "refit" is updating without the mode; where its weights are not reliable, there is no elpd.
+"refit" is updating without the mode; where its weights are not reliable, there is no elpd. Where a refit takes too
+long, a run relies on smoothed importance weights (PSIS) of its draws, and only if their Pareto k is below 0.5.
 
 p is the probability of a measurement at least as far out on either side. For {replicates} buildings of three
 storeys drawn from the prior, with measurements simulated by the model, it must be uniform: the Kolmogorov–Smirnov
