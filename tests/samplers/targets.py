@@ -194,7 +194,7 @@ class TwoModes(Target):
 
 
 class Funnel(Target):
-    """v ~ N(0, s²) over the logarithm of the variance of two coordinates x ~ N(0, e^v) (Neal 2003, section 8).
+    """v ~ N(0, s²) over the logarithm of the variance of the others, x ~ N(0, e^v) (Neal 2003, section 8).
 
     E[x²] = exp(s²/2). The funnel is a mild one: with s = 0.7 instead of Neal's 3 no sampler misses its neck, and
     the eighth moment, on which the error of an estimated MCSE of x² hangs, is small enough to trust it.
@@ -203,10 +203,11 @@ class Funnel(Target):
     name = "funnel"
     s = 0.7
 
-    def __init__(self):
-        super().__init__(3)
-        self.mean = np.zeros(3)
-        self.covariance = np.diag([self.s**2, *2 * [np.exp(self.s**2 / 2)]])
+    def __init__(self, ndim=3):
+        super().__init__(ndim)
+        self.mean = np.zeros(ndim)
+        self.covariance = np.diag([self.s**2, *(ndim - 1) * [np.exp(self.s**2 / 2)]])
+        self.log_mass = 0.5 * ndim * np.log(2 * np.pi) + np.log(self.s)
         self.unbounded_view()
 
     def value_and_slope(self, x):
@@ -214,8 +215,9 @@ class Funnel(Target):
         with np.errstate(over="ignore", invalid="ignore"):  # far out in a neck that is never accepted
             precision = np.exp(-v)
             square = np.sum(rest**2, axis=1) * precision
-            value = -0.5 * (v / self.s) ** 2 - 0.5 * square - v
-            slope_v = -v / self.s**2 + 0.5 * square - 1.0
+            half = 0.5 * (self.ndim - 1)
+            value = -0.5 * (v / self.s) ** 2 - 0.5 * square - half * v
+            slope_v = -v / self.s**2 + 0.5 * square - half
             return value, np.column_stack([slope_v, -rest * precision[:, None]])
 
 

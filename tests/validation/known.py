@@ -1,16 +1,20 @@
-"""Posteriors of two and three parameters whose means and variances are known by quadrature."""
+"""Posteriors whose means, variances and evidence are known: by quadrature, or in more dimensions by formula."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import pdist
+from scipy.special import gammaln
 
 import fmu
+from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.analysis.maxima.search import is_searchable
+from fmu.analysis.trace.conversion import names_of
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.types import FloatArray
 from tests.samplers.targets import Banana, BoundedBeta, Funnel, SkewedGumbel, Target, TruncatedGaussian, TwoModes
@@ -23,10 +27,11 @@ _AT_ONCE = 200_000
 
 
 class Moments(NamedTuple):
-    """Mean and variance of every parameter, shape (ndim,) each."""
+    """Mean and variance of every parameter, shape (ndim,) each, and the logarithm of the integral."""
 
     mean: FloatArray
     variance: FloatArray
+    log_mass: float
 
 
 def moments(
@@ -65,7 +70,8 @@ def moments(
         mass = np.tile(weights, len(part)) * np.exp(np.asarray(log_prob(theta)) - height.max())
         sums += [mass @ (theta - origin) ** power for power in range(3)]
     mean = sums[1] / sums[0]
-    return Moments(origin + mean, sums[2] / sums[0] - mean**2)
+    log_mass = float(height.max() + np.log(sums[0, 0]) + np.sum(np.log(0.5 * edge)))
+    return Moments(origin + mean, sums[2] / sums[0] - mean**2, log_mass)
 
 
 def _product(x: FloatArray, ndim: int) -> FloatArray:
@@ -130,6 +136,11 @@ class ThinBanana(Banana):
 
     b, s = 1.0, 0.3
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.covariance = np.diag([1.0, 2.0 * self.b**2 + self.s**2])
+        self.log_mass = float(np.log(2.0 * np.pi * self.s))
+
     def value_and_slope(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return log-density and gradient."""
         r = (x[:, 1] - self.b * (x[:, 0] ** 2 - 1.0)) / self.s
@@ -148,9 +159,123 @@ class Separated(TwoModes):
         self.precisions = self.covariances
 
 
+class Modes(TwoModes):
+    """Separated Gaussians of unequal width, shape and weight, in any number of dimensions; the first is narrow."""
+
+    weight: ClassVar = {2: (0.3, 0.7), 5: (0.1, 0.3, 0.2, 0.3, 0.1)}
+    sd: ClassVar = {2: (0.5, 1.1), 5: (0.5, 1.2, 0.8, 1.0, 0.6)}
+    apart = 7.0
+
+    def __init__(self, count: int, ndim: int) -> None:
+        Target.__init__(self, ndim)
+        rng = np.random.default_rng(10 * count + ndim)
+        self.weights = np.array(self.weight[count])
+        self.centres = rng.uniform(-8.0, 8.0, (count, ndim))
+        while np.min(pdist(self.centres)) < self.apart:
+            self.centres = rng.uniform(-8.0, 8.0, (count, ndim))
+        rotation, _ = np.linalg.qr(rng.standard_normal((count, ndim, ndim)))
+        spread = np.array(self.sd[count])[:, None] * rng.uniform(0.6, 1.0, (count, ndim))
+        self.covariances = np.einsum("kij,kj,klj->kil", rotation, spread**2, rotation)
+        self.precisions = np.linalg.inv(self.covariances)
+        self.mean = self.weights @ self.centres
+        away = self.centres - self.mean
+        self.covariance = np.einsum("k,kij->ij", self.weights, self.covariances) + away.T * self.weights @ away
+        self.log_mass = 0.5 * ndim * np.log(2.0 * np.pi)
+
+    def value_and_slope(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return log-density and gradient."""
+        pull = np.einsum("nki,kij->nkj", self.centres - x[:, None], self.precisions)
+        parts = np.log(self.weights) - 0.5 * np.linalg.slogdet(self.covariances)[1]
+        parts = parts - 0.5 * np.sum((self.centres - x[:, None]) * pull, axis=2)
+        value = np.logaddexp.reduce(parts, axis=1)
+        return value, np.sum(np.exp(parts - value[:, None])[:, :, None] * pull, axis=1)
+
+
+class Flat(Target):
+    """Data that say nothing: the posterior is its prior."""
+
+    def value_and_slope(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return log-density and gradient."""
+        return np.zeros(len(x)), np.zeros(x.shape)
+
+
+class Shell(Target):
+    """A sphere's surface, blurred: log-density −(|x| − r)²/(2 w²)."""
+
+    radius, w = 2.0, 0.25
+
+    def __init__(self, ndim: int) -> None:
+        super().__init__(ndim)
+        r = np.linspace(0.0, self.radius + 10.0 * self.w, 20_001)
+        mass = np.exp(-0.5 * ((r - self.radius) / self.w) ** 2) * r ** (ndim - 1)
+        self.mean = np.zeros(ndim)
+        self.covariance = np.eye(ndim) * np.trapezoid(mass * r**2, r) / np.trapezoid(mass, r) / ndim
+        surface = np.log(2.0) + 0.5 * ndim * np.log(np.pi) - gammaln(0.5 * ndim)
+        self.log_mass = float(surface + np.log(np.trapezoid(mass, r)))
+
+    def value_and_slope(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return log-density and gradient."""
+        r = np.maximum(np.linalg.norm(x, axis=1), 1e-12)
+        over = (r - self.radius) / self.w**2
+        return -0.5 * over * (r - self.radius), -(over / r)[:, None] * x
+
+
+class Beside(Target):
+    """Independent densities, each of the coordinates after those of the one before, within boxes."""
+
+    def __init__(self, *blocks: tuple[Target, Any, Any]) -> None:
+        self.blocks = [block for block, *_ in blocks]
+        super().__init__(sum(block.ndim for block in self.blocks))
+        each = [moments(Boxed(*block).log_prob, *_box(*block), 40) for block in blocks]
+        self.mean = np.concatenate([one.mean for one in each])
+        self.covariance = np.diag(np.concatenate([one.variance for one in each]))
+        self.lower, self.upper = (np.concatenate(ends) for ends in zip(*(_box(*b) for b in blocks), strict=True))
+        self.log_mass = sum(one.log_mass for one in each) + float(np.sum(np.log(self.upper - self.lower)))
+
+    def value_and_slope(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return log-density and gradient."""
+        ends = np.cumsum([block.ndim for block in self.blocks])[:-1]
+        parts = np.split(x, ends, axis=1)
+        found = [block.value_and_slope(part) for block, part in zip(self.blocks, parts, strict=True)]
+        return sum(value for value, _ in found), np.concatenate([slope for _, slope in found], axis=1)
+
+
+def _box(target: Target, lower: Any, upper: Any) -> tuple[FloatArray, FloatArray]:
+    lower, upper = (np.broadcast_to(np.asarray(end, dtype=float), (target.ndim,)) for end in (lower, upper))
+    return lower, upper
+
+
+class LogNormals(Tempered):
+    """Log-normal priors without an upper bound, and data that say nothing."""
+
+    sd = 0.5
+
+    def __init__(self, ndim: int) -> None:
+        super().__init__(np.zeros(ndim), np.full(ndim, np.inf))
+        self.target = Target(ndim)
+        self.target.mean = np.full(ndim, np.exp(0.5 * self.sd**2))
+        self.target.covariance = np.eye(ndim) * np.exp(self.sd**2) * np.expm1(self.sd**2)
+        self.target.log_mass = 0.0
+
+    def prior(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-density of the prior and its gradient."""
+        theta = np.maximum(theta, 1e-300)
+        log = np.log(theta)
+        value = -0.5 * (log / self.sd) ** 2 - log - 0.5 * np.log(2.0 * np.pi * self.sd**2)
+        return np.sum(value, axis=1), -(log / self.sd**2 + 1.0) / theta
+
+    def likelihood(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-likelihood and its gradient."""
+        return np.zeros(len(theta)), np.zeros(theta.shape)
+
+    def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return draws from the prior."""
+        return np.exp(self.sd * rng.standard_normal((n, self.ndim)))
+
+
 @dataclass(frozen=True)
 class Known:
-    """A posterior with its quadrature.
+    """A posterior with its moments.
 
     Attributes
     ----------
@@ -159,10 +284,10 @@ class Known:
         What is hard about it.
     make : callable
         Returns the density: an updating problem, whose maxima can be searched for, or a plain log-density.
+    cells : int, optional
+        Of the quadrature, along each coordinate; without them the target has a formula.
     box : (lower, upper), optional
         Where it is integrated; its bounds, where they are not given.
-    cells : int
-        Of the quadrature, along each coordinate.
     one_place : tuple of float, optional
         One of its maxima, from where chains are not expected to find the other: the maxima are separated.
     """
@@ -170,7 +295,7 @@ class Known:
     name: str
     kind: str
     make: Callable[[], Any]
-    cells: int
+    cells: int | None = None
     box: tuple[Any, Any] | None = None
     one_place: tuple[float, ...] | None = None
 
@@ -186,14 +311,50 @@ class Known:
 
     @cached_property
     def truth(self) -> Moments:
-        """Means and variances by quadrature."""
-        return self.integrated(self.cells)
+        """Means, variances and log-evidence."""
+        if self.cells is not None:
+            return self.integrated(self.cells)
+        target, density = self.density.target, self.density
+        volume = np.sum(np.log(density.upper - density.lower)) if isinstance(density, Boxed) else 0.0
+        return Moments(target.mean, np.diag(target.covariance), float(target.log_mass - volume))
+
+    @cached_property
+    def maxima(self) -> Maxima | None:
+        """All maxima of separated Gaussians, with their shares; None for other densities."""
+        target = getattr(self.density, "target", None)
+        return None if not isinstance(target, TwoModes) else _maxima(self.density, target, self.truth.log_mass)
 
     def integrated(self, cells: int) -> Moments:
         """Return means and variances by quadrature with so many cells along each coordinate."""
         lower, upper = self.box or (self.density.lower, self.density.upper)
         size = (self.density.ndim,)
         return moments(self.density.log_prob, np.broadcast_to(lower, size), np.broadcast_to(upper, size), cells)
+
+
+def _maxima(density: Boxed, target: TwoModes, log_mass: float) -> Maxima:
+    ndim, none = density.ndim, np.zeros(0)
+    found = [
+        PosteriorMaximum(
+            theta=centre,
+            log_prob=float(density.log_prob(centre[None])[0]),
+            frequencies=none,
+            starts=1,
+            at_bound=np.zeros(ndim, dtype=np.int64),
+            gradient=np.zeros(ndim),
+            hessian=np.linalg.inv(covariance),
+            curvature="exact",
+            mean=centre,
+            sd=np.sqrt(np.diag(covariance)),
+            log_mass=log_mass + float(np.log(weight)),
+            effective_draws=1e6,
+            share=float(weight),
+        )
+        for centre, covariance, weight in zip(target.centres, target.covariances, target.weights, strict=True)
+    ]
+    found.sort(key=lambda one: -one.log_prob)
+    names = names_of(density)
+    units = ("",) * ndim
+    return Maxima(tuple(found), names, units, (), density.lower, density.upper, target.centres[0], none, none)
 
 
 def _uneven() -> fmu.UpdatingProblem:
@@ -265,4 +426,60 @@ KNOWN = (
     Known("the same at its bounds", "frame, bounded", lambda: _three_storeys(0.86 * storeys.DESIGN_HZ), 30),
     Known("three storeys, three frequencies", "frame, several maxima", _three_frequencies, 80),
 )  # fmt: skip
-"""Everything that the verdicts are tried on."""
+"""What the verdicts on every sampler are tried on."""
+
+
+def _modes(count: int, ndim: int) -> Known:
+    target = Modes(count, ndim)
+    words = {2: "two", 5: "five"}[count]
+    return Known(
+        f"{words} modes, {ndim} parameters", "separated modes", lambda: Boxed(target, -16.0, 16.0),
+        one_place=tuple(target.centres[0]),
+    )  # fmt: skip
+
+
+def _in_a_corner(ndim: int) -> Known:
+    def make() -> Boxed:
+        blocks = [(Normal([-0.2, 1.1], [0.3] * 2, 0.8), 0.0, 1.0)] * (ndim // 2)
+        blocks += [(Normal([-0.2, 1.1, 0.5], [0.3] * 3, 0.8), 0.0, 1.0)] * (ndim % 2)
+        if ndim % 2:
+            blocks = blocks[1:]
+        return Boxed(target := Beside(*blocks), target.lower, target.upper)
+
+    return Known(f"corner, {ndim} parameters", "bounded", make)
+
+
+def _banana(ndim: int) -> Known:
+    def make() -> Boxed:
+        thin = [(ThinBanana(), [-6.0, -4.0], [6.0, 36.0])]
+        blocks = thin * (ndim // 5) + [(Normal([0.0] * 3, [1.0, 2.0, 0.5], 0.5), -12.0, 12.0)] * (ndim // 5)
+        return Boxed(target := Beside(*blocks), target.lower, target.upper)
+
+    return Known(f"banana, {ndim} parameters", "ridge", make)
+
+
+FURTHER = (
+    *(_modes(count, ndim) for count in (2, 5) for ndim in (2, 5, 10)),
+    *(_in_a_corner(ndim) for ndim in (2, 5, 10)),
+    *(_banana(ndim) for ndim in (5, 10)),
+    *(
+        Known(f"funnel, {ndim} parameters", "skewed", lambda ndim=ndim: Boxed(Funnel(ndim), -20.0, 20.0))
+        for ndim in (5, 10)
+    ),
+    *(
+        Known(f"shell, {ndim} parameters", "shell", lambda ndim=ndim: Boxed(Shell(ndim), -5.0, 5.0))
+        for ndim in (2, 5, 10)
+    ),
+    *(
+        Known(f"prior, uniform, {ndim} parameters", "no data", lambda ndim=ndim: Boxed(_flat(ndim), 1.0, 3.0))
+        for ndim in (2, 5, 10)
+    ),
+    Known("prior, log-normal, 5 parameters", "no data, half-bounded", lambda: LogNormals(5)),
+)
+"""What the verdicts on the mixture sampler are tried on beside."""
+
+
+def _flat(ndim: int) -> Flat:
+    flat = Flat(ndim)
+    flat.mean, flat.covariance, flat.log_mass = np.full(ndim, 2.0), np.eye(ndim) / 3.0, ndim * np.log(2.0)
+    return flat

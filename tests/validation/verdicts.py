@@ -26,15 +26,20 @@ from threadpoolctl import threadpool_limits
 import fmu
 from fmu.analysis.convergence.diagnosis import UNSEARCHED
 from fmu.analysis.convergence.effective import mcse_mean
+from fmu.analysis.evidence import OF_MIXTURE, has_candidates
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import SAMPLERS, named
 from fmu.types import FloatArray
-from tests.validation.known import KNOWN, Known
+from tests.validation.known import FURTHER, KNOWN, Known
 
 WRONG = 5.0
 """Monte-Carlo standard errors that a mean of a run called converged may be off by."""
-FEWEST_RUNS = 500
+FEWEST_RUNS, FEWEST_WITH_CANDIDATES = 500, 400
 CHAINS = 4
+JUMPS = " with jumps"
+WITH_CANDIDATES = ("mixture", *(name + JUMPS for name in ("mh", "slice", "hmc")))
+"""Samplers with candidates of a mixture."""
+NAMES = (*SAMPLERS, *WITH_CANDIDATES[1:])
 
 
 class Length(NamedTuple):
@@ -53,7 +58,9 @@ LENGTHS = {
     "default": Length(1000, 1000, None, (1, 1), (1, 1)),
 }
 SEEDS_AT_ONE_PLACE = (2, 1)
-USUAL, ONE_PLACE = "usual", "one maximum"
+SEEDS_WITH_JUMPS = 2
+USUAL, ONE_PLACE, ALL = "usual", "one maximum", "all maxima"
+"""Where chains start: where `fmu.sample` starts them; at one maximum; around all, known by formula."""
 
 
 class Job(NamedTuple):
@@ -94,6 +101,9 @@ class Outcome:
     ess : float
         The smallest bulk ESS.
     processor_s : float
+    of_evidence : tuple of float
+        Error of the log-evidence by importance and by bridge, over its standard error; empty without candidates
+        of a mixture, or where `fmu.evidence` warns.
     """
 
     name: str
@@ -111,6 +121,7 @@ class Outcome:
     mcse: tuple[float, ...]
     ess: float
     processor_s: float
+    of_evidence: tuple[float, ...] = ()
 
     @property
     def worst(self) -> float:
@@ -126,31 +137,39 @@ class Outcome:
 def jobs() -> Iterator[Job]:
     """Yield all runs, the cheap ones first."""
     for length, (_, _, _, seeds, seeds_emcee) in LENGTHS.items():
-        for known in KNOWN:
-            for sampler in SAMPLERS:
+        for known in (*KNOWN, *FURTHER):
+            for sampler in SAMPLERS if known in KNOWN else WITH_CANDIDATES[:1]:
                 count = (seeds_emcee if sampler == "emcee" else seeds)[known.is_searched]
                 yield from (Job(known, sampler, length, USUAL, seed) for seed in range(1, count + 1))
-    for known in KNOWN:
+    for known in (*KNOWN, *FURTHER):
         if known.one_place is not None:
-            for sampler in SAMPLERS:
+            for sampler in NAMES if known in KNOWN else WITH_CANDIDATES:
                 for seed in range(1, SEEDS_AT_ONE_PLACE[known.is_searched] + 1):
                     yield Job(known, sampler, "until good", ONE_PLACE, seed)
+            for sampler in WITH_CANDIDATES:
+                for seed in range(1, SEEDS_WITH_JUMPS + 1):
+                    if JUMPS in sampler:
+                        yield Job(known, sampler, "until good", USUAL, seed)
+                    if known.maxima is not None:
+                        yield Job(known, sampler, "until good", ALL, seed)
 
 
 def outcome(job: Job) -> Outcome:
-    """Make a run, and compare it with the quadrature."""
+    """Make a run, and compare it with what is known."""
     began, length = time.process_time(), LENGTHS[job.length]
     density, truth = job.known.density, job.known.truth
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of trajectories that diverge far from the mass, and of the reduced model
         trace = fmu.sample(
             density,
-            job.sampler,
+            job.sampler.removesuffix(JUMPS),
             draws=length.draws,
             warmup=length.warmup,
             chains=CHAINS,
             seed=job.seed,
-            init="maxima" if job.start == USUAL else _at(job),
+            init=_at(job) if job.start == ONE_PLACE else "maxima",
+            jumps=JUMPS in job.sampler,
+            maxima=job.known.maxima if job.start == ALL else None,
             until_ess=length.until_ess,
             progress=False,
         )
@@ -164,6 +183,8 @@ def outcome(job: Job) -> Outcome:
         errors.append(error)
         square = (x - truth.mean[k]) ** 2
         variances.append(float((square.mean() - truth.variance[k]) / mcse_mean(square, walkers)))
+    evidences = [fmu.evidence(trace, method) for method in OF_MIXTURE] if has_candidates(trace) else []
+    told = [one for one in evidences if not one.warnings]
     return Outcome(
         *job.key,
         converged=found.converged,
@@ -176,13 +197,16 @@ def outcome(job: Job) -> Outcome:
         mcse=tuple(errors),
         ess=float(np.min(fmu.summary(trace)["ess_bulk"].to_numpy())),
         processor_s=time.process_time() - began,
+        of_evidence=tuple(
+            (one.log_evidence - truth.log_mass) / one.error for one in evidences if not one.warnings
+        ),
     )
 
 
 def _at(job: Job) -> FloatArray:
     """Return starts within a hundredth of the box around one maximum."""
     known = job.known
-    walkers = named(job.sampler).walkers
+    walkers = named(job.sampler.removesuffix(JUMPS)).walkers
     shape = (CHAINS, known.density.ndim) if walkers == 1 else (CHAINS, walkers, known.density.ndim)
     lower, upper = known.box or (known.density.lower, known.density.upper)
     away = np.random.default_rng(job.seed).uniform(-0.01, 0.01, shape)

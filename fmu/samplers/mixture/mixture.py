@@ -17,7 +17,7 @@ from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, fitted, n_coefficients
 from fmu.samplers.settings import positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
-from fmu.types import FloatArray, LogDensity
+from fmu.types import FloatArray, IntArray, LogDensity
 
 _LOCAL_PART = 0.5
 """Part of the warm-up that local steps take where no component is known."""
@@ -25,6 +25,7 @@ _FITS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Parts of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
 _FAR = 10.0  # draws with a log-density further below the median, plus one per coordinate, are on the way
+_APART = 3.0
 _UNKNOWN = 5.0
 """A chain where log(w/E[w]) exceeds this is where the mixture has nothing: at a maximum that it does not know."""
 
@@ -252,16 +253,19 @@ class MixtureTuner:
         self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
 
     def _fit_to_draws(self) -> None:
-        """Fit the first mixture to the later half of the local steps' draws."""
-        u, log_prob, slope = (one[len(one) // 2 :] for one in self.drawn)
-        near = log_prob >= np.median(log_prob) - _FAR - self.density.ndim
+        """Fit the first mixture to the later half of the local steps' draws, each group of chains by itself."""
+        u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in self.drawn)
+        u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
+        near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
+        group = np.broadcast_to(_groups(u), near.shape)[near]
         slopes = None if np.isnan(slope).any() else slope[near]
         points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
         warp = first_warp(self.density)
         x, value, of_x = points.under(warp)
-        one = fitted(x, value, points.weight, of_x)
+        members = [(group == k).astype(float) for k in np.unique(group)]
+        each = [fitted(x, value, member, of_x) for member in members]
         self.drawn = Evaluated.none(self.density.ndim)
-        self._begin_with(fitted_mixture(points, Mixture([one], np.ones(1), warp)))
+        self._begin_with(fitted_mixture(points, Mixture(each, np.sum(members, axis=1), warp)))
 
     def _fit(self, state: State) -> None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012)."""
@@ -297,6 +301,23 @@ class MixtureTuner:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
         steps, jumps = self.sampler.local_steps, self.sampler.jumps
         self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages))
+
+
+def _groups(u: FloatArray) -> IntArray:
+    """Return the group of each chain of u (steps, chains, ndim): apart where chains are at separated maxima.
+
+    Two chains are together if their means are within `_APART` standard deviations along the line between them.
+    """
+    mean = u.mean(axis=0)
+    group = np.arange(len(mean))
+    for i in range(1, len(mean)):
+        for j in range(i):
+            line = mean[i] - mean[j]
+            spread = np.sum([((u[:, k] - mean[k]) @ line).var() for k in (i, j)])
+            if line @ line <= _APART * np.sqrt(spread):
+                group[i] = group[j]
+                break
+    return group
 
 
 class Evaluated(NamedTuple):

@@ -27,6 +27,8 @@ _WIDE_SHARE = 0.1
 """The wider copies of every component have this part of its weight, so that weights P/q stay bounded."""
 _POINTS = 3
 """Points per coefficient of a quadratic, of all that a component is fitted to."""
+_LEAST = 1e-3
+"""Share of the probability below which a component with too few points is left out."""
 _SWEEPS = 3
 _GAIN = 0.02
 _BEND = 0.1
@@ -212,18 +214,20 @@ def fitted_mixture(points: Points, start: Mixture) -> Mixture:
 
     Coordinates are bent where the log-density is then closer to a quadratic. Each component's quadratic is fitted
     to the points in proportion to its responsibility for them, and its weight is that responsibility (one step of
-    expectation and maximisation, a few times). A component is split as long as the mixture is expected to be poor
+    expectation and maximisation, a few times). A component that has too few points, such as a maximum of a few
+    percent of the probability, stays as it is. A component is split as long as the mixture is expected to be poor
     and the points allow it. Where that does not help, as along a bent ridge, components take the mean and the
     covariance of their points instead.
     """
     responsibility = start.responsibilities(points.position)
     warp = _straightened(points, responsibility, start.warp)
-    best, share = _settled(points, responsibility, warp)
+    same = np.array_equal(warp.bent, start.warp.bent)  # components are in the coordinates of the warp
+    best, share = _settled(points, responsibility, warp, start.quadratics if same else ())
     while share < GOOD and len(best.quadratics) < MOST:
         split = _split(points, best)
         if split is None:
             break
-        candidate, reached = _settled(points, split, warp)
+        candidate, reached = _settled(points, split[0], warp, split[1])
         if reached < share + _GAIN:
             break
         best, share = candidate, reached
@@ -264,9 +268,17 @@ def _unexplained(
 
 
 def _settled(
-    points: Points, responsibility: FloatArray, warp: Warp, *, by_moments: bool = False
+    points: Points,
+    responsibility: FloatArray,
+    warp: Warp,
+    before: Sequence[Quadratic | None] = (),
+    *,
+    by_moments: bool = False,
 ) -> tuple[Mixture, float]:
-    """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share."""
+    """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share.
+
+    A component with too few points is what it was `before`, or left out.
+    """
     found: tuple[Mixture, float] | None = None
     x, value, slope = points.under(warp)
     needed = _POINTS * n_coefficients(x.shape[1])
@@ -274,16 +286,22 @@ def _settled(
         weight = responsibility * points.weight
         size = weight.sum(axis=1) ** 2 / np.maximum(np.sum(weight**2, axis=1), 1e-300)
         enough = size >= min(needed, 0.5 * size.max())
-        if by_moments:
-            quadratics = [of_moments(x, w) for w in weight[enough]]
-        else:
-            quadratics = [fitted(x, value, w, slope) for w in weight[enough]]
-        mixture = Mixture(quadratics, weight[enough].sum(axis=1), warp)
+        quadratics, shares = list[Quadratic](), list[float]()
+        for w, is_enough, one in zip(weight, enough, before or [None] * len(weight), strict=True):
+            if is_enough:
+                quadratics.append(of_moments(x, w) if by_moments else fitted(x, value, w, slope))
+            elif one is not None and w.sum() >= _LEAST * weight.sum():
+                quadratics.append(one)
+            else:
+                continue
+            shares.append(w.sum())
+        mixture = Mixture(quadratics, np.array(shares), warp)
         share = points.effective_share(mixture.log_density(points.position))
         if found is None or share > found[1]:
             found = mixture, share
         if len(quadratics) == 1:
             break
+        before = quadratics
         responsibility = mixture.responsibilities(points.position)
     assert found is not None
     return found
@@ -309,10 +327,11 @@ def _halved(points: Points, warp: Warp) -> list[FloatArray]:
     return found
 
 
-def _split(points: Points, mixture: Mixture) -> FloatArray | None:
+def _split(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
     """Return responsibilities in which the component that fits worst is cut in two; None if it has too few points.
 
-    It is cut across the principal axis where two quadratics leave least unexplained.
+    It is cut across the principal axis where two quadratics leave least unexplained. Beside them, the other
+    components, and None for both halves.
     """
     responsibility = mixture.responsibilities(points.position)
     r = points.log_prob - mixture.log_density(points.position)
@@ -332,4 +351,6 @@ def _split(points: Points, mixture: Mixture) -> FloatArray | None:
         if left < least:
             parts = [responsibility[worst] * side, responsibility[worst] * (1.0 - side)]
             best, least = np.concatenate([np.delete(responsibility, worst, axis=0), parts]), left
-    return best
+    if best is None:
+        return None
+    return best, [*(q for k, q in enumerate(mixture.quadratics) if k != worst), None, None]
