@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import beta as beta_distribution
@@ -27,6 +27,8 @@ import fmu
 from fmu.analysis.convergence.diagnosis import UNSEARCHED
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.evidence import OF_MIXTURE, has_candidates
+from fmu.analysis.maxima.missed import nearest_maxima
+from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import SAMPLERS, named
 from fmu.types import FloatArray
@@ -58,7 +60,8 @@ LENGTHS = {
     "default": Length(1000, 1000, None, (1, 1), (1, 1)),
 }
 SEEDS_AT_ONE_PLACE = (2, 1)
-SEEDS_WITH_JUMPS = 2
+SEEDS_WITH_JUMPS, SEEDS_ALL = (1, 2), 4
+"""On posteriors whose maxima are not separated, and separated; where all separated maxima are known."""
 USUAL, ONE_PLACE, ALL = "usual", "one maximum", "all maxima"
 """Where chains start: where `fmu.sample` starts them; at one maximum; around all, known by formula."""
 
@@ -104,6 +107,8 @@ class Outcome:
     of_evidence : tuple of float
         Error of the log-evidence by importance and by bridge, over its standard error; empty without candidates
         of a mixture, or where `fmu.evidence` warns.
+    been_everywhere : bool
+        Whether each separated maximum had a draw near it, of the warm-up or after it.
     """
 
     name: str
@@ -122,6 +127,7 @@ class Outcome:
     ess: float
     processor_s: float
     of_evidence: tuple[float, ...] = ()
+    been_everywhere: bool = True
 
     @property
     def worst(self) -> float:
@@ -146,12 +152,12 @@ def jobs() -> Iterator[Job]:
             for sampler in NAMES if known in KNOWN else WITH_CANDIDATES:
                 for seed in range(1, SEEDS_AT_ONE_PLACE[known.is_searched] + 1):
                     yield Job(known, sampler, "until good", ONE_PLACE, seed)
+        for sampler in WITH_CANDIDATES[1:]:
+            for seed in range(1, SEEDS_WITH_JUMPS[known.one_place is not None] + 1):
+                yield Job(known, sampler, "until good", USUAL, seed)
+        if known.maxima is not None:
             for sampler in WITH_CANDIDATES:
-                for seed in range(1, SEEDS_WITH_JUMPS + 1):
-                    if JUMPS in sampler:
-                        yield Job(known, sampler, "until good", USUAL, seed)
-                    if known.maxima is not None:
-                        yield Job(known, sampler, "until good", ALL, seed)
+                yield from (Job(known, sampler, "until good", ALL, seed) for seed in range(1, SEEDS_ALL + 1))
 
 
 def outcome(job: Job) -> Outcome:
@@ -184,7 +190,7 @@ def outcome(job: Job) -> Outcome:
         square = (x - truth.mean[k]) ** 2
         variances.append(float((square.mean() - truth.variance[k]) / mcse_mean(square, walkers)))
     evidences = [fmu.evidence(trace, method) for method in OF_MIXTURE] if has_candidates(trace) else []
-    told = [one for one in evidences if not one.warnings]
+    sure = [one for one in evidences if not one.warnings]
     return Outcome(
         *job.key,
         converged=found.converged,
@@ -197,10 +203,18 @@ def outcome(job: Job) -> Outcome:
         mcse=tuple(errors),
         ess=float(np.min(fmu.summary(trace)["ess_bulk"].to_numpy())),
         processor_s=time.process_time() - began,
-        of_evidence=tuple(
-            (one.log_evidence - truth.log_mass) / one.error for one in evidences if not one.warnings
-        ),
+        of_evidence=tuple((one.log_evidence - truth.log_mass) / one.error for one in sure),
+        been_everywhere=_been_everywhere(trace, job.known.maxima),
     )
+
+
+def _been_everywhere(trace: Any, maxima: Maxima | None) -> bool:
+    """Say whether each of the maxima has a draw near it, warm-up included."""
+    if maxima is None:
+        return True
+    groups = (trace[name].to_dataset() for name in ("warmup_posterior", "posterior"))
+    theta = np.concatenate([np.stack([one[x].to_numpy().ravel() for x in maxima.names], axis=1) for one in groups])
+    return len(set(nearest_maxima(theta, maxima).tolist()) - {-1}) == len(maxima)
 
 
 def _at(job: Job) -> FloatArray:
@@ -265,8 +279,14 @@ class Study:
     def failures(self) -> list[str]:
         """What is wrong, a sentence each."""
         found = [f"{len(self.judged)} runs; at least {FEWEST_RUNS} are needed"] * (len(self.judged) < FEWEST_RUNS)
+        count = sum(one.sampler in WITH_CANDIDATES for one in self.judged)
+        if count < FEWEST_WITH_CANDIDATES:
+            found.append(f"{count} runs with candidates; at least {FEWEST_WITH_CANDIDATES} are needed")
         for one in self.outcomes:
-            if one.is_wrong and not (one.told and one in self.alone):
+            excused = one.told and one in self.alone
+            if one.sampler in WITH_CANDIDATES:  # a mixture must keep a maximum that a chain has been at
+                excused = excused and not one.been_everywhere
+            if one.is_wrong and not excused:
                 found.append(
                     f"{one.name}, {one.sampler}, {one.length} from {one.start}, seed {one.seed}: converged, and a "
                     f"mean is off by {one.worst:.1f} MCSE"
