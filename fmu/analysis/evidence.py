@@ -226,10 +226,10 @@ def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]
         log_z, before = float(above - below), log_z
         if abs(log_z - before) < 1e-10:
             break
-    f_p = np.exp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q)))
-    f_q = np.exp(q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q)))
-    variance = np.var(f_p) / np.mean(f_p) ** 2 / n + np.var(f_q) / np.mean(f_q) ** 2 / len(q)
-    return log_z, float(np.sqrt(variance))
+    log_f_p = -np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))
+    log_f_q = q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))
+    f_p, f_q = (np.exp(log_f - logsumexp(log_f)) * len(log_f) for log_f in (log_f_p, log_f_q))
+    return log_z, float(np.sqrt(np.var(f_p) / n + np.var(f_q) / len(q)))
 
 
 def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:

@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import MixtureSampler, Run
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
-from fmu.samplers.mixture.mixture import first_warp
+from fmu.samplers.mixture.mixture import MixtureTuner, first_warp
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, fitted
 from tests.samplers.targets import SkewedGumbel, Target, TwoModes
@@ -149,6 +149,20 @@ def test_a_banana_is_split_and_a_gaussian_is_not():
     assert shares["banana"][2] > 1.3 * shares["banana"][1]
 
 
+def test_a_maximum_of_a_few_percent_keeps_its_component_when_its_points_are_too_few():
+    """Otherwise later candidates would never be there, and chains that left it agree on what is wrong."""
+    rng, wide = np.random.default_rng(9), np.full(2, np.inf)
+    centre = np.array([[0.0, 0.0], [30.0, 0.0]])
+    both = [Quadratic(c, 0.0, np.zeros(2), np.eye(2)) for c in centre]
+    u = np.concatenate([centre[k] + rng.standard_normal((n, 2)) for k, n in enumerate((400, 8))])
+    log_p = np.logaddexp(*(one(u) for one in both))
+    start = Mixture(both, [0.95, 0.05], Warp(-wide, wide, np.zeros(2, dtype=bool)))
+    found = fitted_mixture(Points(u, log_p, np.ones(len(u))), start)
+    assert len(found.quadratics) == 2
+    assert found.quadratics[1] is both[1]
+    assert found.weights[1] == pytest.approx(8 / 408, rel=0.01)
+
+
 class Apart(TwoModes):
     """Two modes that no local step leaves."""
 
@@ -204,6 +218,28 @@ def test_a_mode_that_the_search_missed_joins():
     result = drawn(target, MixtureSampler(target.components()[:1]), init=start)
     assert np.mean(result.posterior.position[..., 0] < 0) == pytest.approx(0.7, abs=0.04)
     assert len(result.learnt["components"]) == 2
+
+
+def test_chains_at_separated_maxima_have_a_component_each_from_the_first_fit():
+    """The second mode has one chain of eight, and 5 % of the probability."""
+    target = Apart()
+    target.weights = np.array([0.95, 0.05])
+    start = np.concatenate([np.repeat(target.centres[:1], 7, axis=0), target.centres[1:]])
+    result = drawn(target, MixtureSampler(), init=start, warmup=100)
+    assert np.mean(result.posterior.position[..., 0] > 0) == pytest.approx(0.05, abs=0.02)
+
+
+@pytest.mark.parametrize("move", [0.0, 1e-14])
+def test_a_chain_that_has_not_moved_has_no_component(move):
+    """A single point has no covariance, and rounding is none."""
+    target = SkewedGumbel()
+    u = np.random.default_rng(1).standard_normal((40, 3, target.ndim))
+    u[:, 2] = 50.0 + move * u[:, 2]
+    tuner = MixtureTuner(MixtureSampler(), ScaledDensity(target), 3, 80)
+    log_p = target.log_prob(u.reshape(-1, target.ndim))
+    tuner.drawn = tuner.drawn.with_more(u.reshape(-1, target.ndim), log_p, np.full((120, target.ndim), np.nan))
+    tuner._fit_to_draws()
+    assert np.all(np.isfinite(tuner.mixture.log_density(u[:, 0])))
 
 
 def test_without_components_local_steps_find_them():

@@ -10,8 +10,20 @@ import fmu
 from tests.samplers.targets import SkewedGumbel, TwoModes
 from tests.two_storeys import quadrature
 from tests.validation import verdicts, verdicts_page
-from tests.validation.known import KNOWN, Boxed, Known, Moments, Normal, moments
-from tests.validation.verdicts import LENGTHS, ONE_PLACE, USUAL, Job, Outcome, Study, outcome
+from tests.validation.known import FURTHER, KNOWN, Boxed, Known, Moments, Normal, moments
+from tests.validation.verdicts import (
+    ALL,
+    FEWEST_WITH_CANDIDATES,
+    JUMPS,
+    LENGTHS,
+    ONE_PLACE,
+    USUAL,
+    WITH_CANDIDATES,
+    Job,
+    Outcome,
+    Study,
+    outcome,
+)
 
 BY_NAME = {known.name: known for known in KNOWN}
 
@@ -29,6 +41,24 @@ def test_the_quadrature_has_the_moments_of_densities_that_are_known(target, lowe
     sd = np.sqrt(np.diag(target.covariance))
     assert_allclose(found.mean / sd, target.mean / sd, atol=1e-5)
     assert_allclose(found.variance, sd**2, rtol=1e-4)
+
+
+@pytest.mark.parametrize("known", [one for one in FURTHER if " 2 parameters" in one.name], ids=lambda k: k.name)
+def test_formulas_give_what_the_quadrature_gives(known):
+    found = known.integrated(120)
+    assert_allclose(found.mean, known.truth.mean, atol=1e-6)
+    assert_allclose(found.variance, known.truth.variance, rtol=1e-5)
+    assert found.log_mass == pytest.approx(known.truth.log_mass, abs=1e-6)
+
+
+@pytest.mark.parametrize("known", FURTHER, ids=lambda known: known.name)
+def test_gradients_of_the_further_targets(known):
+    rng, density = np.random.default_rng(1), known.density
+    theta = density.sample_prior(rng, 5)
+    slope, h = density.log_prob_and_grad(theta)[1], 1e-6
+    for k, e in enumerate(np.eye(density.ndim)):
+        found = (density.log_prob(theta + h * e) - density.log_prob(theta - h * e)) / (2 * h)
+        assert_allclose(found, slope[:, k], rtol=1e-5, atol=1e-4)
 
 
 def test_the_quadrature_of_a_frame_is_that_without_fmu():
@@ -50,7 +80,7 @@ def runs(count=500):
     rng = np.random.default_rng(2)
     return [
         Outcome(
-            KNOWN[0].name, "mh", "default", USUAL, seed, True, False, True, "", 1000,
+            KNOWN[0].name, "mixture" if seed % 10 else "mh", "default", USUAL, seed, True, False, True, "", 1000,
             of_means=tuple(rng.standard_normal(2)), of_variances=tuple(rng.standard_normal(2)),
             mcse=tuple(np.exp(0.1 * rng.standard_normal(2))), ess=500.0, processor_s=1.0,
         )
@@ -88,8 +118,18 @@ def test_what_no_search_could_tell_is_counted_apart_and_must_be_said():
     assert Study([replace(alone, searched=True, told=False), *others]).failures
 
 
+def test_a_maximum_that_a_chain_of_a_mixture_has_been_at_may_not_be_lost():
+    (first, *others) = runs(501)
+    alone = replace(first, name="two maxima, far", sampler="mixture", of_means=(40.0, 30.0))
+    assert Study([replace(alone, been_everywhere=False), *others]).failures == []
+    assert Study([replace(alone, been_everywhere=True), *others]).failures
+    assert Study([replace(alone, been_everywhere=True, sampler="mh"), *others]).failures == []
+
+
 def test_too_few_runs_turn_it_red():
     assert Study(runs(499)).failures == ["499 runs; at least 500 are needed"]
+    few = [replace(one, sampler="mh") if k < 60 else one for k, one in enumerate(runs())]
+    assert Study(few).failures == ["396 runs with candidates; at least 400 are needed"]
 
 
 def test_a_run_at_one_of_two_maxima_is_wrong_and_says_what_it_was_judged_by():
@@ -101,19 +141,26 @@ def test_a_run_is_wrong_against_another_truth():
     known = Known("box", "", lambda: Boxed(Normal([0.0, 0.0], [0.3, 0.4], 0.5), -2.0, 2.0), 40)
     right = outcome(Job(known, "slice", "until good", USUAL, 1))
     assert (right.converged, right.is_wrong) == (True, False)
-    mean, variance = known.truth
-    known.__dict__["truth"] = Moments(mean + np.array([0.5, 0.0]) * np.sqrt(variance), variance)
+    mean, variance, mass = known.truth
+    known.__dict__["truth"] = Moments(mean + np.array([0.5, 0.0]) * np.sqrt(variance), variance, mass)
     wrong = outcome(Job(known, "slice", "until good", USUAL, 1))
     assert wrong.is_wrong
 
 
 def test_every_sampler_and_length_is_in_the_study():
     jobs = list(verdicts.jobs())
-    apart = [job for job in jobs if job.known.one_place is not None and not job.known.is_searched]
+    apart = [job for job in jobs if job.known.one_place and not job.known.is_searched and job.start != ALL]
     assert len(jobs) - len(apart) >= verdicts.FEWEST_RUNS
-    assert {(job.sampler, job.length) for job in jobs} == {
+    assert sum(job.sampler in WITH_CANDIDATES for job in jobs if job not in apart) >= FEWEST_WITH_CANDIDATES
+    assert {(job.sampler, job.length) for job in jobs if JUMPS not in job.sampler} == {
         (s, length) for s in fmu.sampling.SAMPLERS for length in LENGTHS
     }
+    separated = {known for known in (*KNOWN, *FURTHER) if known.one_place is not None}
+    for sampler in WITH_CANDIDATES:
+        assert {(job.known, job.start) for job in jobs if job.sampler == sampler} >= {
+            *((known, ONE_PLACE) for known in separated),
+            *((known, ALL) for known in separated if known.maxima is not None),
+        }
     assert len({job.key for job in jobs}) == len(jobs)
 
 

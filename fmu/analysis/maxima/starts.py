@@ -92,13 +92,15 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
 
 
 def components(density: LogDensity, maxima: Maxima) -> tuple[list[Quadratic], FloatArray]:
-    """Return the maxima that may matter as quadratics in scaled units, and their shares, none below 1 %.
+    """Return the maxima that may matter as quadratics in scaled units, and weights: half shares, half equal.
 
-    That is where a sampler may begin to learn the posterior. A share that was estimated far too low is then seen.
+    That is where a sampler may begin to learn the posterior. The first candidates are then enough around each
+    maximum to learn its shape, and a share that was estimated far too low is seen.
     """
     scaled = ScaledDensity(density)
     chosen = sorted((m for m in maxima if m.share > _MAY_MATTER), key=lambda m: -m.share)[:_MOST_COMPONENTS]
-    return [_scaled(m, scaled) for m in chosen], np.maximum([m.share for m in chosen], NEGLIGIBLE)
+    share = np.array([m.share for m in chosen])
+    return [_scaled(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
 
 
 def _scaled(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:

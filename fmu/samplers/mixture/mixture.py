@@ -26,6 +26,7 @@ _FITS = (0.05, 0.1, 0.2, 0.4, 0.7)
 _SAMPLE = 1000  # draws of a mixture that give its covariance
 _FAR = 10.0  # draws with a log-density further below the median, plus one per coordinate, are on the way
 _APART = 3.0
+_LEAST_MOVE = 1e-8  # in scaled units
 _UNKNOWN = 5.0
 """A chain where log(w/E[w]) exceeds this is where the mixture has nothing: at a maximum that it does not know."""
 
@@ -257,6 +258,9 @@ class MixtureTuner:
         u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in self.drawn)
         u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
         near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
+        moved = np.array([_has_moved(one) for one in u.swapaxes(0, 1)])
+        if moved.any():
+            near &= moved
         group = np.broadcast_to(_groups(u), near.shape)[near]
         slopes = None if np.isnan(slope).any() else slope[near]
         points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
@@ -318,6 +322,11 @@ def _groups(u: FloatArray) -> IntArray:
                 group[i] = group[j]
                 break
     return group
+
+
+def _has_moved(u: FloatArray) -> bool:
+    """Say whether draws (n, ndim) have been at enough points to have a covariance."""
+    return len(np.unique(u, axis=0)) > 2 * u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
 
 
 class Evaluated(NamedTuple):
