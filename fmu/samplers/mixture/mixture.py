@@ -258,10 +258,9 @@ class MixtureTuner:
         u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in self.drawn)
         u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
         near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
-        moved = np.array([_has_moved(one) for one in u.swapaxes(0, 1)])
-        if moved.any():
-            near &= moved
-        group = np.broadcast_to(_groups(u), near.shape)[near]
+        moved = np.array([_has_moved(u[near[:, k], k]) for k in range(self.chains)])
+        near &= moved | ~moved.any()
+        group = np.broadcast_to(_groups(u) if moved.any() else 0, near.shape)[near]
         slopes = None if np.isnan(slope).any() else slope[near]
         points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
         warp = first_warp(self.density)
@@ -326,7 +325,7 @@ def _groups(u: FloatArray) -> IntArray:
 
 def _has_moved(u: FloatArray) -> bool:
     """Say whether draws (n, ndim) have been at enough points to have a covariance."""
-    return len(np.unique(u, axis=0)) > 2 * u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
+    return len(np.unique(u, axis=0)) > u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
 
 
 class Evaluated(NamedTuple):
