@@ -6,7 +6,7 @@ import xarray as xr
 from scipy.special import logsumexp
 
 import fmu
-from fmu.analysis.evidence import GROUP, Evidence, evidence
+from fmu.analysis.evidence import GROUP, Evidence, by_bridge, evidence
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.trace.conversion import load_trace, save_trace
 from fmu.analysis.trace.reading import parameter_draws, with_group
@@ -141,3 +141,14 @@ def test_evidence_and_its_error(make_trace, method):
 def test_a_mixture_beside_the_posterior_is_doubted(make_trace):
     trace, _ = weights(make_trace, away=4.0)
     assert "Pareto k" in evidence(trace).warnings[0]
+
+
+def test_the_error_of_a_bridge_knows_that_draws_hang_together():
+    """Against the scatter of bridges from chains of which every draw is repeated twenty times."""
+    rng, found = np.random.default_rng(5), []
+    for _ in range(100):
+        x, y = np.repeat(rng.standard_normal(100), 20), 2.0 * rng.standard_normal(2000)
+        p, q = (-0.5 * z**2 + 0.5 * (z / 2.0) ** 2 for z in (x, y))
+        found.append(by_bridge(q, p, 1 / 20))
+    value, error = np.array(found).T
+    assert np.mean(error) == pytest.approx(np.std(value), rel=0.3)

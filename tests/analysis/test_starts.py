@@ -5,7 +5,7 @@ import pytest
 
 import fmu
 from fmu.analysis.maxima.missed import draws_of_maxima, nearest_maxima
-from fmu.analysis.maxima.starts import DISPERSION, allotted, starts_at_maxima
+from fmu.analysis.maxima.starts import DISPERSION, allotted, components, starts_at_maxima
 from tests.four_storeys import TRUTH, four_storeys
 
 
@@ -130,3 +130,12 @@ def test_where_the_quadratic_is_wrong_a_start_is_drawn_in(frame, frame_maxima):
     theta = starts_at_maxima(density, only_first, 100, 1, seed=1)
     assert np.all(np.isfinite(density.log_prob(theta)))
     assert len(np.unique(theta, axis=0)) == 100
+
+
+def test_first_candidates_are_enough_at_a_small_maximum(frame, frame_maxima):
+    """Half of the weights are in proportion to the shares, half are equal."""
+    quadratics, weights = components(frame, frame_maxima)
+    assert len(quadratics) == len(weights) > 1
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights.min() >= 0.5 / len(weights)
+    assert np.all(np.diff(weights) <= 0)  # the largest share first

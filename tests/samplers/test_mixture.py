@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers import MixtureSampler, Run
+from fmu.samplers import MixtureSampler, Run, Slice
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.mixture.mixture import MixtureTuner, first_warp
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
@@ -256,6 +258,46 @@ def test_without_components_local_steps_find_them():
     u = scaled.to_scaled(result.posterior.position.reshape(-1, target.ndim))
     expected = stats["lp"].ravel() - q.log_density(u)
     np.testing.assert_allclose(stats[LOG_WEIGHT].ravel(), expected, atol=1e-8)
+
+
+def test_after_a_fit_weights_and_candidates_are_those_of_the_new_mixture():
+    """Whether the first step after it is a jump or a local one."""
+    target, rng = TwoModes(), np.random.default_rng(3)
+    scaled = ScaledDensity(target)
+    wide = Quadratic(np.zeros(2), 0.0, np.zeros(2), 0.1 * np.eye(2))
+    before, after = (
+        MixtureSampler([wide, replace(wide, hessian=h * np.eye(2))], local=Slice(), local_steps=2, jumps=2)
+        for h in (0.5, 2.0)
+    )
+    for steps in range(1, 9):
+        state, _ = before.bind(scaled).init(scaled.to_scaled(np.tile(target.mean, (4, 1))))
+        kernel = replace(before.bind(scaled), fit=1)
+        for _ in range(steps):
+            state, _ = kernel.step(rng, state)
+        kernel = replace(after.bind(scaled), fit=2)
+        for _ in range(3):
+            state, info = kernel.step(rng, state)
+            here = state.log_prob - kernel.proposal.log_density(state.position)
+            np.testing.assert_allclose(info.extra[LOG_WEIGHT], here, atol=1e-10)
+            moved = info.accepted & np.isfinite(info.extra[CANDIDATE])
+            np.testing.assert_allclose(info.extra[CANDIDATE][moved], here[moved], atol=1e-10)
+
+
+def test_refits_learn_the_weights_of_the_maxima_from_all_candidates():
+    """Most of the first candidates were drawn where little of the probability is."""
+    result = drawn(Apart(), MixtureSampler(Apart().components(), (0.02, 0.98)), init="prior", warmup=300)
+    learnt = result.learnt
+    left = np.array([one["position"][0] < 0 for one in learnt["components"]])
+    assert np.asarray(learnt["weights"])[left].sum() == pytest.approx(0.7, abs=0.06)
+
+
+def test_nothing_is_learnt_after_warm_up():
+    target = Apart()
+    sampler = MixtureSampler(target.components(), (0.5, 0.5))
+    begun = Run(target, sampler, warmup=60, chains=4, seed=1, init="prior")
+    learnt = begun.extend(1).learnt
+    assert str(begun.extend(200).learnt) == str(learnt)
+    assert str(begun.extend(1).learnt) == str(learnt)
 
 
 def test_each_candidate_is_counted_once():

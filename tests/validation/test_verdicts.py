@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import fmu
 from tests.samplers.targets import SkewedGumbel, TwoModes
 from tests.two_storeys import quadrature
 from tests.validation import verdicts, verdicts_page
@@ -153,7 +152,7 @@ def test_every_sampler_and_length_is_in_the_study():
     assert len(jobs) - len(apart) >= verdicts.FEWEST_RUNS
     assert sum(job.sampler in WITH_CANDIDATES for job in jobs if job not in apart) >= FEWEST_WITH_CANDIDATES
     assert {(job.sampler, job.length) for job in jobs if JUMPS not in job.sampler} == {
-        (s, length) for s in fmu.sampling.SAMPLERS for length in LENGTHS
+        (s, length) for s in verdicts.SAMPLERS for length in LENGTHS
     }
     separated = {known for known in (*KNOWN, *FURTHER) if known.one_place is not None}
     for sampler in WITH_CANDIDATES:
@@ -166,8 +165,10 @@ def test_every_sampler_and_length_is_in_the_study():
 
 def test_the_page_shows_every_posterior(tmp_path):
     alone = replace(runs(1)[0], name="two maxima, far", of_means=(40.0, 30.0))
+    assert alone.sampler == "mh"
     bad = replace(runs(1)[0], seed=900, converged=False, of_means=(9.0, 9.0))
     verdicts_page.write(Study([*runs(), bad, alone]), tmp_path)
     page = (tmp_path / "verdicts.md").read_text(encoding="utf-8")
-    assert "| truncated Gaussian | bounded | 2 | 500 of 501: " in page
+    assert "| truncated Gaussian | bounded | 2 | 51 of 52: " in page
     assert "| two maxima, far | no | anywhere in the box | 1 of 1, 1 wrong | - |" in page
+    assert "| mixture | importance | 450 | 450 | - | - | 0 |" in page

@@ -7,11 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.samplers.registry import SAMPLERS
+from fmu.analysis.evidence import OF_MIXTURE
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
-from tests.validation.known import KNOWN
-from tests.validation.verdicts import CHAINS, FEWEST_RUNS, LENGTHS, ONE_PLACE, USUAL, WRONG, Outcome, Study, jobs
+from tests.validation.known import FURTHER, KNOWN, Known
+from tests.validation.verdicts import (
+    ALL,
+    CHAINS,
+    FEWEST_RUNS,
+    FEWEST_WITH_CANDIDATES,
+    LENGTHS,
+    NAMES,
+    ONE_PLACE,
+    USUAL,
+    WITH_CANDIDATES,
+    WRONG,
+    Outcome,
+    Study,
+    jobs,
+)
 
 
 def write(study: Study, directory: Path) -> None:
@@ -49,11 +63,20 @@ def write(study: Study, directory: Path) -> None:
             rejected=len(rejected),
             rejected_wrong=sum(not one.worst <= WRONG for one in rejected),
             rejected_worst=max((one.worst for one in rejected if np.isfinite(one.worst)), default=np.nan),
-            targets=_targets(study),
+            targets=_targets(study, KNOWN, NAMES),
+            further=_targets(study, FURTHER, WITH_CANDIDATES),
+            evidences=_evidences(study),
+            fewest_with_candidates=FEWEST_WITH_CANDIDATES,
+            with_candidates=sum(one.sampler in WITH_CANDIDATES for one in study.judged),
+            with_candidates_converged=sum(one.sampler in WITH_CANDIDATES for one in converged),
             samplers=_samplers(study),
             alone=len(alone),
             alone_converged=sum(one.converged for one in alone),
             alone_wrong=sum(one.is_wrong for one in alone),
+            alone_candidates_wrong=sum(one.is_wrong and one.sampler in WITH_CANDIDATES for one in alone),
+            alone_candidates_seen=sum(
+                one.is_wrong and one.been_everywhere and one.sampler in WITH_CANDIDATES for one in alone
+            ),
             alone_told=sum(one.is_wrong and one.told for one in alone),
             tempered=sum(one.converged for one in alone if one.sampler == "tempering"),
             tempered_wrong=sum(one.is_wrong for one in alone if one.sampler == "tempering"),
@@ -101,24 +124,50 @@ def _cell(outcomes: list[Outcome]) -> str:
     return f"{len(good)} of {len(outcomes)}{f': {worst}' if good else ''}"
 
 
-def _targets(study: Study) -> str:
+def _targets(study: Study, of: Iterable[Known], samplers: Iterable[str]) -> str:
     rows = [
         [known.name, known.kind, str(known.density.ndim)]
         + [
             _cell([one for one in study.judged if (one.name, one.sampler) == (known.name, sampler)])
-            for sampler in SAMPLERS
+            for sampler in samplers
         ]
-        for known in KNOWN
+        for known in of
         if any(one.name == known.name for one in study.judged)
     ]
-    return markdown_table(["posterior", "what is hard", "parameters", *SAMPLERS], rows, words=(0, 1)).rstrip()
+    return markdown_table(["posterior", "what is hard", "parameters", *samplers], rows, words=(0, 1)).rstrip()
+
+
+def _evidences(study: Study) -> str:
+    """Return errors of the log-evidences of runs that were called converged, in their standard errors."""
+    rows = []
+    for sampler in WITH_CANDIDATES:
+        good = [one for one in study.converged if one.sampler == sampler]
+        z = np.array([one.of_evidence for one in good if len(one.of_evidence) == 2]).reshape(-1, 2)
+        for k, method in enumerate(OF_MIXTURE):
+            size = np.abs(z[:, k])
+            rows.append([
+                sampler,
+                method,
+                str(len(good)),
+                str(len(good) - len(z)),
+                f"{np.sqrt(np.mean(size**2)):.2f}" if len(z) else "-",
+                f"{np.max(size):.1f}" if len(z) else "-",
+                str(int(np.sum(size > WRONG))),
+            ])  # fmt: skip
+    head = [
+        "sampler", "evidence by", "converged runs", "of these with a warning", "root mean square of errors",
+        "worst error", f"above {WRONG:g}",
+    ]  # fmt: skip
+    return markdown_table(head, rows, words=(0, 1)).rstrip()
 
 
 def _samplers(study: Study) -> str:
     rows = []
-    for sampler in SAMPLERS:
+    for sampler in NAMES:
         for length in LENGTHS:
             runs = [one for one in study.judged if (one.sampler, one.length) == (sampler, length)]
+            if not runs:
+                continue
             good = [one for one in runs if one.converged]
             bad = [one for one in runs if not one.converged]
             errors = _all(good, "of_means")
@@ -141,15 +190,17 @@ def _samplers(study: Study) -> str:
 
 def _separated(study: Study) -> str:
     rows = []
-    for known in KNOWN:
+    for known in (*KNOWN, *FURTHER):
         if known.one_place is None:
             continue
         usual = "around all maxima" if known.is_searched else "anywhere in the box"
-        for start, where in ((USUAL, usual), (ONE_PLACE, "at one maximum")):
+        for start, where in ((USUAL, usual), (ALL, "around all maxima"), (ONE_PLACE, "at one maximum")):
             runs = [one for one in study.outcomes if (one.name, one.start) == (known.name, start)]
-            cells = [_judged([one for one in runs if one.sampler == sampler]) for sampler in SAMPLERS]
-            rows.append([known.name, "yes" if known.is_searched else "no", where, *cells])
-    return markdown_table(["posterior", "searched", "start", *SAMPLERS], rows, words=(0, 1, 2)).rstrip()
+            if runs:
+                cells = [_judged([one for one in runs if one.sampler == sampler]) for sampler in NAMES]
+                told = known.is_searched or start == ALL
+                rows.append([known.name, "yes" if told else "no", where, *cells])
+    return markdown_table(["posterior", "maxima known", "start", *NAMES], rows, words=(0, 1, 2)).rstrip()
 
 
 def _judged(runs: list[Outcome]) -> str:
@@ -168,10 +219,12 @@ Written by {command} in {minutes:.0f} minutes of processor time.
 
 All samplers, with default settings, {chains} chains (of emcee, ensembles), on posteriors of two and three
 parameters whose means and variances are known by quadrature: Gauss–Legendre in every cell of a grid that holds
-anything (`tests/validation/known.py`). A run is judged by `fmu.diagnose`, as every page and command judges it.
+anything (`tests/validation/known.py`); the mixture sampler, and mh, slice and hmc with jumps, also on posteriors
+of up to ten parameters with a formula. A run is judged by `fmu.diagnose`, as every page and command judges it.
 It is *wrong* if it is called converged and the mean of a parameter is off by more than {wrong:g} times the
 Monte-Carlo standard error that `fmu.summary` gives. The page turns red if one run is wrong, or if there are
-fewer than {fewest} runs.
+fewer than {fewest} runs, or fewer than {fewest_with_candidates} of samplers with candidates of a mixture: here
+{with_candidates}, of which {with_candidates_converged} were called converged.
 
 {lengths}
 
@@ -197,9 +250,18 @@ most, and their variances by 2.9.
 
 {targets}
 
+{further}
+
 Errors are of means, in MCSE:
 
 {samplers}
+
+## Evidence
+
+Errors of the log-evidence of runs that were called converged, in the standard errors that `fmu.evidence` gives
+with it, against the quadrature or the formula; only where it gives no warning.
+
+{evidences}
 
 ## Maxima that no draw can tell of
 
