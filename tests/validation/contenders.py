@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, Sampler, Slice
+from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, MixtureSampler, Sampler, Slice
+from fmu.samplers.mixture.mixture import with_jumps
 
 
 @dataclass(frozen=True)
@@ -56,4 +57,6 @@ CONTENDERS = (
         Length(4, 60, 40),
         Length(1, 200, 1000),
     ),
+    Contender("HMC with jumps", with_jumps(HamiltonianMonteCarlo()), Length(16, 100, 20), Length(4, 200, 500)),
+    Contender("mixture", MixtureSampler(), Length(16, 100, 20), Length(4, 200, 500)),
 )

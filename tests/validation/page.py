@@ -89,14 +89,15 @@ def write(study: Study, directory: Path, processor_s: float) -> None:
             shift=shift,
             factor=factor,
             power=100 * POWER,
-            calibration=_calibration_table(study),
+            calibration=calibration_table(study),
             bias=100 * BIAS,
-            ratios=_ratio_table(study),
+            ratios=ratio_table(study),
         )
     )
 
 
-def _calibration_table(study: Study) -> str:
+def calibration_table(study: Study) -> str:
+    """Return the table of ranks."""
     rows = []
     for title, found in study.calibrations.items():
         least, median = np.quantile(found.ess, [0.0, 0.5])
@@ -106,7 +107,8 @@ def _calibration_table(study: Study) -> str:
     return markdown_table([*head, *(f"p, {quantity}" for quantity in QUANTITIES)], rows)
 
 
-def _ratio_table(study: Study) -> str:
+def ratio_table(study: Study) -> str:
+    """Return the table of errors over their prediction."""
     rows = []
     for title, found in study.ratios.items():
         for target, kind in dict.fromkeys((ratio.target, ratio.kind) for ratio in found):
