@@ -292,10 +292,10 @@ def test_the_sampler_follows_from_what_the_model_offers(problem):
     for function in (frequencies, with_gradient):
         posed = UpdatingProblem(fmu.BlackBoxModel(function, 2), data, parameters, beta=1.0)
         names[function] = fmu.sample(posed, draws=5, warmup=5, init="start").attrs["sampler"]
-    assert names == {frequencies: "mh", with_gradient: "hmc"}
-    assert fmu.sample(problem, draws=5, warmup=5).attrs["sampler"] == "hmc"
+    assert names == {frequencies: "mixture", with_gradient: "mixture"}
+    assert fmu.sample(problem, draws=5, warmup=5).attrs["sampler"] == "mixture"
     start = np.zeros((4, 2))
-    assert fmu.sample(WithoutGradient(), draws=5, warmup=5, init=start).attrs["sampler"] == "mh"
+    assert fmu.sample(WithoutGradient(), draws=5, warmup=5, init=start).attrs["sampler"] == "mixture"
 
 
 def test_a_function_is_not_called_again_for_its_draws():

@@ -21,7 +21,7 @@ from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.phases import told_to
 from fmu.runs import Checkpoint
-from fmu.sampling import DEFAULTS, INITS, SAMPLERS, StoppedRun, default_sampler
+from fmu.sampling import DEFAULT_SAMPLER, DEFAULTS, INITS, SAMPLERS, StoppedRun
 
 if TYPE_CHECKING:
     from fmu.engines.base import Engine
@@ -43,9 +43,8 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("case", required=False)
-@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS),
-              help="Sampler. Repeat the option for several.  [default: hmc; mh for a Python function without "
-                   "gradients]")  # fmt: skip
+@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=(DEFAULT_SAMPLER,),
+              show_default=True, help="Sampler. Repeat the option for several.")  # fmt: skip
 @pairing_option
 @click.option("--draws", type=_FROM_1, help="Draws kept per chain, whether that is enough or not. Without it, "
               "every sampler draws until it has converged.")  # fmt: skip
@@ -121,9 +120,8 @@ def run(
         try:
             with _reporting(progress, running) as report:
                 problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)
-                asked = _with_sampler(asked, problem, running)
                 if resume is None and speaks:
-                    _echo_estimate(problem, asked.orders, bool(orders["samplers"]), at_work.workers)
+                    _echo_estimate(problem, asked.orders, at_work.workers)
                 outcome = sampled(problem, asked, running, at_work, report, speaks)
             try:
                 code = tell(outcome, problem, directory, asked.orders)
@@ -163,7 +161,7 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
         from fmu.samplers.loop.run import n_groups
         from fmu.samplers.registry import named
 
-        for sampler in map(named, orders["samplers"] or ("mh",)):
+        for sampler in map(named, orders["samplers"]):
             if sampler.walkers == 1:  # each ensemble is a group
                 n_groups(orders["groups"], orders["chains"], sampler)
     return replace(problem, orders=orders)
@@ -213,25 +211,11 @@ def _begun(
     return problem
 
 
-def _with_sampler(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Return the request; if no sampler was named, add the default one for this problem and save it."""
-    if asked.orders["samplers"]:
-        return asked
-    asked = replace(asked, orders={**asked.orders, "samplers": [default_sampler(problem)]})
-    asked.save(running.folder)
-    return asked
-
-
-def _echo_estimate(problem: UpdatingProblem, orders: Any, is_named: bool, workers: int) -> None:
-    """Say which sampler was chosen if none was named and it is not the usual one, and what the run will cost."""
+def _echo_estimate(problem: UpdatingProblem, orders: Any, workers: int) -> None:
+    """Say what the run will cost."""
     from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts
 
-    (first, *_) = orders["samplers"]
-    if not is_named and first != "hmc":
-        click.echo(
-            f"The model has no gradients, so the sampler is {first} (choose another with --sampler).", err=True
-        )
     parts = estimates(problem, orders, orders["starts"] or default_starts(problem), workers)
     if parts:
         click.echo(estimates_in_words(parts), err=True)

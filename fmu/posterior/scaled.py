@@ -30,7 +30,8 @@ class ScaledDensity:
     def __init__(self, density: LogDensity) -> None:
         self.density = density
         self.ndim = density.ndim
-        self.solves_per_gradient = int(getattr(density, "solves_per_gradient", 1))
+        by_differences = 1 if hasattr(density, "log_prob_and_grad") else 2 * density.ndim + 1
+        self.solves_per_gradient = int(getattr(density, "solves_per_gradient", by_differences))
         self.theta_lower, self.theta_upper = (self._vector(name) for name in ("lower", "upper"))
         if not np.all(self.theta_lower < self.theta_upper):
             raise ValueError(f"upper: must exceed lower {self.theta_lower} (got {self.theta_upper})")
