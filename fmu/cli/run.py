@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 _FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate", "max_solves"}
 """Options that may change when a run is resumed: the draws do not depend on them."""
+
+_GARBAGE = 100_000
+"""New objects after which Python looks for unused ones: looking often takes a tenth of a short run."""
 
 
 def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
@@ -101,6 +105,7 @@ def run(
     that was stopped or killed, bit for bit. The exit code is 1 if a sampler has not converged, unless --draws was
     given.
     """
+    gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
         stack.enter_context(stoppable())
         if resume is None:
