@@ -1,6 +1,7 @@
 """Local maxima of a posterior, from several starts: an optimum found once is not the mode.
 
-Gauss–Newton ascents from all starts run in lockstep as one array; then equal results are merged.
+Gauss–Newton ascents from all starts run in lockstep as one array; those near one summit go on as one, and equal
+results are merged.
 """
 
 from __future__ import annotations
@@ -14,10 +15,13 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import advanced, phase
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 STARTS = 256
-_TOLERANCE = 1e-8
+_ROUGH, _TOLERANCE = 0.1, 1e-10
+"""Decrease that a step still predicts, in nats, where all ascents pause, and where the best of them end."""
+_CLOSE = 0.5
+"""Starts that end this little below the same summit by its curvature, in nats, climb on as one."""
 _SAME = 1e-3
 _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
@@ -43,10 +47,11 @@ def local_maxima(
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
     The starts are the problem's own and points of a scrambled Sobol sequence in its box. If the errors are those
-    of computed modes, all starts climb by Gauss–Newton steps in lockstep (`ascend`); of those that stall at a
-    kink, the best eight continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Otherwise every start climbs by
-    L-BFGS-B. Two results count as one maximum if no valley separates them: on the straight line between them the
-    log-probability is nowhere more than 0.1 below the lower of the two.
+    of computed modes, all starts climb by Gauss–Newton steps in lockstep (`ascend`). Just below a summit, of those
+    that are close to one another only the highest climbs on. Of those that stall at a kink, the best eight
+    continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Otherwise every start climbs by L-BFGS-B. Two results
+    count as one maximum if no valley separates them: on the straight line between them the log-probability is
+    nowhere more than 0.1 below the lower of the two.
 
     Parameters
     ----------
@@ -78,11 +83,13 @@ def _found(problem: Problem, scaled: ScaledDensity, points: FloatArray) -> tuple
     """Return the maxima reached from scaled points (n, ndim)."""
     if not problem.likelihood.of_modes:
         return _merged(problem, [_climb(scaled, u) for u in points])
-    ends = ascend(GaussNewton(problem), points, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
-    arrived = _merged(problem, _ended(scaled, ends.position[ends.stationary]))
+    quadratic = GaussNewton(problem)
+    highest, starts = leaders(ascend(quadratic, points, scaled.lower, scaled.upper, tolerance=_ROUGH))
+    ends = ascend(quadratic, highest, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
+    arrived = _merged(problem, _ended(scaled, ends.position[ends.stationary], starts[ends.stationary]))
     near: list[Maximum] = []
     lost: list[Maximum] = []
-    for stalled in _merged(problem, _ended(scaled, ends.position[~ends.stationary])):
+    for stalled in _merged(problem, _ended(scaled, ends.position[~ends.stationary], starts[~ends.stationary])):
         (near if any(_is_same(problem, stalled, m) for m in arrived) else lost).append(stalled)
     polished = [_climb(scaled, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
     return _merged(problem, [*arrived, *near, *polished])
@@ -99,11 +106,28 @@ def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed:
     return np.clip(scaled.to_scaled(theta), scaled.lower, scaled.upper)
 
 
-def _ended(scaled: ScaledDensity, u: FloatArray) -> list[Maximum]:
-    """Return the scaled points (n, ndim) with a finite log-probability as maxima."""
+def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
+    """Return the highest of the ends close to one another (n, ndim), and how many each stands for (n,)."""
+    chosen, starts = list[int](), list[int]()
+    left = np.argsort(ends.value)
+    left = left[np.isfinite(ends.value[left])]
+    while left.size:
+        first = left[0]
+        away = ends.position[left] - ends.position[first]
+        close = 0.5 * np.einsum("ni,ij,nj->n", away, ends.hessian[first], away) <= _CLOSE
+        close &= ends.value[left] - ends.value[first] <= _CLOSE
+        close[0] = True
+        chosen.append(first)
+        starts.append(int(close.sum()))
+        left = left[~close]
+    return ends.position[chosen], np.array(starts)
+
+
+def _ended(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> list[Maximum]:
+    """Return the scaled points (n, ndim) with a finite log-probability as maxima; `starts` (n,) led to each."""
     theta = scaled.to_theta(u)
     values = scaled.density.log_prob(theta)
-    return [Maximum(x, float(v), 1) for x, v in zip(theta, values, strict=True) if np.isfinite(v)]
+    return [Maximum(x, float(v), int(n)) for x, v, n in zip(theta, values, starts, strict=True) if np.isfinite(v)]
 
 
 def _is_same(problem: Problem, one: Maximum, other: Maximum) -> bool:
@@ -151,9 +175,24 @@ def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum
 
 @dataclass(frozen=True)
 class Ascent:
-    """Results of `ascend`: final points (n, ndim), whether each is stationary, and the number of steps."""
+    """Results of `ascend`.
+
+    Attributes
+    ----------
+    position : ndarray, shape (n, ndim)
+        Final points.
+    value : ndarray, shape (n,)
+        V there.
+    hessian : ndarray, shape (n, ndim, ndim)
+        Its Gauss–Newton Hessian there.
+    stationary : ndarray of bool, shape (n,)
+    steps : int
+        Number of steps.
+    """
 
     position: FloatArray
+    value: FloatArray
+    hessian: FloatArray
     stationary: BoolArray
     steps: int
 
@@ -259,7 +298,7 @@ def ascend(
         moved = going[better]
         u[moved] += s[better]
         V[moved], g[moved], H[moved] = new_V[better], new_g[better], new_H[better]
-    return Ascent(np.clip(u, lower, upper), stationary, step)
+    return Ascent(np.clip(u, lower, upper), V, H, stationary, step)
 
 
 def pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import lsq_linear
 
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.maxima import GaussNewton, ascend, decrement
+from fmu.posterior.maxima import Ascent, GaussNewton, ascend, decrement, leaders
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
@@ -88,3 +88,18 @@ def test_problem_as_least_squares(chain):
     ) * problem.scale * np.sqrt([[[600.0], [200.0]]])  # fmt: skip
     expected = np.einsum("nmk,nml->nkl", J, J) + np.diag([problem.scale[0] ** 2 / 0.25, 0.0])
     assert_allclose(hessian, expected, rtol=1e-5, atol=1e-6)
+
+
+def test_ends_near_one_summit_have_one_leader_and_failed_ones_none():
+    """Near by the curvature of the highest: along its flat direction a long way, across it a short one."""
+    steep = np.diag([1e4, 1.0])
+    position = np.array([[0.5, 0.5], [0.5, 1.4], [0.53, 0.5], [0.5, 1.6], [0.1, 0.1]])
+    value = np.array([1.0, 1.1, 1.2, 1.3, np.inf])
+    found, starts = leaders(Ascent(position, value, np.stack([steep] * 5), np.ones(5, dtype=bool), 1))
+    assert_array_equal(found, position[[0, 2, 3]])
+    assert_array_equal(starts, [2, 1, 1])
+    lower = value + np.array([0.0, 0.6, 0.0, 0.0, 0.0])  # as close, but no longer as high
+    _, starts = leaders(Ascent(position, lower, np.stack([steep] * 5), np.ones(5, dtype=bool), 1))
+    assert_array_equal(starts, [1, 1, 2])
+    nothing, _ = leaders(Ascent(position, np.full(5, np.inf), np.stack([steep] * 5), np.ones(5, dtype=bool), 1))
+    assert nothing.shape == (0, 2)
