@@ -33,8 +33,8 @@ for maxima, warm-up, and whatever else comes before the draws. The unit is one l
 asked for it; a gradient counts as what it costs. What a run has at its end counts in full: nautilus must explore
 the whole prior first, and then often has more than it was asked for.
 
-- fmu's samplers by `fmu.sample(problem, name, until_ess={enough})` after `fmu.find_map`: until the verdict is good
-  and bulk and tail ESS of every parameter are enough. {seeds}; medians.
+- fmu's samplers as `fmu run --until-ess {enough}` runs them: `fmu.find_map`, the warm-up and the first draws that
+  it takes, then until the verdict is good and bulk and tail ESS of every parameter are enough. {seeds}; medians.
 - nautilus with its four networks, and with ellipsoids alone (`n_networks=0`), in batches (`vectorized=True`), to
   `n_eff={enough}`; *warm-up* is its exploration, whose points it keeps. dynesty's dynamic sampler, which its
   documentation recommends for posteriors, to `n_effective={enough}`; it takes one point at a time. One seed each,

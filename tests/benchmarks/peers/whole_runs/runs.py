@@ -15,6 +15,7 @@ from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.analysis.estimate import gradient_cost
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.posterior.train_reduced import plausible_points
+from fmu.samplers.registry import planned
 from tests.benchmarks.peers.outcome import Cost, Stopwatch
 from tests.benchmarks.peers.target import Target
 
@@ -23,6 +24,8 @@ ENOUGH = 4000
 MOST_CALLS = {"garteur": 100_000}
 """Likelihoods after which a run of a peer is ended, whatever it has reached; on the others `OTHERWISE`."""
 OTHERWISE = 300_000
+MOST_DRAWS = 32_000
+"""Draws of a chain after which a run of fmu is ended."""
 NOTHING = Cost(0.0, 0.0, 0)
 POSTERIORS = (
     ("cantilever-young", "shape"),
@@ -123,7 +126,7 @@ class WithoutModel:
 
 
 def fmu_whole(target: Target, name: str) -> Callable[[int], WholeRun]:
-    """Return what runs `fmu.sample` for a seed with its defaults, until the verdict is good and the ESS enough."""
+    """Return what runs a sampler for a seed as ``fmu run`` does, until the verdict is good and the ESS enough."""
 
     def once(seed: int) -> WholeRun:
         meter, costs = Meter(target), {"warmup": NOTHING, "draws": NOTHING}
@@ -135,7 +138,9 @@ def fmu_whole(target: Target, name: str) -> Callable[[int], WholeRun]:
                 costs[phase] += meter.read()
 
         density = WithoutModel(target.problem)
-        trace = fmu.sample(density, name, maxima=maxima, seed=seed, until_ess=ENOUGH, progress=progress)
+        warmup, draws = planned(name, None, None)
+        steps = {"warmup": warmup, "draws": draws, "max_draws": MOST_DRAWS}
+        trace = fmu.sample(density, name, maxima=maxima, seed=seed, until_ess=ENOUGH, progress=progress, **steps)
         walkers, columns = walkers_of(trace), np.moveaxis(parameter_draws(trace), 2, 0)
         found = fmu.evidence(trace) if name == "mixture" else None
         return WholeRun(
