@@ -77,6 +77,7 @@ class HamiltonianMonteCarlo(Sampler):
     title: ClassVar[str] = "Hamiltonian Monte Carlo"
     colour: ClassVar[str] = "#0072B2"
     cost: ClassVar[tuple[float, float, float]] = (7.0, 4.0, 0.9)
+    first: ClassVar[tuple[int, int]] = (500, 250)
     takes_gradients: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

@@ -49,7 +49,7 @@ def test_the_updated_file_can_be_checked(invoke):
     [
         (("export", "absent"), "does not exist"),
         (("export", "model"), "contains no traces"),
-        (("export", "out", "--sampler", "mh"), "must be one of hmc (got 'mh')"),
+        (("export", "out", "--sampler", "mh"), "must be one of mixture (got 'mh')"),
         (("export", "out", "--at", "median"), "'median'"),
     ],
 )

@@ -75,15 +75,15 @@ def test_names_that_mean_something_elsewhere(tmp_path):
     length = ["--draws", "30", "--warmup", "20", "--chains", "2", "--starts", "4"]
     done = CliRunner().invoke(main, ["run", str(path), *length, "--out", str(out)])
     assert done.exit_code == 0, done.output
-    trace = fmu.load_trace(out / "hmc.nc")
+    trace = fmu.load_trace(out / "mixture.nc")
     assert tuple(fmu.summary(trace).index) == NAMES
-    assert tuple(pd.read_csv(out / "summary-hmc.csv", index_col=0, na_filter=False).index) == NAMES
+    assert tuple(pd.read_csv(out / "summary-mixture.csv", index_col=0, na_filter=False).index) == NAMES
     found = pd.read_csv(out / "map.csv", index_col=0)
     assert found.columns.is_unique
     best = fmu.find_map(fmu.load(path), starts=4)[0].theta
     for name, value in zip(NAMES, best, strict=True):
         assert found[f"{name}_" if name == "share" else name][1] == value
-    page = Parsed((out / "report" / "hmc.html").read_text(encoding="utf-8"))
+    page = Parsed((out / "report" / "mixture.html").read_text(encoding="utf-8"))
     assert not page.all("script")
     for name in (*NAMES, *UNITS, *LABELS, TITLE):
         assert name in page.text
