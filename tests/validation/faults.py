@@ -245,10 +245,10 @@ IN_THE_MIXTURE = (
         MIXTURE,
     ),
     Fault(
-        "mixture: a candidate given twice",
+        "mixture: a candidate given again and again",
         "fmu/samplers/mixture/kernel.py",
         'extra |= {"next": np.array(k + 1),',
-        'extra |= {"next": np.array(k + 1 + (k == 0)),',
+        'extra |= {"next": np.array(k + (k != 3)),',
         MIXTURE,
     ),
     Fault(
