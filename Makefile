@@ -77,6 +77,7 @@ validate: $(READY)  ## Calibrate samplers, verdicts, intervals and evidences, an
 	.venv/bin/python -m tests.validation.verdicts results
 	.venv/bin/python -m tests.validation.coverage results
 	.venv/bin/python -m tests.validation.evidence results
+	.venv/bin/python -m tests.validation.seeds results
 	.venv/bin/python -m tests.validation.starts results
 	.venv/bin/python -m tests.validation.left_out results
 	.venv/bin/python -m tests.validation.fit results

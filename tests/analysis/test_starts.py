@@ -1,5 +1,7 @@
 """Chains that start at the maxima: how many at each, how wide, and none where nothing is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -134,8 +136,11 @@ def test_where_the_quadratic_is_wrong_a_start_is_drawn_in(frame, frame_maxima):
 
 def test_first_candidates_are_enough_at_a_small_maximum(frame, frame_maxima):
     """Half of the weights are in proportion to the shares, half are equal."""
-    quadratics, weights = components(frame, frame_maxima)
-    assert len(quadratics) == len(weights) > 1
+    shares = [0.03, *[0.97 / (len(frame_maxima) - 1)] * (len(frame_maxima) - 1)]
+    rare = [replace(m, share=share) for m, share in zip(frame_maxima, shares, strict=True)]
+    quadratics, weights = components(frame, replace(frame_maxima, maxima=tuple(rare)))
+    assert len(quadratics) == len(rare) > 1
     assert weights.sum() == pytest.approx(1.0)
-    assert weights.min() >= 0.5 / len(weights)
-    assert np.all(np.diff(weights) <= 0)  # the largest share first
+    assert (
+        weights[-1] == weights.min() == pytest.approx(0.5 * (0.03 + 1 / len(rare)))
+    )  # the smallest share is last

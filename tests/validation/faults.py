@@ -315,13 +315,6 @@ IN_THE_MIXTURE = (
         MIXTURE,
     ),
     Fault(
-        "mixture: chains at separated maxima fitted as one",
-        "fmu/samplers/mixture/mixture.py",
-        "_groups(u) if moved.any() else 0",
-        "0",
-        MIXTURE,
-    ),
-    Fault(
         "mixture: a maximum that a chain has found does not join",
         "fmu/samplers/mixture/mixture.py",
         "if not np.any(beyond > _UNKNOWN):",

@@ -224,11 +224,11 @@ Written by `make validate`{so_far} in {minutes:.0f} minutes of processor time.
 {verdict}
 
 Runs of default length, 1000 draws after 1000 steps of warm-up in 4 chains. cantilever-section by number is
-section 5.2 of the paper: its highest maximum holds all of the probability, and chains with local steps alone seldom
-reach it from the paper's start or from the prior (`evidence.md` says where the maxima are). mh, slice and hmc have
-jumps there, which is the default. A run fails if `fmu.diagnose` does not call it converged, if the share of the
-draws at a maximum is off by more than {wrong:g} standard errors from its mass, or if the log-evidence is off from
-that of importance sampling around the maxima, which knows nothing of a mixture:
+section 5.2 of the paper: its highest maximum holds all of the probability, and chains with local steps alone
+seldom reach it from the paper's start or from the prior (`evidence.md` says where the maxima are). mh, slice and
+hmc have jumps there, which is the default. A run fails if `fmu.diagnose` does not call it converged, if the share
+of the draws at a maximum is off by more than {wrong:g} standard errors from its mass, or if the log-evidence is
+off from that of importance sampling around the maxima, which knows nothing of a mixture:
 
 {references}
 
