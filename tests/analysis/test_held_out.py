@@ -155,10 +155,18 @@ def test_the_table_is_kept_in_the_trace(make_result, problem, tmp_path):
 
 
 def test_no_number_where_updating_anew_would_take_long(few, problem, monkeypatch):
-    monkeypatch.setattr(modes, "_time_of_a_solve", lambda problem, theta: 1.0)
+    monkeypatch.setattr(modes, "_seconds_of_a_solve", lambda problem, theta: 1.0)
     table = fmu.leave_one_out(with_left_out(few(problem), problem))
     assert not table["method"].any()
     assert table[["mean", "sd", "p", "elpd", "mcse_elpd"]].isna().all(axis=None)
+
+
+def test_what_is_affordable_does_not_depend_on_the_clock():
+    """By the sizes of the matrices: a run that is resumed on a busy machine has the same table."""
+    young, section = (fmu.cases.load(f"cantilever-{name}") for name in ("young", "section"))
+    nowhere = np.empty((0, 5))
+    assert modes._seconds_of_a_solve(young, nowhere) == pytest.approx(6e-8 * young.model.reduced_sizes[0] ** 2)
+    assert modes._seconds_of_a_solve(section, nowhere) == 1e-5  # the least, of small matrices
 
 
 def test_one_search_serves_all_runs(few, problem, monkeypatch):

@@ -51,7 +51,7 @@ SELDOM = ("--keep-draws", 1000)
 
 @pytest.fixture
 def judged_soon(monkeypatch):
-    """Runs are first judged after few draws, and no mode is left out: whether that is affordable is measured."""
+    """Runs are first judged after few draws, and no mode is left out, which takes longer than they do."""
     monkeypatch.setattr(MixtureSampler, "first", (60, 20))
     monkeypatch.setattr("fmu.analysis.held_out.modes.with_left_out", lambda trace, problem: trace)
 

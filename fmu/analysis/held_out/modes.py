@@ -24,6 +24,7 @@ from fmu.analysis.trace.reading import (
     walkers_of,
     with_group,
 )
+from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -78,7 +79,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     A mode used in updating is predicted by the posterior without it; one that was not used, by the posterior
     itself. The problem is updated without the mode (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) =
     log Z - log Z_-k. `fmu.sample` does so, and keeps the table in the trace, unless it would take more than half
-    as long as the draws. Then the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the
+    the solves of the draws and more than about five seconds. Then the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the
     Pareto k of the weights is low.
 
     Parameters
@@ -112,7 +113,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     if is_pseudo(trace):
         raise ValueError("trace: the modal residual is a pseudo-likelihood, and predicts no measurement")
     if problem is not None:
-        trace = with_left_out(trace, problem, most_s=np.inf)
+        trace = with_left_out(trace, problem, most=np.inf)
     table = kept_table(trace)
     return _by_draws_alone(trace) if table is None else table
 
@@ -125,7 +126,7 @@ def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
     return data_frame({name: kept[name].to_numpy() for name in _COLUMNS}, "mode", kept["mode"].to_numpy())
 
 
-def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | None = None) -> xr.DataTree:
+def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | None = None) -> xr.DataTree:
     """Return the trace with the table of `leave_one_out` stored in it.
 
     Parameters
@@ -133,10 +134,9 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
     trace : xarray.DataTree
     problem : UpdatingProblem
         The problem that was sampled.
-    most_s : float, optional
-        The longest that updating without modes may take, by an estimate from the time of a solve. By default half
-        the time that the draws took, or five seconds; and only for a run of 400 draws or more, of a model with
-        derivatives.
+    most : float, optional
+        The most solves that updating without modes may take. By default half as many as the draws took, or what
+        should take five seconds; and only for a run of 400 draws or more, of a model with derivatives.
     """
     import xarray as xr
 
@@ -145,13 +145,13 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)
     draws = _Draws(theta, hz, np.full(len(theta), -np.log(len(theta))))
-    if most_s is None:
+    if most is None:
         enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
-        most_s = max(_FREE_S, _SHARE * float(trace.attrs["wall_s"])) if enough else 0.0
-        most_s = most_s if problem.solves_per_gradient == 1 else 0.0
-    solve_s = _time_of_a_solve(problem, theta) if most_s > 0.0 else np.inf
+        is_cheap = enough and problem.solves_per_gradient == 1
+        share = _SHARE * int(trace.attrs["n_solves"])
+        most = max(_FREE_S / _seconds_of_a_solve(problem, theta), share) if is_cheap else 0.0
     prior_sd = np.full(problem.data.n_modes, np.nan)
-    if DRAWS * solve_s <= most_s:
+    if most >= DRAWS:
         prior_sd = prior_prediction(problem).sd
 
     smoothed = _smoothed(trace)
@@ -164,7 +164,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most_s: float | 
         is_left_out = used and sum(problem.data.use) > 1  # without the only one there is nothing to update with
         if is_left_out or (not used and not row.mcse_elpd <= ACCEPTED):
             doubtful.append(k)
-    per_mode = most_s / (solve_s * (len(doubtful) + 1)) if most_s > 0.0 else 0.0
+    per_mode = most / (len(doubtful) + 1)
     if doubtful and per_mode >= SOLVES:
         with phase("leaving modes out", len(doubtful)) as under_way:
             for k in doubtful:
@@ -333,11 +333,18 @@ def _generator(stream: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(_SEED, spawn_key=(stream,)))
 
 
-def _time_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
-    points = theta[:_TIMED]
+def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
+    """Return about how long a solve takes, by the sizes of its matrices; of a function, as measured.
+
+    A run that is repeated or resumed thus has the same table, whatever else the machine does.
+    """
+    full: Any = getattr(problem.model, "full", None)
+    if full is not None:
+        sizes = problem.model.reduced_sizes or [block.size for block in full.blocks]
+        return float(sum(max(1e-5, 6e-8 * n**2 if n <= DENSE_LIMIT else 3e-5 * n) for n in sizes))
     began = time.perf_counter()
-    problem.log_prob(points)
-    return (time.perf_counter() - began) / len(points)
+    problem.log_prob(theta[:_TIMED])
+    return (time.perf_counter() - began) / min(_TIMED, len(theta))
 
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
