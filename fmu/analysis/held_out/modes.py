@@ -79,8 +79,8 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     A mode used in updating is predicted by the posterior without it; one that was not used, by the posterior
     itself. The problem is updated without the mode (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) =
     log Z - log Z_-k. `fmu.sample` does so, and keeps the table in the trace, unless it would take more than half
-    the solves of the draws and more than about five seconds. Then the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the
-    Pareto k of the weights is low.
+    the solves of the draws and more than about five seconds. Then the draws are weighted by importance (PSIS,
+    Vehtari, Gelman & Gabry 2017), if the Pareto k of the weights is low.
 
     Parameters
     ----------
