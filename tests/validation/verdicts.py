@@ -236,7 +236,7 @@ class Study:
     @cached_property
     def alone(self) -> list[Outcome]:
         """Runs on separated maxima that no search could tell of: plain densities."""
-        separated = {known.name for known in KNOWN if known.one_place is not None}
+        separated = {known.name for known in (*KNOWN, *FURTHER) if known.one_place is not None}
         return [one for one in self.outcomes if one.name in separated and not one.searched]
 
     @cached_property

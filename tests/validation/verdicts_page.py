@@ -272,6 +272,9 @@ says of every such run that it was "judged by its own draws only". {alone} runs 
 separated maxima: {alone_converged} are called converged, {alone_wrong} of them are wrong, and {alone_told} of
 these {alone_wrong} say so. They are not counted above. The page turns red if one of them does not say what it
 was judged by.
+{alone_candidates_wrong} of the wrong ones are of samplers with candidates of a mixture. In
+{alone_candidates_seen} of these a chain had been at every maximum, in warm-up or after it: a mixture must not lose
+what a chain has found, and one such run turns the page red.
 
 {separated}
 
