@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import MixtureSampler, Run, Slice
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
-from fmu.samplers.mixture.mixture import MixtureTuner, first_warp
+from fmu.samplers.mixture.mixture import MixtureTuner, first_warp, groups_of_chains
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, fitted
 from tests.samplers.targets import SkewedGumbel, Target, TwoModes
@@ -345,3 +345,11 @@ def test_wrong_settings_are_refused(settings, words):
 def test_coordinates_with_a_lower_bound_alone_are_bent_at_first():
     target = Target(3, [0.0, 0.0, -np.inf], [1.0, np.inf, np.inf])
     np.testing.assert_array_equal(first_warp(target).bent, [False, True, False])
+
+
+def test_chains_at_separated_places_are_groups_of_their_own():
+    rng = np.random.default_rng(13)
+    places = np.array([[0.0, 0.0], [8.0, 0.0], [0.5, 0.2], [8.5, 0.1], [0.0, 30.0]])
+    u = places + np.array([1.0, 5.0]) * rng.standard_normal((400, 5, 2))
+    assert list(groups_of_chains(u)) == [0, 1, 0, 1, 4]
+    assert list(groups_of_chains(u[:, :1])) == [0]

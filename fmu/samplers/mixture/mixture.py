@@ -261,7 +261,7 @@ class MixtureTuner:
         near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
         moved = np.array([_has_moved(u[near[:, k], k]) for k in range(self.chains)])
         near &= moved | ~moved.any()
-        group = np.broadcast_to(_groups(u) if moved.any() else 0, near.shape)[near]
+        group = np.broadcast_to(groups_of_chains(u) if moved.any() else 0, near.shape)[near]
         slopes = None if np.isnan(slope).any() else slope[near]
         points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
         warp = first_warp(self.density)
@@ -307,7 +307,7 @@ class MixtureTuner:
         self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages))
 
 
-def _groups(u: FloatArray) -> IntArray:
+def groups_of_chains(u: FloatArray) -> IntArray:
     """Return the group of each chain of u (steps, chains, ndim): apart where chains are at separated maxima.
 
     Two chains are together if their means are within `_APART` standard deviations along the line between them.
