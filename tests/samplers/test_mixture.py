@@ -347,6 +347,15 @@ def test_coordinates_with_a_lower_bound_alone_are_bent_at_first():
     np.testing.assert_array_equal(first_warp(target).bent, [False, True, False])
 
 
+def test_a_single_point_determines_no_quadratic():
+    """The tuner then goes on with the mixture that it has; nothing overflows on the way."""
+    u = np.random.default_rng(14).uniform(LOWER, UPPER, (40, 2))
+    weight = np.zeros(40)
+    weight[3] = 1.0
+    with pytest.raises(np.linalg.LinAlgError):
+        fitted(u, STEEP(u), weight)
+
+
 def test_chains_at_separated_places_are_groups_of_their_own():
     rng = np.random.default_rng(13)
     places = np.array([[0.0, 0.0], [8.0, 0.0], [0.5, 0.2], [8.5, 0.1], [0.0, 30.0]])

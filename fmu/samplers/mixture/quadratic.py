@@ -125,7 +125,7 @@ def standardised(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatAr
     mean = w @ u
     covariance = (w * (u - mean).T) @ (u - mean)
     spread = np.diag(covariance)
-    covariance = covariance + 1e-10 * np.diag(np.maximum(spread, 1e-12 * max(spread.max(), 1e-300)))
+    covariance = covariance + 1e-10 * np.diag(np.maximum(spread, 1e-12 * max(spread.max(), 1.0 / STEEPEST)))
     L = np.linalg.cholesky(covariance)
     return np.linalg.solve(L, (u - mean).T).T, mean, L
 
