@@ -41,6 +41,11 @@ class Sampled(NamedTuple):
     traces: dict[str, xr.DataTree]
     summaries: dict[str, pd.DataFrame]
 
+    @property
+    def limited(self) -> list[str]:
+        """The samplers that ended at their limit of solves: they can be resumed with a larger one."""
+        return [name for name, trace in self.traces.items() if "limit" in trace.attrs]
+
 
 def sampled(
     problem: UpdatingProblem,
@@ -85,7 +90,7 @@ def sampled(
                 trace = _drawn(name, problem, running, **arguments)
             outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
             _write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
-            if "limit" in trace.attrs:  # it can be resumed with a larger limit
+            if name in outcome.limited:
                 asked.save(running.path)
             elif name not in asked.finished:
                 asked = replace(asked, finished=(*asked.finished, name))
@@ -161,10 +166,10 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     comparison, verdicts = echo_comparison(traces, summaries)
     _write_csv(comparison, directory / "comparison.csv")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
-    if limited := [name for name, trace in traces.items() if "limit" in trace.attrs]:
+    if outcome.limited:
         most, until = orders["max_solves"], orders["until_ess"]
         aim = f"--until-ess {typed(until)}" if until else "convergence"
-        click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(limited)}")
+        click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(outcome.limited)}")
         click.echo(f"To go on: fmu run --resume {directory} --max-solves {10 * most}")
     click.echo(f"\nWritten to {directory}")
     if orders["draws"] is not None:

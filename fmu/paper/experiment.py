@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.convergence.diagnosis import diagnose, judged
+from fmu.analysis.convergence.diagnosis import judged
 from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map
@@ -326,14 +326,16 @@ class OneStart(NamedTuple):
 
 def one_start(result: Result) -> OneStart:
     """Return what the chains from the start vector came to."""
-    table, trace = summary(result.one_start), result.one_start
+    trace = result.one_start
+    of_run = judged({"hmc": trace})
+    table = of_run.summaries["hmc"]
     return OneStart(
         int(trace.attrs["chains"]),
         int(trace.attrs["draws"]),
         float(table["rhat"].max()),
         float(table["ess_bulk"].min()),
         _distance(result, posterior_mean(trace)),
-        diagnose(trace).reasons,
+        of_run.verdicts["hmc"].reasons,
     )
 
 

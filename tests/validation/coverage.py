@@ -10,12 +10,11 @@ interval then holds the truth in 90 % of the runs, whatever the prior is; and th
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
@@ -30,6 +29,7 @@ from fmu.samplers import HamiltonianMonteCarlo, Run
 from fmu.types import BoolArray, FloatArray
 from tests.validation import ten_storeys
 from tests.validation.bands import UniformRanks
+from tests.validation.kept import keep, kept_lines
 
 REPLICATES, SEED, WORKERS = 2000, 20262, 2
 CHAINS, WARMUP, DRAWS = 16, 100, 40
@@ -183,25 +183,12 @@ def study(
     With a file, those that it holds, one a line, and the others, which are added to it.
     """
     seeds = np.random.SeedSequence(seed).spawn(replicates)
-    lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
-    runs = [read(line) for line in lines[:replicates]]
+    runs = [Replicate(**fields) for fields in kept_lines(kept, np.array)[:replicates]]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start) as pool:
         for run in pool.map(_replicate, seeds[len(runs) :]):
             runs.append(run)
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(line_of(run) + "\n")
+            keep(kept, run)
     return Study(runs)
-
-
-def line_of(run: Replicate) -> str:
-    """Return a run as a line of a file."""
-    return json.dumps(asdict(run), default=np.ndarray.tolist)
-
-
-def read(line: str) -> Replicate:
-    """Return the run that a line holds."""
-    return Replicate(**{k: np.array(v) if isinstance(v, list) else v for k, v in json.loads(line).items()})
 
 
 def _start() -> None:

@@ -9,11 +9,10 @@ log-evidence. With a file, runs that it holds are not repeated.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +25,7 @@ from fmu.analysis.evidence import OF_MIXTURE
 from fmu.analysis.maxima.missed import visits
 from fmu.tables import markdown_table
 from tests.validation.evidence import Estimate, weighed
+from tests.validation.kept import completed, kept_lines
 
 SEEDS = 20
 REFERENCE_DRAWS = 65_536
@@ -151,21 +151,11 @@ def failures(outcomes: Sequence[Outcome]) -> list[str]:
 
 def main(directory: Path, kept: Path | None) -> int:
     """Run the study, write ``seeds.md``, and return the exit code."""
-    done = {}
-    if kept is not None and kept.exists():
-        for line in kept.read_text(encoding="utf-8").splitlines():
-            entries = json.loads(line)
-            one = Outcome(**entries | {"log_evidence": tuple(entries["log_evidence"])})
-            done[one.case, one.sampler, one.start, one.seed] = one
+    known = [Outcome(**fields) for fields in kept_lines(kept)]
+    done = {(one.case, one.sampler, one.start, one.seed): one for one in known}
+    keys = ((experiment.case, *others) for experiment, *others in jobs())
     with threadpool_limits(1):
-        for experiment, sampler, start, seed in jobs():
-            key = experiment.case, sampler, start, seed
-            if key not in done:
-                done[key] = outcome(*key)
-                if kept is not None:
-                    with kept.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(asdict(done[key])) + "\n")
-        outcomes = list(done.values())
+        outcomes = completed(keys, done, lambda key: outcome(*key), kept)
         write(outcomes, directory)
         wrong = failures(outcomes)
     for failure in wrong:

@@ -9,6 +9,7 @@ from scipy.stats import norm
 
 from tests.validation import coverage, coverage_page
 from tests.validation.coverage import INTERVAL, NAMES, QUANTITIES, RANKED, TAIL, Replicate, Study, lost_to_draws
+from tests.validation.kept import keep
 
 REPLICATES = 200
 
@@ -104,7 +105,8 @@ def test_what_an_interval_loses_to_its_draws():
 
 def test_runs_of_the_file_are_not_repeated(tmp_path):
     kept, runs = tmp_path / "runs.jsonl", study().runs[:3]
-    kept.write_text("".join(f"{coverage.line_of(run)}\n" for run in runs), encoding="utf-8")
+    for run in runs:
+        keep(kept, run)
     again = coverage.study(replicates=3, kept=kept)
     for name in ("ranks", "covered", "expected", "spread_of_truths"):
         assert_array_equal(getattr(again, name), getattr(Study(runs), name))

@@ -8,12 +8,11 @@ Exit code 1 where a run is called converged and is wrong. With a file, runs that
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,6 +31,7 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import SAMPLERS, named
 from fmu.types import FloatArray
+from tests.validation.kept import completed, kept_lines
 from tests.validation.known import FURTHER, KNOWN, Known
 
 WRONG = 5.0
@@ -296,21 +296,9 @@ class Study:
 
 def study(kept: Path | None = None) -> Study:
     """Return all outcomes; with a file, those that it holds and the others, which are added to it."""
-    found = {}
-    if kept is not None and kept.exists():
-        for line in kept.read_text(encoding="utf-8").splitlines():
-            entries = json.loads(line)
-            one = Outcome(**{k: tuple(v) if isinstance(v, list) else v for k, v in entries.items()})
-            found[one.name, one.sampler, one.length, one.start, one.seed] = one
-    outcomes = []
-    for job in jobs():
-        if job.key not in found:
-            found[job.key] = outcome(job)
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(found[job.key])) + "\n")
-        outcomes.append(found[job.key])
-    return Study(outcomes)
+    known = [Outcome(**fields) for fields in kept_lines(kept)]
+    done = {(one.name, one.sampler, one.length, one.start, one.seed): one for one in known}
+    return Study(completed(((job.key, job) for job in jobs()), done, outcome, kept))
 
 
 def main(directory: Path, kept: Path | None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -154,27 +155,34 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     if most >= DRAWS:
         prior_sd = prior_prediction(problem).sd
 
-    smoothed = _smoothed(trace)
-    rows, doubtful = [], []
-    for k, (label, used) in enumerate(zip(problem.data.labels, problem.data.use, strict=True)):
-        row = _weighted(problem, k, draws, smoothed.get(label)) if used else _not_used(trace, problem, k, draws)
-        measured = float(np.asarray(problem.data.frequencies_hz)[k])
-        rows.append(replace(row, measured=measured, prior_sd=float(prior_sd[k]), used=used))
-        # weights with a Pareto k of 0.4 were off by 0.4 nats: where a refit is affordable, none are relied on
-        is_left_out = used and sum(problem.data.use) > 1  # without the only one there is nothing to update with
-        if is_left_out or (not used and not row.mcse_elpd <= ACCEPTED):
-            doubtful.append(k)
-    per_mode = most / (len(doubtful) + 1)
-    if doubtful and per_mode >= SOLVES:
-        with phase("leaving modes out", len(doubtful)) as under_way:
-            for k in doubtful:
-                with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
-                    found = _left_out(problem, k, int(min(per_mode, MOST_SOLVES)))
-                    if found.method:
-                        rows[k] = replace(found, measured=rows[k].measured, prior_sd=rows[k].prior_sd)
-                under_way.advance()
+    use, measured = problem.data.use, np.asarray(problem.data.frequencies_hz)
+    found = {k: _not_used(trace, problem, k, draws) for k, used in enumerate(use) if not used}
+    doubtful = [k for k, row in found.items() if not row.mcse_elpd <= ACCEPTED]
+    if sum(use) > 1:  # without the only one there is nothing to update with
+        doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
+    found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
+    # weights with a Pareto k of 0.4 were off by 0.4 nats: only where no refit is affordable
+    smoothed = _smoothed(trace) if len(found) < len(use) else {}
+    rows = []
+    for k, label in enumerate(problem.data.labels):
+        row = found[k] if k in found else _weighted(problem, k, draws, smoothed.get(label))
+        rows.append(replace(row, measured=float(measured[k]), prior_sd=float(prior_sd[k]), used=use[k]))
     columns = {name: ("mode", np.array([getattr(row, name) for row in rows])) for name in _COLUMNS}
     return with_group(trace, GROUP, xr.Dataset(columns, coords={"mode": list(problem.data.labels)}))
+
+
+def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
+    """Return each mode predicted after updating without it, by its number; those that the solves suffice for."""
+    found: dict[int, HeldOut] = {}
+    if modes and most >= SOLVES:
+        with phase("leaving modes out", len(modes)) as under_way:
+            for k in modes:
+                with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
+                    row = _left_out(problem, k, int(min(most, MOST_SOLVES)))
+                    if row.method:
+                        found[k] = row
+                under_way.advance()
+    return found
 
 
 class _Draws(NamedTuple):
