@@ -146,8 +146,11 @@ class Tuner(Protocol):
 
     kernel: Any
 
-    def update(self, state: State, info: Info) -> None:
-        """Learn from one step, and change `kernel` accordingly."""
+    def update(self, state: State, info: Info) -> IntArray | None:
+        """Learn from one step, and change `kernel` accordingly.
+
+        Return the evaluations of each chain that learning itself took, shape (chains,); None if it took none.
+        """
         ...
 
     def finished(self) -> Sampler:

@@ -10,10 +10,11 @@ from scipy.special import logsumexp
 
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import MixtureSampler, Run, Slice
+from fmu.samplers.kernel import State
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
-from fmu.samplers.mixture.mixture import MixtureTuner, first_warp, groups_of_chains
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
+from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture, refitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, fitted
+from fmu.samplers.mixture.tuner import MixtureTuner, first_warp, groups_of_chains
 from tests.samplers.targets import SkewedGumbel, Target, TwoModes
 
 LOWER, UPPER = np.array([0.0, -1.0]), np.array([1.0, 2.0])
@@ -243,7 +244,7 @@ def test_chains_at_separated_maxima_have_a_component_each_from_the_first_fit():
     density = ScaledDensity(target)
     u = (target.centres + target.sd * np.random.default_rng(1).standard_normal((60, 5, 2))).reshape(-1, 2)
     tuner = MixtureTuner(MixtureSampler(), density, 5, 120)
-    tuner.drawn = tuner.drawn.with_more(u, *density.log_prob_and_grad(u))
+    tuner.visited = tuner.visited.with_more(u, *density.log_prob_and_grad(u))
     tuner._fit_to_draws()
     found = np.array([tuner.mixture.warp.to_u(q.position) for q in tuner.mixture.quadratics])
     away = np.linalg.norm(target.centres[:, None] - found, axis=2)
@@ -258,9 +259,79 @@ def test_a_chain_that_has_not_moved_has_no_component(move):
     u[:, 2] = 50.0 + move * u[:, 2]
     tuner = MixtureTuner(MixtureSampler(), ScaledDensity(target), 3, 80)
     log_p = target.log_prob(u.reshape(-1, target.ndim))
-    tuner.drawn = tuner.drawn.with_more(u.reshape(-1, target.ndim), log_p, np.full((120, target.ndim), np.nan))
+    tuner.visited = tuner.visited.with_more(u.reshape(-1, target.ndim), log_p, np.full((120, target.ndim), np.nan))
     tuner._fit_to_draws()
     assert np.all(np.isfinite(tuner.mixture.log_density(u[:, 0])))
+
+
+def far_apart():
+    """Return two maxima, sixteen standard deviations apart, and a tuner that knows the first alone."""
+    target = Apart()
+    tuner = MixtureTuner(MixtureSampler(target.components()[:1], local=Slice()), ScaledDensity(target), 2, 100)
+    return target, tuner
+
+
+def at(tuner, theta):
+    u = tuner.density.to_scaled(np.atleast_2d(theta))
+    return State(u, tuner.density.log_prob(u))
+
+
+@pytest.mark.parametrize("who", ["chain", "candidate", "visited"])
+def test_a_maximum_that_was_found_once_joins_the_mixture(who):
+    """Whether a chain is there at the fit, a candidate was, or a chain was there before the first fit."""
+    target, tuner = far_apart()
+    here = at(tuner, target.centres[[0, 0]])
+    usual = tuner.mixture.draw(np.random.default_rng(1), 200)
+    tuner.drawn = tuner.drawn.with_more(usual, tuner.density.log_prob(usual))
+    tuner.counts[-1] = 200
+    there = at(tuner, target.centres[1] + 0.3)
+    if who == "chain":
+        here = at(tuner, [target.centres[0], target.centres[1] + 0.3])
+    elif who == "candidate":
+        tuner.drawn = tuner.drawn.with_more(there.position, there.log_prob)
+        tuner.counts[-1] += 1
+    else:
+        tuner.visited = tuner.visited.with_more(there.position, there.log_prob)
+    spent = tuner._fit(here)
+    found = [tuner.density.to_theta(tuner.mixture.warp.to_u(q.position)) for q in tuner.mixture.quadratics]
+    assert len(found) == 2
+    assert np.linalg.norm(found[1] - target.centres[1]) < 1.0
+    assert spent.sum() == 6
+    # candidates of the new component are near the maximum, and the next fit learns its weight from them
+    usual = tuner.mixture.draw(np.random.default_rng(2), 400)
+    tuner.drawn = tuner.drawn.with_more(usual, tuner.density.log_prob(usual))
+    tuner.counts[-1] = 400
+    assert tuner._fit(at(tuner, target.centres)).sum() == 0
+    assert tuner.mixture.weights == pytest.approx([0.7, 0.3], abs=0.1)
+
+
+def test_a_point_in_the_tail_of_a_known_maximum_is_no_maximum():
+    target, tuner = far_apart()
+    usual = tuner.mixture.draw(np.random.default_rng(1), 200)
+    tuner.drawn = tuner.drawn.with_more(usual, tuner.density.log_prob(usual) - 8.0)  # the tail is 8 too heavy
+    tuner.counts[-1] = 200
+    u = tuner.density.to_scaled(target.centres[:1] + 0.5)
+    tuner.drawn = tuner.drawn.with_more(u, tuner.density.log_prob(u))
+    assert tuner._fit(at(tuner, target.centres[[0, 0]])).sum() > 0
+    assert len(tuner.mixture.quadratics) == 1
+
+
+def test_a_fit_to_few_points_is_kept_only_if_it_suits_others():
+    """Through 40 points in eight coordinates pass many quadratics."""
+    ndim, rng = 8, np.random.default_rng(4)
+    warp = Warp(np.full(ndim, -np.inf), np.full(ndim, np.inf), np.zeros(ndim, dtype=bool))
+    start = Mixture([Quadratic(np.zeros(ndim), 0.0, np.zeros(ndim), np.eye(ndim))], [1.0], warp)
+
+    def points(n):
+        u = rng.standard_normal((n, ndim))
+        log_p = -0.5 * np.sum(u**2, axis=1) - 0.3 * np.sum(np.abs(u) ** 1.5, axis=1)
+        return Points.weighted(u, log_p, start.log_density(u))
+
+    assert refitted_mixture(points(40), start) is start
+    many, fresh = points(1000), points(1000)
+    better = refitted_mixture(many, start)
+    assert fresh.effective_share(better.log_density(fresh.position)) > 0.85
+    assert fresh.effective_share(start.log_density(fresh.position)) < 0.7
 
 
 def test_without_components_local_steps_find_them():
@@ -325,6 +396,18 @@ def test_each_candidate_is_counted_once():
     jumps = np.isfinite(result.posterior.stats[CANDIDATE])
     assert jumps.mean() == pytest.approx(0.8, abs=0.01)
     assert result.posterior.stats["n_solves"][jumps].sum() == 4 * 25 * 8  # blocks of 25 for 80 jumps a chain
+
+
+def test_what_a_fit_evaluates_is_counted():
+    """Chains start at a maximum that the mixture does not know: fits look for a valley."""
+    target, evaluated = Apart(), []
+    sampler = MixtureSampler(target.components()[:1], local=Slice())
+    whole = target.log_prob
+    target.log_prob = lambda theta: (evaluated.append(len(np.atleast_2d(theta))), whole(theta))[1]
+    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=10, warmup=40)
+    counted = result.posterior.stats["n_solves"].sum() + result.warmup.stats["n_solves"].sum()
+    assert sum(evaluated) == counted
+    assert len(result.learnt["components"]) == 2
 
 
 @pytest.mark.parametrize(

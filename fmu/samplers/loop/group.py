@@ -209,10 +209,12 @@ class _GroupRunner:
             gradients = info.n_gradients + self.start.n_gradients
             info, self.start = replace(info, n_solves=solves, n_gradients=gradients), None
         self.done[phase] += 1
-        self.solves += int(info.n_solves.sum())
         if self.tuner is not None and self.learnt is None:
-            self.tuner.update(self.state, info)
+            spent = self.tuner.update(self.state, info)
+            if spent is not None:
+                info = replace(info, n_solves=info.n_solves + spent)
             self._take_kernel()
+        self.solves += int(info.n_solves.sum())
         return info
 
     def as_steps(self, info: Info) -> Steps:

@@ -29,6 +29,8 @@ _POINTS = 3
 """Points per coefficient of a quadratic, of all that a component is fitted to."""
 _LEAST = 1e-3
 """Share of the probability below which a component with too few points is left out."""
+_SURE = 6.0
+"""Effective points per coefficient from which on a fit need not be tried on points that it was not made of."""
 _SWEEPS = 3
 _GAIN = 0.02
 _BEND = 0.1
@@ -193,6 +195,17 @@ class Points:
             log_w = 0.7 * log_w
         return cls(position[ok], log_prob[ok], np.exp(log_w - log_w.max()))
 
+    @property
+    def effective_size(self) -> float:
+        """Kish's effective number of points."""
+        return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
+
+    def every_other(self, first: int) -> Points:
+        """Return every other point."""
+        half = slice(first, None, 2)
+        gradient = None if self.gradient is None else self.gradient[half]
+        return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
+
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         """Return x of the points, and the log-density of x there with its gradient, if that is known."""
         log_prob = self.log_prob + warp.log_stretch(self.position)
@@ -237,6 +250,28 @@ def fitted_mixture(points: Points, start: Mixture) -> Mixture:
             if reached > share + _GAIN:
                 best, share = candidate, reached
     return best
+
+
+def refitted_mixture(points: Points, start: Mixture) -> Mixture:
+    """Return the mixture that fits a log-density, or `start` where the points are few and say that it is better.
+
+    A quadratic through hardly more points than it has coefficients can be far off elsewhere. A fit to half of so
+    few points must therefore suit the other half better than `start` does.
+    """
+    n = n_coefficients(points.position.shape[1])
+    if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
+        return start
+    return fitted_mixture(points, start)
+
+
+def _gain_elsewhere(points: Points, start: Mixture) -> float:
+    """Return how much larger the effective share of a fit to half of the points is, on the other half."""
+    halves = points.every_other(0), points.every_other(1)
+    gain = 0.0
+    for one, other in (halves, halves[::-1]):
+        for mixture, sign in ((fitted_mixture(one, start), 0.5), (start, -0.5)):
+            gain += sign * other.effective_share(mixture.log_density(other.position))
+    return gain
 
 
 def _straightened(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:

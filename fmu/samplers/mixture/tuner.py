@@ -1,0 +1,305 @@
+"""How warm-up fits the mixture: to what it has evaluated, again and again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.samplers.hmc import HamiltonianMonteCarlo
+from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
+from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.mixture.kernel import MixtureKernel
+from fmu.samplers.mixture.proposal import MOST, Mixture, Points, Warp, fitted_mixture, refitted_mixture
+from fmu.samplers.mixture.quadratic import Quadratic, fitted, n_coefficients
+from fmu.samplers.slice import Slice
+from fmu.types import FloatArray, IntArray, LogDensity
+
+_LOCAL_PART = 0.5
+"""Part of the warm-up that local steps take where no component is known."""
+_FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
+"""Parts of the rest of the warm-up after which the mixture is fitted again."""
+_SAMPLE = 1000  # draws of a mixture that give its covariance
+_FAR = 10.0  # points with a log-density further below the median, plus one per coordinate, are on the way
+_APART = 3.0
+_LEAST_MOVE = 1e-8  # in scaled units
+_UNKNOWN, _VALLEY = 5.0, 3.0
+"""A point where log w exceeds its median by the first is where the mixture has nothing. It is near a maximum that
+the mixture does not know if the log-density between it and its component drops by the second: more than what
+local steps cross by themselves."""
+_LOWEST = -5.0  # of the logarithm of a new component's weight
+_CHECKED = 5  # points per fit
+_BETWEEN = np.arange(6) / 6.0  # from the component to the point
+
+
+class MixtureTuner:
+    """Fits the mixture again and again, to all candidates so far, weighted by the mixtures that they came from.
+
+    Where no component is known, local steps take the first half of the warm-up, and the first fit is to their
+    draws, with the gradients if those were evaluated. Where a chain or a candidate has found a maximum that the
+    mixture does not know, it is given a component. The local steps after the first fit have a metric from the
+    covariance of the mixture.
+
+    Parameters
+    ----------
+    sampler : MixtureSampler
+        The settings to complete.
+    density : LogDensity
+    chains, steps : int
+        Of the warm-up.
+    """
+
+    def __init__(self, sampler: Any, density: LogDensity, chains: int, steps: int) -> None:
+        self.sampler, self.density, self.chains, self.steps = sampler, density, chains, steps
+        self.done = 0
+        self.first = 0 if sampler.components is not None else max(int(_LOCAL_PART * steps), 1)
+        self.fit_at = [self.first + int(part * (steps - self.first)) for part in _FITS]
+        self.target = Target(density)
+        self.stages: list[Mixture] = []  # of each fit, the last one in use
+        self.counts: list[int] = []  # of the candidates of each that were evaluated
+        self.drawn = self.visited = Evaluated.none(density.ndim)
+        self.covariance: FloatArray | None = None
+        self.local_settings = sampler.local_of(density)
+        self.local: Tuner | None = None
+        given = sampler.mixture(density)
+        if given is None:
+            self.local = self.local_settings.tuner(density, chains, self.first)
+        else:
+            self._begin_with(given)
+        self._take_kernel()
+
+    @property
+    def mixture(self) -> Mixture | None:
+        """The mixture in use; None before the first fit."""
+        return self.stages[-1] if self.stages else None
+
+    def update(self, state: State, info: Info) -> IntArray | None:
+        """Learn from one step; return the evaluations of each chain that this took, shape (chains,)."""
+        self.done += 1
+        if info.parts is not None and self.local is not None:
+            self.local.update(State(state.position, state.log_prob, state.gradient), info.parts)
+        if self.mixture is None:
+            self.visited = self.visited.with_more(state.position, state.log_prob, state.gradient)
+            if self.done == self.first:
+                self._fit_to_draws()
+        elif info.parts is None and int(state.extra["next"]) == 1:  # a new block
+            u, log_prob = state.extra["block_position"], state.extra["block_log_prob"]
+            self.drawn = self.drawn.with_more(u.reshape(-1, self.density.ndim), log_prob.ravel())
+            self.counts[-1] += log_prob.size
+        spent = None
+        if self.done in self.fit_at and self.drawn.log_prob.size:
+            spent = self._fit(state)
+        self._take_kernel()
+        return spent
+
+    def finished(self) -> Any:
+        """Return the settings learnt."""
+        if self.mixture is None:
+            self._fit_to_draws()
+        assert self.mixture is not None
+        local: Any = self.local_settings if self.local is None else self.local.finished()
+        return replace(
+            self.sampler,
+            components=self.mixture.quadratics,
+            weights=tuple(self.mixture.weights.tolist()),
+            bent=tuple(self.mixture.warp.bent.tolist()),
+            local=local,
+            adapt=False,
+        )
+
+    def state(self) -> Tree:
+        """Return the state of the tuner as plain data."""
+        return {
+            "done": self.done,
+            "drawn": self.drawn._asdict(),
+            "visited": self.visited._asdict(),
+            "stages": {str(k): stage.arrays() for k, stage in enumerate(self.stages)},
+            "counts": list(self.counts),
+            "covariance": self.covariance,
+            "local": None if self.local is None else self.local.state(),
+        }
+
+    def restore(self, state: Tree) -> None:
+        """Take over what another tuner had learnt."""
+        self.done = state["done"]
+        self.drawn, self.visited = Evaluated(**state["drawn"]), Evaluated(**state["visited"])
+        self.counts = [int(n) for n in state["counts"]]
+        lower, upper = self.density.lower, self.density.upper
+        stages = state["stages"]
+        self.stages = [Mixture.of_arrays(stages[str(k)], lower, upper) for k in range(len(stages))]
+        if self.stages:
+            self._take_covariance(state["covariance"])
+        if self.local is not None:
+            self.local.restore(state["local"])
+        self._take_kernel()
+
+    def _begin_with(self, mixture: Mixture) -> None:
+        """Take the first mixture, and local steps of its shape."""
+        self._take(mixture)
+        self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
+
+    def _fit_to_draws(self) -> None:
+        """Fit the first mixture to the later half of the local steps' draws, each group of chains by itself."""
+        u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in self.visited)
+        u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
+        near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
+        moved = np.array([_has_moved(u[near[:, k], k]) for k in range(self.chains)])
+        near &= moved | ~moved.any()
+        group = np.broadcast_to(groups_of_chains(u) if moved.any() else 0, near.shape)[near]
+        slopes = None if np.isnan(slope).any() else slope[near]
+        points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
+        warp = first_warp(self.density)
+        x, value, of_x = points.under(warp)
+        members = [(group == k).astype(float) for k in np.unique(group)]
+        each = [fitted(x, value, member, of_x) for member in members]
+        self._begin_with(fitted_mixture(points, Mixture(each, np.sum(members, axis=1), warp)))
+
+    def _fit(self, state: State) -> IntArray | None:
+        """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
+
+        Return the evaluations of each chain that this took.
+        """
+        assert self.mixture is not None
+        u, log_prob, _ = self.drawn
+        known = np.isfinite(log_prob)
+        u, log_prob = u[known], log_prob[known]
+        if len(u) <= n_coefficients(self.density.ndim):
+            return None
+        of_stages = [
+            np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
+        ]
+        log_q = np.asarray(logsumexp(of_stages, axis=0))
+        new, spent = self._unknown_maxima(state, u, log_prob)
+        old = _with_found(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
+        try:
+            mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], log_q[old]), self.mixture)
+        except np.linalg.LinAlgError:  # go on with the mixture that there is
+            mixture = self.mixture
+        if new or mixture is not self.mixture:
+            self._take(_with_found(mixture, new))
+        return spent
+
+    def _unknown_maxima(
+        self, state: State, u: FloatArray, log_prob: FloatArray
+    ) -> tuple[list[tuple[FloatArray, float]], IntArray]:
+        """Return points, one near each maximum that the mixture does not know, and evaluations of each chain.
+
+        They are where chains are, candidates u (n, ndim), or where chains were before the first fit. Log w is far
+        above its median there, and a valley lies between them and the component that accounts for them. A chain at
+        a low maximum without a component would hardly leave it; the others must be as high as the draws.
+        """
+        assert self.mixture is not None
+        usual = np.median(log_prob - self.mixture.log_density(u))
+        u = np.concatenate([state.position, u, self.visited.position])
+        log_prob = np.concatenate([state.log_prob, log_prob, self.visited.log_prob])
+        is_chain = np.arange(len(u)) < self.chains
+        known = ~is_chain & (log_prob < np.median(state.log_prob) - _FAR - self.density.ndim)
+        mixture, found = self.mixture, list[tuple[FloatArray, float]]()
+        spent = np.zeros(self.chains, dtype=np.int64)
+        for check in range(_CHECKED):
+            unknown = ~known & (log_prob - mixture.log_density(u) > usual + _UNKNOWN)
+            if not unknown.any() or len(mixture.quadratics) == MOST:
+                break
+            first = unknown & is_chain if np.any(unknown & is_chain) else unknown
+            at = int(np.argmax(np.where(first, log_prob, -np.inf)))
+            owner = int(np.argmax(mixture.responsibilities(u[at : at + 1])[:, 0]))
+            begin, end = mixture.quadratics[owner].position, mixture.warp.to_x(u[at])
+            between = self.target.evaluate(mixture.warp.to_u(begin + _BETWEEN[:, None] * (end - begin)))
+            spent[check % self.chains] += int(between.n_solves.sum())
+            if np.min(between.log_prob) < min(between.log_prob[0], log_prob[at]) - _VALLEY:
+                found.append((u[at], float(log_prob[at])))
+                mixture = _with_found(self.mixture, found)
+            else:
+                known[at] = True
+        return found, spent
+
+    def _take(self, mixture: Mixture) -> None:
+        self.stages.append(mixture)
+        self.counts.append(0)
+
+    def _take_covariance(self, covariance: FloatArray) -> None:
+        self.covariance = covariance
+        cycle = self.sampler.local_steps + self.sampler.jumps
+        remaining = max((self.steps - self.first) * self.sampler.local_steps // cycle, 1)
+        self.local_settings = shaped(self.sampler.local_of(self.density), covariance)
+        self.local = self.local_settings.tuner(self.density, self.chains, remaining)
+
+    def _take_kernel(self) -> None:
+        local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
+        steps, jumps = self.sampler.local_steps, self.sampler.jumps
+        self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages))
+
+
+def groups_of_chains(u: FloatArray) -> IntArray:
+    """Return the group of each chain of u (steps, chains, ndim): apart where chains are at separated maxima.
+
+    Two chains are together if their means are within `_APART` standard deviations along the line between them.
+    """
+    mean = u.mean(axis=0)
+    group = np.arange(len(mean))
+    for i in range(1, len(mean)):
+        for j in range(i):
+            line = mean[i] - mean[j]
+            spread = np.sum([((u[:, k] - mean[k]) @ line).var() for k in (i, j)])
+            if line @ line <= _APART * np.sqrt(spread):
+                group[i] = group[j]
+                break
+    return group
+
+
+def _has_moved(u: FloatArray) -> bool:
+    """Say whether draws (n, ndim) have been at enough points to have a covariance."""
+    return len(np.unique(u, axis=0)) > u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
+
+
+class Evaluated(NamedTuple):
+    """Points (n, ndim) at which the density was evaluated, its logarithm there (n,), and gradients or NaN."""
+
+    position: FloatArray
+    log_prob: FloatArray
+    gradient: FloatArray
+
+    @classmethod
+    def none(cls, ndim: int) -> Evaluated:
+        """Return no points."""
+        return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
+
+    def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
+        """Return these points and others."""
+        more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
+        return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+
+def _with_found(mixture: Mixture, found: Sequence[tuple[FloatArray, float]]) -> Mixture:
+    """Return the mixture with a component at points, given with their log-density.
+
+    It has the curvature of the heaviest component, and its weight unless the point is lower; later fits correct
+    both.
+    """
+    heaviest = int(np.argmax(mixture.weights))
+    like = mixture.quadratics[heaviest]
+    new = [Quadratic(mixture.warp.to_x(u), value, np.zeros_like(u), like.hessian) for u, value in found]
+    height = np.array([value - like.log_prob + len(like.position) for _, value in found])
+    weights = np.append(mixture.weights, mixture.weights[heaviest] * np.exp(np.clip(height, _LOWEST, 0.0)))
+    return Mixture([*mixture.quadratics, *new], weights, mixture.warp)
+
+
+def shaped(
+    local: HamiltonianMonteCarlo | MetropolisHastings | Slice, covariance: FloatArray
+) -> HamiltonianMonteCarlo | MetropolisHastings | Slice:
+    """Return local settings that fit a covariance, where they do not give a shape of their own."""
+    if isinstance(local, HamiltonianMonteCarlo):
+        return local if local.inverse_mass is not None else replace(local, inverse_mass=covariance)
+    if isinstance(local, MetropolisHastings) or local.width is not None or local.axes is not None:
+        return local
+    variances, axes = np.linalg.eigh(covariance)
+    return replace(local, axes=axes, width=local.spread * np.sqrt(np.maximum(variances, 1e-24)))
+
+
+def first_warp(density: LogDensity) -> Warp:
+    """Return the warp before anything is learnt: coordinates with a lower bound alone are bent."""
+    bent = np.isfinite(density.lower) & ~np.isfinite(density.upper)
+    return Warp(density.lower, density.upper, bent)
