@@ -57,8 +57,8 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
 @click.option("--max-solves", type=_FROM_1, metavar="N", default=MAX_SOLVES, show_default=True, help="Without "
               "--draws, about how many solves a sampler may take, warm-up included. One that needs more ends "
               "there, with exit code 1; with --resume and a larger number it goes on.")  # fmt: skip
-@click.option("--warmup", type=_FROM_0, help="Warm-up steps per chain, before the draws.  [default: 1000; for "
-              "mixture and hmc 500 without --draws]")  # fmt: skip
+@click.option("--warmup", type=_FROM_0, help="Warm-up steps per chain, before the draws.  [default: 1000; "
+              "without --draws 400 for mixture, 500 for hmc]")  # fmt: skip
 @_option("--chains", _FROM_1, "Number of chains (emcee: ensembles).")
 @_option("--groups", _FROM_1, "Number of independent groups of chains, each with its own adaptation, for several "
          "workers. The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip

@@ -153,9 +153,9 @@ def main(directory: Path, kept: Path | None) -> int:
     """Run the study, write ``seeds.md``, and return the exit code."""
     known = [Outcome(**fields) for fields in kept_lines(kept)]
     done = {(one.case, one.sampler, one.start, one.seed): one for one in known}
-    keys = ((experiment.case, *others) for experiment, *others in jobs())
+    keys = [(one.case, sampler, start, seed) for one, sampler, start, seed in jobs()]
     with threadpool_limits(1):
-        outcomes = completed(keys, done, lambda key: outcome(*key), kept)
+        outcomes = completed(zip(keys, keys, strict=True), done, lambda key: outcome(*key), kept)
         write(outcomes, directory)
         wrong = failures(outcomes)
     for failure in wrong:

@@ -71,7 +71,7 @@ class MixtureSampler(Sampler):
     title: ClassVar[str] = "Mixture sampler"
     colour: ClassVar[str] = "#882255"
     cost: ClassVar[tuple[float, float, float]] = (1.5, 1.3, 0.8)
-    first: ClassVar[tuple[int, int]] = (500, 250)
+    first: ClassVar[tuple[int, int]] = (400, 250)
 
     def __post_init__(self) -> None:
         whole_number("local_steps", self.local_steps, 1)
