@@ -201,6 +201,8 @@ RASTER_DPI = 110
 """Resolution of the parts drawn as pixels: paths and clouds of many points."""
 _COLOURS = 32
 _CSS_PER_INCH = 96
+_SVG_DPI = 72
+_ARRANGED = {"figure.autolayout": False, "figure.constrained_layout.use": False}
 _TAG = re.compile(r"<[^>]*>")
 """Matplotlib writes the angle brackets of names as entities."""
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -242,9 +244,11 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     if not alt.strip():
         raise ValueError("alt: must describe the figure (got nothing)")
     file = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}), warnings.catch_warnings():
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": key} | _ARRANGED
+    with mpl.rc_context(settings), warnings.catch_warnings():
         # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
+        _arrange(figure)
         figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
     text = file.getvalue()
     body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
@@ -255,6 +259,18 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change tags only, not text
     width, height = (72.0 * size for size in figure.get_size_inches())
     return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
+
+
+def _arrange(figure: Figure) -> None:
+    """Place the axes for good. Matplotlib places them the same, but draws the whole figure once more to do so."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        FigureCanvasSVG(figure)  # from now on the canvas of the figure: it says how large text is
+        figure.dpi = _SVG_DPI
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def _clean(tag: str, key: str, used: set[str]) -> str:

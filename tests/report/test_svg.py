@@ -2,11 +2,13 @@
 
 import base64
 import io
+import pickle
 import re
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from fmu.report.document import inline_svg, picture
@@ -40,6 +42,19 @@ def test_it_is_described_and_scales(figure):
 def test_a_letter_that_the_font_has_not_stays_that_letter(figure):
     figure.axes[0].set_xlabel("日本")
     assert "日本" in inline_svg(figure, "a", "b")
+
+
+def test_axes_are_placed_as_matplotlib_places_them(figure, monkeypatch):
+    figure.legend(["path", "line"], loc="outside lower center")
+    figure.supylabel("all")
+    other = pickle.loads(pickle.dumps(figure))
+    draw, draws = Figure.draw, []
+    monkeypatch.setattr(Figure, "draw", lambda self, renderer: draws.append(draw(self, renderer)))
+    svg = inline_svg(figure, "a", "x")
+    assert len(draws) == 1
+    monkeypatch.setattr("fmu.report.document._arrange", lambda figure: None)
+    assert inline_svg(other, "a", "x") == svg
+    assert len(draws) == 3
 
 
 def test_text_stays_text_and_is_escaped(figure):
