@@ -33,8 +33,9 @@ _FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate", "max_solves"}
 """Options that may change when a run is resumed: the draws do not depend on them."""
 
-_GARBAGE = 100_000
-"""New objects after which Python looks for unused ones: looking often takes a tenth of a short run."""
+_GARBAGE, _GARBAGE_OF_PAGES = 100_000, 1_000_000
+"""New objects after which Python looks for unused ones: looking often takes a tenth of a short run. When pages
+are written, nearly all of them are in use, and small."""
 
 
 def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
@@ -116,6 +117,8 @@ def run(
         else:
             asked, directory = _resumed(context, resume, orders), resume
             make_writable(directory)
+        import arviz_base  # noqa: F401  # it looks at the source of all functions being called: here they are few
+
         from fmu.engines import engine
         from fmu.runs.run_directory import RunDirectory
 
@@ -134,6 +137,7 @@ def run(
                 if reports:
                     from fmu.report.pages import publish
 
+                    gc.set_threshold(_GARBAGE_OF_PAGES)
                     with _reporting(progress, running):
                         index = publish(outcome.traces, directory)
                     click.echo(f"Report: {index}")
