@@ -439,6 +439,18 @@ def test_a_single_point_determines_no_quadratic():
         fitted(u, STEEP(u), weight)
 
 
+def test_a_component_with_a_single_point_bends_no_coordinate():
+    """Nothing overflows where all weight of a component is on one candidate."""
+    ndim, rng = 4, np.random.default_rng(15)
+    warp = Warp(np.full(ndim, -1.0), np.full(ndim, 4.0), np.zeros(ndim, dtype=bool))
+    ones = [Quadratic(np.full(ndim, c), 0.0, np.zeros(ndim), 100.0 * np.eye(ndim)) for c in (0.0, 3.0)]
+    start = Mixture(ones, [0.5, 0.5], warp)
+    u = np.concatenate([0.1 * rng.standard_normal((300, ndim)), np.full((1, ndim), 3.0)])
+    log_p = np.append(ones[0](u[:-1]), -66.0)
+    found = fitted_mixture(Points.weighted(u, log_p, start.log_density(u)), start)
+    assert not found.warp.bent.any()
+
+
 def test_chains_at_separated_places_are_groups_of_their_own():
     rng = np.random.default_rng(13)
     places = np.array([[0.0, 0.0], [8.0, 0.0], [0.5, 0.2], [8.5, 0.1], [0.0, 30.0]])

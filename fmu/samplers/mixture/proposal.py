@@ -198,7 +198,7 @@ class Points:
     @property
     def effective_size(self) -> float:
         """Kish's effective number of points."""
-        return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
+        return float(_effective_size(self.weight))
 
     def every_other(self, first: int) -> Points:
         """Return every other point."""
@@ -252,6 +252,12 @@ def fitted_mixture(points: Points, start: Mixture) -> Mixture:
     return best
 
 
+def _effective_size(weight: FloatArray) -> FloatArray:
+    """Return Kish's effective number of points with weights (..., n), shape (...)."""
+    of_largest = weight / np.maximum(weight.max(axis=-1, keepdims=True), 1e-300)
+    return np.asarray(of_largest.sum(axis=-1) ** 2 / np.maximum(np.sum(of_largest**2, axis=-1), 1e-300))
+
+
 def refitted_mixture(points: Points, start: Mixture) -> Mixture:
     """Return the mixture that fits a log-density, or `start` where the points are few and say that it is better.
 
@@ -277,6 +283,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 def _straightened(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
     """Return the warp with every coordinate bent or straight, whichever is closer to a quadratic log-density."""
     weights = responsibility * points.weight
+    weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
         return warp
     least = _unexplained(*points.under(warp), weights)
@@ -319,7 +326,7 @@ def _settled(
     needed = _POINTS * n_coefficients(x.shape[1])
     for _ in range(_SWEEPS):
         weight = responsibility * points.weight
-        size = weight.sum(axis=1) ** 2 / np.maximum(np.sum(weight**2, axis=1), 1e-300)
+        size = _effective_size(weight)
         enough = size >= min(needed, 0.5 * size.max())
         quadratics, shares = list[Quadratic](), list[float]()
         for w, is_enough, one in zip(weight, enough, before or [None] * len(weight), strict=True):

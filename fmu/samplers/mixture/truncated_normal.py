@@ -114,7 +114,8 @@ def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
     # the limits may be so close, or so far out, that no mass is left between them
     with np.errstate(divide="ignore", invalid="ignore"):
-        return log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b)))
+        upper = log_ndtr(b)
+        return upper + np.log1p(-np.exp(log_ndtr(a) - upper))
 
 
 def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
