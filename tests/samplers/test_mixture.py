@@ -305,6 +305,19 @@ def test_a_maximum_that_was_found_once_joins_the_mixture(who):
     assert tuner.mixture.weights == pytest.approx([0.7, 0.3], abs=0.1)
 
 
+def test_where_the_mixture_is_far_off_a_chain_still_gives_it_a_component():
+    """All candidates so far are nearer to the new component than to the old one."""
+    target, tuner = far_apart()
+    tuner.stages[0] = Mixture(
+        [replace(target.components()[0], position=np.full(2, 40.0))], [1.0], tuner.mixture.warp
+    )
+    u = tuner.density.to_scaled(target.centres[[0] * 30] + np.random.default_rng(5).standard_normal((30, 2)))
+    tuner.drawn = tuner.drawn.with_more(u, tuner.density.log_prob(u) - 1e4)
+    tuner.counts[-1] = 30
+    tuner._fit(at(tuner, target.centres[[0, 0]]))
+    assert len(tuner.mixture.quadratics) == 2
+
+
 def test_a_point_in_the_tail_of_a_known_maximum_is_no_maximum():
     target, tuner = far_apart()
     usual = tuner.mixture.draw(np.random.default_rng(1), 200)

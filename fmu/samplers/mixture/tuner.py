@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -166,7 +167,7 @@ class MixtureTuner:
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         u, log_prob = u[known], log_prob[known]
-        if len(u) <= n_coefficients(self.density.ndim):
+        if not len(u):
             return None
         of_stages = [
             np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
@@ -174,10 +175,10 @@ class MixtureTuner:
         log_q = np.asarray(logsumexp(of_stages, axis=0))
         new, spent = self._unknown_maxima(state, u, log_prob)
         old = _with_found(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
-        try:
-            mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], log_q[old]), self.mixture)
-        except np.linalg.LinAlgError:  # go on with the mixture that there is
-            mixture = self.mixture
+        mixture = self.mixture
+        if np.count_nonzero(old) > n_coefficients(self.density.ndim):
+            with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
+                mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], log_q[old]), mixture)
         if new or mixture is not self.mixture:
             self._take(_with_found(mixture, new))
         return spent
