@@ -308,9 +308,7 @@ def test_a_maximum_that_was_found_once_joins_the_mixture(who):
 def test_where_the_mixture_is_far_off_a_chain_still_gives_it_a_component():
     """All candidates so far are nearer to the new component than to the old one."""
     target, tuner = far_apart()
-    tuner.stages[0] = Mixture(
-        [replace(target.components()[0], position=np.full(2, 40.0))], [1.0], tuner.mixture.warp
-    )
+    tuner.stages[0] = Mixture(target.components()[1:], [1.0], tuner.mixture.warp)
     u = tuner.density.to_scaled(target.centres[[0] * 30] + np.random.default_rng(5).standard_normal((30, 2)))
     tuner.drawn = tuner.drawn.with_more(u, tuner.density.log_prob(u) - 1e4)
     tuner.counts[-1] = 30
