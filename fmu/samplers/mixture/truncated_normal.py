@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
@@ -68,16 +70,20 @@ class SequentialNormal:
         """Return the tilting μ at the saddle point; zero if the search fails."""
         from scipy.optimize import root
 
+        n = len(start)
+        unit = self.L / np.diag(self.L)[:, None]
+        lower, upper = ((limit - self.mean) / np.diag(self.L) for limit in (self.lower, self.upper))
+
         def tilted(z: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Return μ that makes z stationary, and the mean of each truncated normal relative to its μ."""
+            before = unit @ z - z
+            a, b = lower - before, upper - before
             tilt, excess = np.zeros(n), np.zeros(n)
             for i in range(n - 1, -1, -1):
-                tilt[i] = np.sum(excess[i + 1 :] * self.L[i + 1 :, i] / np.diag(self.L)[i + 1 :])
-                a, b = self._limits(i, z[None])
-                excess[i] = _mean_of_cut_normal(a[0] - tilt[i], b[0] - tilt[i])
+                tilt[i] = excess[i + 1 :] @ unit[i + 1 :, i]
+                excess[i] = _mean_of_cut_normal(a[i] - tilt[i], b[i] - tilt[i])
             return tilt, excess
 
-        n = len(start)
         found = root(lambda z: z - np.sum(tilted(z), axis=0), start, method="hybr")
         return tilted(found.x)[0] if found.success else np.zeros(n)
 
@@ -103,9 +109,14 @@ def _ordered(
 
 
 def _mean_of_cut_normal(a: float, b: float) -> float:
-    """Return the mean of the standard normal truncated to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a))."""
-    mass = log_mass(np.array(a), np.array(b))
-    return float(np.exp(-0.5 * a**2 - _LOG_ROOT_2PI - mass) - np.exp(-0.5 * b**2 - _LOG_ROOT_2PI - mass))
+    """Return the mean of the standard normal truncated to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a)); NaN without mass."""
+    low, high = (-b, -a) if a > 0 else (a, b)
+    upper = log_ndtr(high)
+    below = math.exp(log_ndtr(low) - upper)
+    if not below < 1.0:
+        return math.nan
+    mass = upper + math.log1p(-below) + _LOG_ROOT_2PI
+    return math.exp(-0.5 * a * a - mass) - math.exp(-0.5 * b * b - mass)
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
