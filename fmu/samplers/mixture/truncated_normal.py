@@ -109,7 +109,7 @@ def _ordered(
 
 
 def _mean_of_cut_normal(a: float, b: float) -> float:
-    """Return the mean of the standard normal truncated to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a)); NaN without mass."""
+    """Return the mean of the standard normal cut to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a)); NaN without mass."""
     low, high = (-b, -a) if a > 0 else (a, b)
     upper = log_ndtr(high)
     below = math.exp(log_ndtr(low) - upper)
