@@ -123,10 +123,7 @@ class ReducedBlock(Block):
 
     def compressed(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
         """Return rows and references in an orthonormal basis of all that the block can show there."""
-        if len(rows) <= self.size:
-            return rows, reference
-        Q, R = np.linalg.qr(rows)
-        return R, Q.T @ reference
+        return compressed(rows, reference)
 
     def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
         return np.asarray(rows @ phi)
@@ -188,6 +185,14 @@ class ReducedBlock(Block):
         shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
         products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
+
+
+def compressed(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rows (q, r) and references (q, m) in an orthonormal basis of the span of the rows' columns."""
+    if rows.shape[0] <= rows.shape[1]:
+        return rows, reference
+    Q, R = np.linalg.qr(rows)
+    return R, Q.T @ reference
 
 
 def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:

@@ -1,0 +1,183 @@
+"""Points of a box at which K is factorised, and what is known of K everywhere from there.
+
+If every term K_k is positive semidefinite, then
+
+    K(θ) + s M(θ) ≥ α (K(θ̄) + s M(θ̄)),    α = min over the terms of c_k(θ) / c_k(θ̄)
+
+(the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for Parametrized
+Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box serves where no coefficient
+changes by more than a factor of some tens. Where a stiffness may vanish there are several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
+
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, NEGATIVE, unit_diagonal
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import is_rigid
+from fmu.fem.modes.separable import Term, coefficients
+from fmu.fem.modes.solver import Factor, factorised
+from fmu.fem.reduced.space import Space
+from fmu.types import BoolArray, FloatArray, IntArray
+
+# A box in which a coefficient changes by more than this factor is halved, and has two anchors.
+_WIDE = 30.0
+_MOST = 8
+
+
+class SingularAnchorError(ValueError):
+    """A motion of the structure has neither stiffness nor mass somewhere in the box."""
+
+
+class Anchors:
+    """The factorised points of one block.
+
+    Parameters
+    ----------
+    block : FullBlock
+    lower, upper : ndarray, shape (n_parameters,)
+        The box.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n_anchors, n_parameters)
+        The first lies in the middle of the box.
+    shift : float
+        s of K + s M, above 0 where the structure is free at an anchor: of the size of its lowest elastic λ.
+    proven : bool
+        Whether all terms are positive semidefinite. Where they are not, α is estimated: it is the smallest
+        eigenvalue of the reduced matrices.
+
+    Raises
+    ------
+    SingularAnchorError
+        If K + s M is singular at the anchor in the middle.
+    """
+
+    def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray) -> None:
+        self.block = block
+        self.theta = anchor_points(block.K_terms, lower, upper)
+        self._factors: dict[int, Factor] = {}
+        self.shift = 0.0
+        lam = block.eigenvalues(self.theta[:1], min(12, block.n_modes))[0]
+        if not np.all(np.isfinite(lam)):
+            raise SingularAnchorError("K, M: the eigenproblem in the middle of the bounds has no solution")
+        if is_rigid(lam).any() or not self._is_definite_at_anchors():
+            elastic = lam[~is_rigid(lam)]
+            self.shift = float(elastic[0]) if len(elastic) else 1.0
+            self.shift = max(self.shift, -2.0 * float(lam[0]))
+        self._factors.clear()
+        self.proven = all(is_semidefinite(t.matrix) for t in self._terms)
+
+    @property
+    def _terms(self) -> tuple[Term, ...]:
+        return (*self.block.K_terms, *(self.block.M_terms if self.shift else ()))
+
+    def _is_definite_at_anchors(self) -> bool:
+        try:
+            return all(self.factor(a).negative == 0 for a in range(len(self.theta)))
+        except (np.linalg.LinAlgError, SingularAnchorError):
+            return False
+
+    def matrix(self, a: int) -> Any:
+        """Return K + s M at anchor `a`."""
+        ((K, M),) = self.block._matrices(self.theta[a : a + 1])
+        return K + self.shift * M if self.shift else K
+
+    @cached_property
+    def first(self) -> Any:
+        """K + s M at the first anchor: the inner product of training."""
+        return self.matrix(0)
+
+    def factor(self, a: int) -> Factor:
+        """Return the factors of K + s M at anchor `a`."""
+        if a not in self._factors:
+            try:
+                found = factorised(self.matrix(a))
+            except np.linalg.LinAlgError as error:
+                raise SingularAnchorError(f"K + s M is singular: {error}") from error
+            if found.negative:
+                raise SingularAnchorError(f"K + s M is negative for {found.negative} motions")
+            self._factors[a] = found
+        return self._factors[a]
+
+    def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
+        """Return for every theta (n, p) the anchor that bounds it best, and its α ≤ 0 where none does, both (n,)."""
+        ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
+        low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            tight = np.where(low > 0.0, low / np.maximum(high, 1.0), -1.0)
+        best = np.argmax(tight, axis=0)
+        alpha = low[best, np.arange(len(theta))]
+        return best, alpha if self.proven else self._estimated(theta, best, space)
+
+    def _ratios(self, theta: FloatArray, at: FloatArray) -> FloatArray:
+        here, there = coefficients(self._terms, theta), coefficients(self._terms, at[None])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = here / there
+        # a term that the anchor leaves out adds to K whatever it is, as long as it is not negative
+        return np.where(there == 0.0, np.where(here >= 0.0, np.inf, -np.inf), np.where(there < 0.0, np.nan, ratio))
+
+    def _estimated(self, theta: FloatArray, best: IntArray, space: Space) -> FloatArray:
+        alpha = np.empty(len(theta))
+        for i in range(len(theta)):
+            (A, A0), (M, M0) = space.assembled(np.stack([theta[i], self.theta[best[i]]]))
+            A, A0 = A + self.shift * M, A0 + self.shift * M0
+            alpha[i] = sl.eigh(A, A0, eigvals_only=True, subset_by_index=[0, 0], check_finite=False)[0]
+        return alpha
+
+
+def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return anchors (n_anchors, p) for a box: its middle, and those of the parts in which a stiffness changes much.
+
+    A part is halved where a coefficient changes by more than a factor of `_WIDE`, along the parameter that changes it
+    most, until there are `_MOST`. Of parameters that change no stiffness the middle serves.
+    """
+    varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
+    anchors, parts = [_middle(lower, upper)], [(lower, upper)]
+    while parts and len(anchors) < _MOST:
+        low, high = parts.pop(0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = np.where(varied & (low >= 0.0) & (high > 0.0), high / low, 1.0)
+        j = int(np.argmax(change))
+        if not change[j] > _WIDE:
+            continue
+        cut = np.sqrt(low[j] * high[j]) if low[j] > 0.0 else high[j] / _WIDE
+        below, above = high.copy(), low.copy()
+        below[j], above[j] = cut, cut
+        anchors += [_middle(low, below), _middle(above, high)]
+        if low[j] == 0.0:  # further down no anchor but the face itself can follow
+            face = _middle(low, below)
+            face[j] = 0.0
+            anchors.append(face)
+            parts.append((above, high))
+        else:
+            parts += [(low, below), (above, high)]
+    return np.stack(anchors[:_MOST])
+
+
+def _middle(lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return the geometric mean of positive bounds that are far apart, the mean of others."""
+    with np.errstate(invalid="ignore"):
+        return np.where((lower > 0.0) & (upper > 2.0 * lower), np.sqrt(lower * upper), 0.5 * (lower + upper))
+
+
+def is_semidefinite(matrix: Any) -> BoolArray | bool:
+    """Say whether a symmetric matrix has no eigenvalue below zero, but for rounding in what programs export."""
+    rows = np.flatnonzero(np.diff(matrix.indptr))
+    if not len(rows):
+        return True
+    S, _ = unit_diagonal(matrix[rows][:, rows])
+    if len(rows) <= DENSE_LIMIT:
+        return bool(np.linalg.eigvalsh(S.toarray())[0] > -NEGATIVE)
+    try:
+        return factorised(S + NEGATIVE * sp.eye_array(len(rows))).negative == 0
+    except np.linalg.LinAlgError:
+        return False

@@ -1,0 +1,185 @@
+"""The trial space of one block: it grows by what the residuals of its modes ask for, and is cut at the end.
+
+A correction w = Ā⁻¹ r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94) that all points of the box
+share, since one factorisation serves them all. Those of a few points are compressed by proper orthogonal decomposition
+in the inner product of Ā before they join the space. In that inner product the energy of an error is the relative
+error of an eigenvalue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import RIGID, Mapped
+from fmu.fem.modes.solver import factorised
+from fmu.fem.reduced.anchors import Anchors
+from fmu.fem.reduced.basis import compressed
+from fmu.fem.reduced.residuals import at_once, bounded
+from fmu.fem.reduced.space import Space
+from fmu.types import BoolArray, FloatArray
+
+# Modes of the anchors beyond those that are candidates, with which a space begins.
+_GUARDS = 3
+# A step of Davidson's method leaves about this share of an error: what is smaller need not be added.
+_STEP = 0.05
+# The share of a tolerance that the space may take, before it is cut.
+SHARE = 0.3
+# Points that the cut is tuned at; all others are checked.
+_TUNED = 24
+
+
+class Learner:
+    """The trial space of one block as it grows.
+
+    Parameters
+    ----------
+    block : FullBlock
+    lower, upper : ndarray, shape (n_parameters,)
+    count : int
+        Modes that may be needed.
+    largest : int
+        Most vectors that the space may have.
+
+    Attributes
+    ----------
+    space : Space
+    anchors : Anchors
+    theta : ndarray, shape (n, n_parameters)
+        Points visited so far.
+    """
+
+    def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray, count: int, largest: int) -> None:
+        self.block, self.count, self.largest = block, count, largest
+        self.dofs, self.n_modes = block.dofs, block.n_modes
+        self.anchors = Anchors(block, lower, upper)
+        self.space = Space.empty(block, self.anchors.shift)
+        self.theta = np.empty((0, len(lower)))
+        for at in self.anchors.theta:
+            _, shapes = block.modes(at[None], min(count + _GUARDS, block.n_modes))
+            if np.isfinite(shapes).all():
+                self._add(shapes[0])
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the space holds every motion of the block."""
+        return self.space.size >= self.block.size
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the space may not grow any more."""
+        return self.space.size >= self.largest
+
+    def visit(self, theta: FloatArray, target: FloatArray) -> BoolArray:
+        """Return at which points (n, p) all errors are within `target` (count,); grow by what is missing elsewhere."""
+        good = np.empty(len(theta), dtype=bool)
+        step = at_once(self.block, self.count)
+        for first in range(0, len(theta), step):
+            rows = slice(first, first + step)
+            found = bounded(self.space, self.anchors, theta[rows], self.count)
+            wrong = ~(found.error <= target)
+            if self.is_whole:
+                wrong &= ~np.isfinite(found.eigenvalues)
+            good[rows] = ~wrong.any(axis=1)
+            self.theta = np.concatenate([self.theta, theta[rows]])
+            wrong &= np.isfinite(found.eigenvalues)
+            if wrong.any() and not self.is_full:
+                self._correct(found.corrections[:, wrong], np.broadcast_to(target, wrong.shape)[wrong])
+        return good
+
+    def solved(self) -> tuple[FloatArray, FloatArray]:
+        """Return λ (n, count) and shapes (n, r, count) in the trial vectors at all points visited where it is solved."""
+        lam, y = self.space.modes(self.theta, self.count)
+        known = np.isfinite(lam).all(axis=1)
+        return lam[known], y[known]
+
+    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """Return how shapes in the trial vectors are compared with references, see `Block.observe`."""
+        seen, reference = compressed(rows @ self.space.V, reference)
+        return Mapped(seen), reference
+
+    def add_modes(self, shapes: FloatArray) -> None:
+        """Add mode shapes (n_dof, m) of the full model."""
+        self._add(shapes)
+
+    def _add(self, X: FloatArray) -> None:
+        self.space = self.space.grown(X, self.anchors.first)
+
+    def _correct(self, C: FloatArray, target: FloatArray) -> None:
+        """Add the corrections (n_dof, m), all but what is small beside the target (m,) or the next step's own error."""
+        gram = C.T @ (self.anchors.first @ C)
+        energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
+        energy, U = np.maximum(energy[::-1], 0.0), U[:, ::-1]
+        size = np.diag(gram)
+        left = size[:, None] - np.cumsum(U**2 * energy, axis=1)
+        enough = np.all(left <= np.maximum(target, _STEP * size)[:, None], axis=0)
+        n = int(np.argmax(enough)) + 1 if enough.any() else len(energy)
+        n = min(n, self.largest - self.space.size, int(np.sum(energy > 0.0)))
+        self._add(C @ U[:, :n])
+
+    def counts_the_same(self, theta: FloatArray, needed: int) -> bool:
+        """Say whether the full model has as many modes below as the space, at theta (n, p): Sylvester's inertia."""
+        lam = self.space.modes(theta, min(self.count, self.space.size))[0]
+        for values, (K, M) in zip(lam, self.block._matrices(theta), strict=True):
+            # between two modes that are far apart, no lower than what is needed
+            between = values[needed - 1 :]
+            if len(between) < 2 or not np.isfinite(values).all():
+                continue
+            k = needed + int(np.argmax(between[1:] / np.maximum(between[:-1], RIGID * values[-1])))
+            sigma = 0.5 * (values[k - 1] + values[k])
+            try:
+                if factorised(K - sigma * M).negative != k:
+                    return False
+            except np.linalg.LinAlgError:
+                continue
+        return True
+
+    def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> Space:
+        """Return a space of few vectors, in which the frequencies at all points visited are off by `tolerance` at most.
+
+        Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
+        λ. Of the decomposition as many vectors as the worst points need.
+        """
+        space, theta = self.space, self.theta
+        lam, y = space.modes(theta, needed)
+        solved = np.isfinite(lam).all(axis=1)
+        theta, lam, y = theta[solved], lam[solved], y[solved]
+        sigma = np.maximum(lam + space.shift, RIGID * lam[:, -1:])
+        Z = (y / np.sqrt(sigma)[:, None, :]).transpose(1, 0, 2).reshape(space.size, -1)
+        energy, Q = np.linalg.eigh(Z @ Z.T)
+        Q = Q[:, ::-1][:, : max(largest, needed)]
+        left = np.sum(Z**2, axis=0) - np.cumsum((Q.T @ Z) ** 2, axis=0)  # (r, n · m)
+        left = np.max(left.reshape(Q.shape[1], len(theta), needed), axis=2)
+        rotated = space.restricted(Q)
+
+        def worst(size: int, rows: FloatArray) -> FloatArray:
+            reduced = rotated.truncated(size).modes(theta[rows], needed)[0]
+            return np.asarray(np.max(apart(reduced, lam[rows]), axis=1))
+
+        low, high = max(smallest, needed) - 1, rotated.size
+        guess = min(max(low + 1, int(np.sum(np.max(left, axis=1) > 2.0 * tolerance))), high)
+        tuned = np.argsort(left[guess - 1])[::-1][:_TUNED]
+        while True:
+            top = high
+            while top - low > 1:
+                middle = guess if low < guess < top else (low + top) // 2
+                guess = -1
+                if np.all(worst(middle, tuned) <= tolerance):
+                    top = middle
+                else:
+                    low = middle
+            others = np.setdiff1d(np.arange(len(theta)), tuned)
+            bad = others[~(worst(top, others) <= tolerance)] if len(others) else others
+            if not len(bad) or top == high:
+                return rotated.truncated(top)
+            low, tuned = top, np.concatenate([tuned, bad])
+
+
+def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:
+    """Return how far the frequencies of λ (n, m) are apart, relative; 0 for rigid-body modes in both."""
+    rigid = (lam <= RIGID * lam[:, -1:]) & (reduced <= 10.0 * RIGID * lam[:, -1:])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(rigid, 0.0, np.abs(np.sqrt(reduced / lam) - 1.0))

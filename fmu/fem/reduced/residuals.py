@@ -1,0 +1,130 @@
+"""How far the modes of a reduced model are from those of the structure, measured by their residuals.
+
+Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. With A = K + s M, σ = μ + s and T = A⁻¹ M,
+which is selfadjoint in the inner product of A, split the space into the Ritz vectors and what is A-orthogonal to all
+trial vectors, on which T ≤ β. The highest eigenvalues 1/σ of T are at most those of
+
+    diag(1/σ_i) + D G D,    G_ij = r_iᵀ A⁻¹ r_j / (σ_i σ_j)^(3/2),    D_ii = (1/σ_i − β)^(−1/2),
+
+up to terms of second order in G. Of a single mode far from the others that is the relative error
+‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465, with
+β of the next mode); the matrix serves close and repeated modes as well.
+
+Proven, for positive semidefinite terms: A ≥ α Ā at an anchor (`fmu.fem.reduced.anchors`), so that the form r_iᵀ A⁻¹ r_j
+is at most 1/α that of Ā⁻¹. Estimated: what T is like on the rest of the space. The error's direction is w = Ā⁻¹ r, which
+is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient wᵀ M w / (α wᵀ Ā w), times σ, is
+the mean x < 1 of the spectrum there, and √x is taken for its upper end: a convex function of a spectrum in [0, √x] with
+mean x is at most 1/(1 − σ T) → 1 + x/(1 − √x) (Edmundson and Madansky). Were there a mode that the space knows nothing
+of, no residual would show it: training counts the modes at some points by Sylvester's law of inertia.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.fem.modes.modal import RIGID
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.reduced.anchors import Anchors
+from fmu.fem.reduced.space import Space
+from fmu.types import FloatArray
+
+BUDGET = 2**28
+"""Bytes of a dense array of vectors of all degrees of freedom, wherever training needs many."""
+
+
+class Bounded(NamedTuple):
+    """Modes of a reduced model at n points, and how far off they may be.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray, shape (n, m)
+    y : ndarray, shape (n, r, m)
+        M-normalised, in the trial vectors.
+    error : ndarray, shape (n, m)
+        Bound of the relative error of the frequency; infinite where there is none.
+    corrections : ndarray, shape (n_dof, n, m)
+        w / √σ: half their energy in Ā is about the error.
+    """
+
+    eigenvalues: FloatArray
+    y: FloatArray
+    error: FloatArray
+    corrections: FloatArray
+
+
+def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
+    """Return the lowest `count` modes at theta (n, p) with the bounds of their errors; NaN where the solver fails."""
+    lam, y = space.modes(theta, count)
+    n_dof, n = space.block.size, len(theta)
+    best, alpha = anchors.nearest(theta, space)
+    sigma = lam + space.shift
+    R = np.empty((n_dof, n, count), order="F")
+    for i, (K, M) in enumerate(space.block._matrices(theta)):
+        U = space.V @ y[i]
+        R[:, i] = K @ U - (M @ U) * lam[i]
+    W, G, mass = np.empty_like(R), np.empty((n, count, count)), np.empty((n, count))
+    for a in np.unique(best):
+        rows = np.flatnonzero(best == a)
+        W[:, rows] = anchors.factor(int(a)).solve(R[:, rows].reshape(n_dof, -1)).reshape(n_dof, -1, count)
+    for i, (_, M) in enumerate(space.block._matrices(theta)):
+        G[i] = R[:, i].T @ W[:, i]
+        mass[i] = np.sum(W[:, i] * (M @ W[:, i]), axis=0)
+    error = frequency_error(lam, space.shift, G, mass, alpha)
+    W /= np.sqrt(sigma)
+    return Bounded(lam, y, error, W)
+
+
+def frequency_error(
+    lam: FloatArray, shift: float, G: FloatArray, mass: FloatArray, alpha: FloatArray
+) -> FloatArray:
+    """Return the bound of the relative error of every frequency, shape (n, m).
+
+    Parameters
+    ----------
+    lam : ndarray, shape (n, m)
+        Ritz values μ.
+    shift : float
+        s.
+    G : ndarray, shape (n, m, m)
+        r_iᵀ Ā⁻¹ r_j.
+    mass : ndarray, shape (n, m)
+        wᵀ M w.
+    alpha : ndarray, shape (n,)
+    """
+    sigma = lam + shift
+    with np.errstate(all="ignore"):
+        alpha = np.where(alpha > 0.0, alpha, np.nan)[:, None]
+        weight = 1.0 / np.sqrt(sigma * alpha)
+        relative = weight[:, :, None] * G * weight[:, None, :]
+        energy = np.maximum(np.einsum("nii->ni", relative), 0.0)
+        blind = np.where(energy > 0.0, mass / (alpha**2 * energy), 0.0)
+        factor = np.where(blind < 1.0, 1.0 + blind / (1.0 - np.sqrt(blind)), np.inf)
+        # an eigenvalue lies no further away than the residual (Weinstein), whatever else is near
+        factor = np.where(energy > 0.0, np.fmin(factor, 1.0 / np.sqrt(energy)), 1.0)
+        relative *= np.sqrt(factor[:, :, None] * factor[:, None, :])
+        known = np.isfinite(relative).all(axis=(1, 2)) & (sigma > 0.0).all(axis=1)
+        gain = np.full(lam.shape, np.inf)
+        gain[known] = _gain(1.0 / sigma[known], relative[known])
+        drop = np.where(np.isfinite(gain), sigma * gain / (1.0 + gain), sigma)
+        error = 1.0 / np.sqrt(np.maximum(1.0 - drop / lam, 0.0)) - 1.0
+        rigid = np.abs(lam) <= 10.0 * RIGID * lam[:, -1:]
+        error = np.where(rigid, 0.0, error)
+    return np.where(known[:, None] & ~np.isnan(error), error, np.inf)
+
+
+def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
+    """Return by what share the eigenvalues ν (n, m), descending, rise with √ν_i ν_j relative_ij added."""
+    size = np.sqrt(nu)
+    B = size[:, :, None] * relative * size[:, None, :]
+    added = B.copy()
+    added[:, np.arange(nu.shape[1]), np.arange(nu.shape[1])] += nu
+    values = np.linalg.eigvalsh(added)[:, ::-1]
+    # a small rise is lost in the digits of ν; for modes apart it is the diagonal
+    return np.maximum(values / nu - 1.0, np.einsum("nii->ni", relative))
+
+
+def at_once(block: FullBlock, count: int) -> int:
+    """Return at how many points the corrections of `count` modes keep to `BUDGET`."""
+    return int(np.clip(BUDGET // (8 * 3 * block.size * count), 1, 16))
