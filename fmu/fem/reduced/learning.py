@@ -117,8 +117,9 @@ class Learner:
         left = size[:, None] - np.cumsum(U**2 * energy, axis=1)
         enough = np.all(left <= np.maximum(target, _STEP * size)[:, None], axis=0)
         n = int(np.argmax(enough)) + 1 if enough.any() else len(energy)
-        n = min(n, self.largest - self.space.size, int(np.sum(energy > 0.0)))
-        self._add(C @ U[:, :n])
+        n = min(n, self.largest - self.space.size)
+        kept = energy[:n] > 0.0
+        self._add(C @ (U[:, :n][:, kept] / np.sqrt(energy[:n][kept])))
 
     def counts_the_same(self, theta: FloatArray, needed: int) -> bool:
         """Say whether the full model has as many modes below as the space, at theta (n, p): Sylvester's inertia."""

@@ -16,8 +16,8 @@ from fmu.types import FloatArray
 _LANCZOS = 200
 # Numbers in the assembled matrices of a few points: 64 MiB.
 _AT_ONCE = 2**23
-# Directions with less energy than this share of the strongest are rounding: the Gram matrix squares the vectors.
-_RANK = 1e-13
+# Of unit vectors, directions with less energy than this are in the space already, but for rounding.
+_RANK = 1e-12
 
 
 class Space:
@@ -50,15 +50,14 @@ class Space:
 
     def grown(self, X: FloatArray, A: Any) -> Space:
         """Return the space with vectors X (size, q) added, what is new of them orthonormal in A and to V."""
-        for _ in range(2):  # twice against rounding
+        X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
+        for new in (_RANK, 0.5):  # twice against rounding
             X = X - self.V @ (self.V.T @ (A @ X))
-            length = np.sqrt(np.sum(X * (A @ X), axis=0))
-            X = X[:, length > 0.0] / length[length > 0.0]
-            if not X.shape[1]:
-                return self
-            energy, U = np.linalg.eigh(X.T @ (A @ X))
-            kept = energy > _RANK * energy[-1]
-            X = X @ (U[:, kept] / np.sqrt(energy[kept]))
+            gram = X.T @ (A @ X)
+            energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
+            X = X @ (U[:, energy > new] / np.sqrt(energy[energy > new]))
+        if not X.shape[1]:
+            return self
         V = np.concatenate([self.V, X], axis=1)
         K = _bordered(self.K, self.block.K_terms, self.V, X)
         M = _bordered(self.M, self.block.M_terms, self.V, X)
