@@ -26,8 +26,8 @@ from fmu.types import BoolArray, FloatArray
 _GUARDS = 3
 # A step of Davidson's method leaves about this share of an error: what is smaller need not be added.
 _STEP = 0.05
-# The share of a tolerance that the space may take, before it is cut.
-SHARE = 0.3
+# Of a tolerance: the space grows where an error exceeds the first share, and may have the second before it is cut.
+GROWN, SHARE = 0.25, 0.45
 # Points that the cut is tuned at; all others are checked.
 _TUNED = 24
 
@@ -58,6 +58,7 @@ class Learner:
         self.anchors = Anchors(block, lower, upper)
         self.space = Space.empty(block, self.anchors.shift)
         self.theta = np.empty((0, len(lower)))
+        self._solved: tuple[Space, FloatArray, FloatArray] | None = None
         for at in self.anchors.theta:
             _, shapes = block.modes(at[None], min(count + _GUARDS, block.n_modes))
             if np.isfinite(shapes).all():
@@ -73,28 +74,31 @@ class Learner:
         """Whether the space may not grow any more."""
         return self.space.size >= self.largest
 
-    def visit(self, theta: FloatArray, target: FloatArray) -> BoolArray:
-        """Return at which points (n, p) all errors are within `target` (count,); grow by what is missing elsewhere."""
+    def visit(self, theta: FloatArray, allowed: FloatArray) -> BoolArray:
+        """Return at which points (n, p) no error exceeds its share of `allowed` (m,), and grow where they are larger.
+
+        Looks at the lowest m modes.
+        """
         good = np.empty(len(theta), dtype=bool)
-        step = at_once(self.block, self.count)
+        step = at_once(self.block, len(allowed))
         for first in range(0, len(theta), step):
             rows = slice(first, first + step)
-            found = bounded(self.space, self.anchors, theta[rows], self.count)
-            wrong = ~(found.error <= target)
-            if self.is_whole:
-                wrong &= ~np.isfinite(found.eigenvalues)
-            good[rows] = ~wrong.any(axis=1)
+            found = bounded(self.space, self.anchors, theta[rows], len(allowed))
             self.theta = np.concatenate([self.theta, theta[rows]])
-            wrong &= np.isfinite(found.eigenvalues)
+            solved = np.isfinite(found.eigenvalues)
+            error = np.where(solved & self.is_whole, 0.0, found.error)
+            good[rows] = np.all(error <= SHARE * allowed, axis=1)
+            wrong = solved & ~(error <= GROWN * allowed)
             if wrong.any() and not self.is_full:
-                self._correct(found.corrections[:, wrong], np.broadcast_to(target, wrong.shape)[wrong])
+                target = np.broadcast_to(GROWN * allowed, wrong.shape)
+                self._correct(found.corrections[:, wrong], target[wrong])
         return good
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
-        """Return λ (n, count) and shapes (n, r, count) in the trial vectors at all points visited where it is solved."""
-        lam, y = self.space.modes(self.theta, self.count)
-        known = np.isfinite(lam).all(axis=1)
-        return lam[known], y[known]
+        """Return λ (n, count) and shapes (n, r, count) in the trial vectors at all points visited; NaN on failure."""
+        if self._solved is None or self._solved[0] is not self.space or len(self._solved[1]) != len(self.theta):
+            self._solved = (self.space, *self.space.modes(self.theta, self.count))
+        return self._solved[1:]
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return how shapes in the trial vectors are compared with references, see `Block.observe`."""
@@ -145,7 +149,8 @@ class Learner:
         λ. Of the decomposition as many vectors as the worst points need.
         """
         space, theta = self.space, self.theta
-        lam, y = space.modes(theta, needed)
+        lam, y = self.solved()
+        lam, y = lam[:, :needed], y[:, :, :needed]
         solved = np.isfinite(lam).all(axis=1)
         theta, lam, y = theta[solved], lam[solved], y[solved]
         sigma = np.maximum(lam + space.shift, RIGID * lam[:, -1:])

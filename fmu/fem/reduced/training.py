@@ -123,12 +123,12 @@ class Training:
             largest = block.size if block.size <= DENSE_LIMIT else min(2 * affordable(block.size), block.size)
             self.learners[b] = Learner(block, self.lower, self.upper, count, largest)
         self.n_trained = dict.fromkeys(counts, 0)
-        self._visit(_TOGETHER)
+        self._visit(2 * _TOGETHER)
         self.fixed, self.n_trained = self._needed()
         for round_ in range(_ROUNDS):
             self.confirmed = self._visit(_ENOUGH)
             fixed, needed = self._needed()
-            if fixed != self.fixed or any(needed[b] > n for b, n in self.n_trained.items()):
+            if fixed != self.fixed or any(n > self.n_trained.get(b, 0) for b, n in needed.items()):
                 self.fixed, self.n_trained = fixed, needed
                 self.confirmed = self._visit(_ENOUGH)
             self._cut()
@@ -144,7 +144,7 @@ class Training:
         self.tolerance /= 3.0
         for b, learner in self.learners.items():
             for _ in range(_ROUNDS):
-                if learner.visit(theta, self._target(b)).all():
+                if learner.visit(theta, self._allowed(b)).all():
                     break
         self._cut()
         return self._trained()
@@ -189,7 +189,7 @@ class Training:
                 for first in range(0, len(points), _TOGETHER):
                     part = points[first : first + _TOGETHER]
                     under_way.expect(len(part))
-                    was_good = all([of.visit(part, self._target(b)).all() for b, of in self.learners.items()])
+                    was_good = np.all([of.visit(part, self._allowed(b)) for b, of in self.learners.items()])
                     under_way.advance(len(part))
                     visited += len(part)
                     good = good + len(part) if was_good else 0
@@ -202,15 +202,16 @@ class Training:
     def _is_full(self) -> bool:
         return any(learner.is_full and not learner.is_whole for learner in self.learners.values())
 
-    def _target(self, b: int) -> FloatArray:
-        """Return the errors that the space of block `b` may have, of all candidates."""
-        target = np.full(self.learners[b].count, max(_LOOSE, SHARE * self.tolerance))
-        target[: self.n_trained.get(b, 0)] = SHARE * self.tolerance
-        return target
+    def _allowed(self, b: int) -> FloatArray:
+        """Return the errors that the modes of block `b` may have: its candidates, or those needed of them."""
+        n = self.n_trained.get(b, 0)
+        return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(_LOOSE, self.tolerance))
 
     def _needed(self) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
         found = {b: learner.solved() for b, learner in self.learners.items()}
+        known = np.all([np.isfinite(lam).all(axis=1) for lam, _ in found.values()], axis=0)
+        found = {b: (lam[known], y[known]) for b, (lam, y) in found.items()}
         seen = tuple(self.learners[b] if b in found else block for b, block in enumerate(self.full.blocks))
         model = BlockModel(seen, self.full.n_parameters)  # type: ignore[arg-type]
         eigenvalues, shapes = ({b: of[i] for b, of in found.items()} for i in (0, 1))
