@@ -10,9 +10,10 @@ from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.pairing import paired_model as structure
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import basis as reduced_basis
-from fmu.fem.reduced import training
+from fmu.fem.reduced import residuals, space, training
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.training import Snapshots, Training, affordable, box_points, proper_orthogonal_basis
+from fmu.fem.reduced.learning import Learner
+from fmu.fem.reduced.training import Training, affordable, box_points, mass_orthonormal
 
 PARTS, ELEMENTS = 10, 40
 
@@ -36,33 +37,51 @@ def solved():
     model, lower, upper = cantilever()
     (dofs,) = model.blocks
     block = FullBlock(model, dofs)
-    return block, Snapshots.solve(block, box_points(lower, upper, 8, seed=1), 6), 0.5 * (lower + upper)
+    learner = Learner(block, lower, upper, 6, block.size)
+    learner.visit(box_points(lower, upper, 16, seed=1), np.full(6, 1e-6))
+    return block, learner, 0.5 * (lower + upper)
 
 
-def test_shapes_compressed_by_and_by_span_the_same_space(solved, monkeypatch):
-    block, known, centre = solved
-    at_once = proper_orthogonal_basis(block, known, centre)
-    monkeypatch.setattr(training, "MANY_SHAPES", 60)
-    monkeypatch.setattr(training, "LARGE", 10)
-    by_and_by = proper_orthogonal_basis(block, known, centre)
-    M = sum(term.matrix for term in block.M_terms)
-    assert_allclose(by_and_by.T @ (M @ by_and_by), np.eye(by_and_by.shape[1]), atol=1e-9)
-    errors = [known.largest_error(ReducedBlock(block, V[:, :60], 6)).max() for V in (at_once, by_and_by)]
-    assert 1e-12 < errors[0] < 1e-3
-    assert errors[1] == pytest.approx(errors[0], rel=1e-3)
+def test_corrections_in_parts_lead_to_the_same_accuracy(solved, monkeypatch):
+    """Where memory is short, fewer points are visited at once."""
+    block, whole, _ = solved
+    monkeypatch.setattr(residuals, "BUDGET", 8 * 3 * block.size * 6 * 3)
+    _, lower, upper = cantilever()
+    assert residuals.at_once(block, 6) == 3
+    in_parts = Learner(block, lower, upper, 6, block.size)
+    in_parts.visit(whole.theta, np.full(6, 1e-6))
+    assert in_parts.space.size != whole.space.size
+    theta = box_points(lower, upper, 8, seed=3)
+    exact = block.eigenvalues(theta, 6)
+    for learner in (whole, in_parts):
+        assert_allclose(learner.space.modes(theta, 6)[0], exact, rtol=1e-4)
 
 
 def test_a_term_is_projected_by_its_own_rows(solved, monkeypatch):
-    block, known, centre = solved
-    basis = proper_orthogonal_basis(block, known, centre)[:, :20]
+    block, learner, _ = solved
+    basis = learner.space.V[:, :20]
     whole = ReducedBlock(block, basis, 6)._K
     monkeypatch.setattr(reduced_basis, "_LARGE", 10)
     assert_allclose(ReducedBlock(block, basis, 6)._K, whole, rtol=1e-9, atol=1e-12 * np.abs(whole).max())
+    # and piece by piece as the space grew
+    assert_allclose(learner.space.K[:, :20, :20], whole, rtol=1e-7, atol=1e-12 * np.abs(whole).max())
+
+
+def test_lanczos_finds_the_modes_of_a_large_space(solved, monkeypatch):
+    _, learner, _ = solved
+    _, lower, upper = cantilever()
+    theta = box_points(lower, upper, 4, seed=3)[:6]
+    lam, y = learner.space.modes(theta, 6)
+    monkeypatch.setattr(space, "_LANCZOS", 10)
+    few_lam, few_y = learner.space.modes(theta, 6)
+    assert_allclose(few_lam, lam, rtol=1e-9)
+    M = learner.space.assembled(theta)[1]
+    assert_allclose(np.abs(np.sum(few_y * (M @ y), axis=1)), 1.0, rtol=1e-8)
 
 
 def test_the_few_lowest_modes_are_those_of_all(solved, monkeypatch):
-    block, known, centre = solved
-    reduced = ReducedBlock(block, proper_orthogonal_basis(block, known, centre)[:, :32], 6)
+    block, learner, centre = solved
+    reduced = ReducedBlock(block, mass_orthonormal(block, learner.space.V[:, :32], centre), 6)
     theta = centre * np.random.default_rng(2).uniform(0.8, 1.2, size=(7, PARTS))
     lam, phi = reduced.modes(theta, 6)
     monkeypatch.setattr(reduced_basis, "_PARTIAL", 32)
@@ -108,37 +127,14 @@ def test_a_batch_in_parts_changes_no_bit(monkeypatch):
 
 
 def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
-    rounds, good = [], Training._good_for
-    monkeypatch.setattr(Training, "_good_for", lambda self, fresh: rounds.append(1) or good(self, fresh))
+    checked = []
+    monkeypatch.setattr(Training, "_verified", lambda self, round_: checked.append(round_))
     monkeypatch.setattr(training, "DENSE_LIMIT", 10)
     monkeypatch.setattr(training, "affordable", lambda n_dof: 12)
     cut, *_ = paired(inaccurate_points=lambda: np.full((1, PARTS), 2e11))
     assert not cut.confirmed
-    assert rounds == []
+    assert checked == []
     assert [b.size for b in cut.reduced.blocks] == [12]
-
-
-def test_many_points_of_which_few_are_bad(monkeypatch):
-    """Only those that turned out badly join the others, and the tolerance is reached nevertheless."""
-    monkeypatch.setattr(training, "LARGE", 10)
-    monkeypatch.setattr(training, "MANY_SHAPES", 10)
-
-    def a_part_of_the_box_first(lower, upper, n, seed):
-        return box_points(lower, lower + 0.1 * (upper - lower) if seed == 0 else upper, n, seed)
-
-    monkeypatch.setattr(training, "box_points", a_part_of_the_box_first)
-    added, add = [], Training._add
-    monkeypatch.setattr(
-        Training, "_add", lambda self, fresh: added.append(len(fresh[0].theta)) or add(self, fresh)
-    )
-    trained, _, lower, upper = paired(tolerance=1e-5)
-    fresh = len(box_points(lower, upper, 32, seed=1))
-    assert trained.confirmed
-    assert added
-    assert all(0 < n < fresh for n in added)
-    theta = box_points(lower, upper, 32, seed=77)
-    exact = trained.full_modes(theta).eigenvalues
-    assert_allclose(trained.modes(theta).eigenvalues, exact, rtol=4e-5)
 
 
 def test_what_pays():

@@ -8,11 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import SeparableModel, Term, selection
-from fmu.fem.pairing.prediction import joined
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.training import Snapshots, proper_orthogonal_basis, smallest_basis
+from fmu.fem.reduced.learning import Learner
+from fmu.fem.reduced.training import mass_orthonormal
 
 COUNT = 4
 SIZES = (1, 2, 3, 16, 64, 513)
@@ -66,9 +65,16 @@ def trained(request):
     """Return a full block, its POD to rounding, and the box."""
     block, lower, upper = request.param()
     unit = np.vstack([np.random.default_rng(0).uniform(size=(40, 2)), [[0, 0], [0, 1], [1, 0], [1, 1]]])
-    snapshots = Snapshots.solve(block, lower + (upper - lower) * unit, COUNT)
-    basis = proper_orthogonal_basis(block, snapshots, 0.5 * (lower + upper))
-    return block, ReducedBlock(block, basis, COUNT), lower, upper
+    return block, learnt(block, lower, upper, lower + (upper - lower) * unit), lower, upper
+
+
+def learnt(block, lower, upper, theta, tolerance=1e-11):
+    """Return the POD of the modes at theta, strongest direction first, as a reduced block."""
+    learner = Learner(block, lower, upper, COUNT, block.size)
+    for _ in range(4):
+        learner.visit(theta, np.full(COUNT, tolerance))
+    cut = learner.cut(COUNT, tolerance, 1, block.size)
+    return ReducedBlock(block, mass_orthonormal(block, cut.V, 0.5 * (lower + upper)), COUNT)
 
 
 def sample(lower, upper, n, seed=7):
@@ -178,71 +184,33 @@ def test_shapes_compare_at_the_sensors_as_they_do_in_full(trained, n_dofs):
     assert_allclose(np.swapaxes(seen, 1, 2) @ there, product, rtol=1e-9, atol=1e-10 * np.abs(product).max())
 
 
-@pytest.mark.parametrize("points", [4, 60], ids=["fewer snapshots than unknowns", "more"])
-def test_proper_orthogonal_basis(points):
+@pytest.mark.parametrize("points", [4, 60])
+def test_the_basis_is_the_pod_of_the_modes(points):
     block, lower, upper = sections()
-    centre = 0.5 * (lower + upper)
-    snapshots = Snapshots.solve(block, sample(lower, upper, points), COUNT)
-    basis = proper_orthogonal_basis(block, snapshots, centre)
+    centre, theta = 0.5 * (lower + upper), sample(lower, upper, points)
+    reduced = learnt(block, lower, upper, theta)
+    basis = reduced.basis
     M = sum(w * t.matrix.toarray() for w, t in zip(block._M_map(centre[None])[0], block.M_terms, strict=True))
     assert_allclose(basis.T @ M @ basis, np.eye(basis.shape[1]), atol=1e-9)
-    # no direction beyond rounding, and none of the snapshots left out
-    assert basis.shape[1] <= min(points * COUNT, 40)
-    X = np.concatenate(list(snapshots.shapes), axis=1)
+    assert basis.shape[1] < 40
+    X = np.concatenate(list(block.modes(theta, COUNT)[1]), axis=1)
     assert_allclose(basis @ (basis.T @ (M @ X)), X, atol=1e-4 * np.abs(X).max())
     left = [np.linalg.norm(X - basis[:, :r] @ (basis[:, :r].T @ (M @ X))) for r in (2, 4, 6, 8)]
     assert np.all(np.diff(left) < 0)
     # a direction counts by what it does to a relative frequency: the lowest mode is not left to the last
-    errors = snapshots.frequency_error(ReducedBlock(block, basis, COUNT).truncated(8)).max(axis=0)
+    exact = block.eigenvalues(theta, COUNT)
+    errors = np.max(reduced.truncated(8).eigenvalues(theta, COUNT) / exact - 1.0, axis=0)
     assert errors[0] < 10 * errors[-1]
 
 
-def test_smallest_basis_is_found_by_bisection(trained):
-    _, reduced, _, _ = trained
-    for wanted in (COUNT, 9, reduced.size):
-        tried = []
-
-        def acceptable(candidate, wanted=wanted, tried=tried):
-            tried.append(candidate.size)
-            assert_array_equal(candidate.basis, reduced.basis[:, : candidate.size])
-            return candidate.size >= wanted
-
-        assert smallest_basis(reduced, acceptable, 1).size == wanted
-        assert len(tried) <= 6
-    assert smallest_basis(reduced, lambda candidate: False, 1).size == reduced.size
-    assert smallest_basis(reduced, lambda candidate: True, 1).size == COUNT  # the trained modes need as many
-    assert smallest_basis(reduced, lambda candidate: True, 8).size == 8
-
-
-def test_snapshots_are_collected_and_cut(trained):
-    block, reduced, lower, upper = trained
-    first, second = (Snapshots.solve(block, sample(lower, upper, n, seed=n), COUNT) for n in (2, 3))
-    both = joined([first, second])
-    assert both.theta.shape == (5, 2)
-    assert both.shapes.shape == (5, block.size, COUNT)
-    assert_array_equal(both.eigenvalues[2:], second.eigenvalues)
-    few = both.lowest(2)
-    assert_array_equal(few.eigenvalues, both.eigenvalues[:, :2])
-    assert_array_equal(few.shapes, both.shapes[:, :, :2])
-    coarse = reduced.truncated(5)
-    expected = np.abs(frequency_hz(coarse.eigenvalues(both.theta, 2)) / frequency_hz(few.eigenvalues) - 1.0)
-    assert_allclose(few.frequency_error(coarse), expected, rtol=1e-6)
-    assert Snapshots.solve(block, first.theta, 10_000).eigenvalues.shape == (2, block.size)
-
-
-def test_rigid_body_modes_are_right_when_they_are_rigid():
+def test_rigid_body_modes_are_rigid_in_the_basis():
     model, dofs = beam({"E0": [("E", "0")], "E1": [("E", "1")]}, supports={})
-    block, theta = FullBlock(model, dofs), sample(np.full(2, 1.4e11), np.full(2, 2.8e11), 5)
-    snapshots = Snapshots.solve(block, theta, COUNT)
-    basis = proper_orthogonal_basis(block, snapshots, theta[0])
-    good = snapshots.frequency_error(ReducedBlock(block, basis, COUNT))
-    assert_array_equal(good[:, :2], 0.0)
-    assert np.all(good[:, 2:] < 1e-6)
-    elastic = proper_orthogonal_basis(
-        block, Snapshots(theta, snapshots.eigenvalues[:, 2:], snapshots.shapes[:, :, 2:]), theta[0]
-    )
-    bad = snapshots.frequency_error(ReducedBlock(block, elastic, COUNT))
-    assert_array_equal(bad[:, :2], np.inf)
+    block, lower, upper = FullBlock(model, dofs), np.full(2, 1.4e11), np.full(2, 2.8e11)
+    theta = sample(lower, upper, 5)
+    reduced = learnt(block, lower, upper, theta, 1e-7)
+    exact, lam = block.eigenvalues(theta, COUNT), reduced.eigenvalues(theta, COUNT)
+    assert np.all(np.abs(lam[:, :2]) < 1e-9 * lam[:, -1:])
+    assert_allclose(lam[:, 2:], exact[:, 2:], rtol=1e-6)
 
 
 def test_a_structure_of_one_degree_of_freedom():

@@ -42,7 +42,7 @@ def test_the_basis_is_the_same(engine, n_elements, pairing):
         states.append(
             structure.train(np.full(2, 1.4e11), np.full(2, 2.8e11), 1e-4, engine=at and Counting(at, calls))
         )
-        assert (min(calls, default=0) > 10) == (at is not None)  # the workers were made use of
+        assert (min(calls, default=0) >= 4) == (at is not None)  # the workers were made use of
     assert states[0].keys() == states[1].keys()
     for name, state in states[0].items():
         assert_array_equal(states[1][name], state)

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 import fmu
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.training import Snapshots
 from fmu.posterior import train_reduced as focus
 from tests.validation.scale_model import Size, scale_problem
 
@@ -108,8 +107,7 @@ class Stopwatch:
 def measured(row: Row) -> dict[str, Any]:
     """Return the row with what was measured."""
     watch = Stopwatch()
-    watch(Snapshots, "solve", lambda block, theta, count: len(theta))
-    watch(PairedStructure, "full_modes", lambda structure, theta: len(theta))
+    watch(FullBlock, "modes", lambda block, theta, count: len(theta))
     found: dict[str, Any] = {"peak_before_gib": peak_gib()}
     began, busy = time.perf_counter(), time.process_time()
     with warnings.catch_warnings(record=True) as said:

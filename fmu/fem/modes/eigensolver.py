@@ -26,6 +26,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
+from fmu.fem.modes.solver import DenseFactor, Factor, factorised
 from fmu.types import FloatArray
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
@@ -104,7 +105,7 @@ def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
             return _polished(S, M, _highest(_shifted(S, M), M, count))
         if np.any(nu < ZERO):
             return _of_free(S, M, _mass_normalised(M, vectors[:, nu < ZERO]), count)
-        factor = _Factor(S)
+        factor = _definite(S)
     return _polished(S, M, _highest(factor, M, count))
 
 
@@ -120,7 +121,7 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
     def elastic(x: FloatArray) -> FloatArray:
         return x - N @ (MN.T @ x)
 
-    factor = _Factor(S[free][:, free])
+    factor = _definite(S[free][:, free])
     X = np.zeros((n, count - r))
     if not sp.issparse(M):
         rest = M - MN @ MN.T  # Pᵀ M P, since Nᵀ M N = 1
@@ -137,28 +138,19 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
     return np.concatenate([np.zeros(r), lam]), np.concatenate([N, X], axis=1)
 
 
-class _Factor:
-    """The factors of a positive definite matrix; LinAlgError if it is not definite."""
-
-    def __init__(self, matrix: Any) -> None:
-        self.L: FloatArray | None = None
-        self.solve: Callable[[FloatArray], FloatArray]
-        if not sp.issparse(matrix):
-            L = np.linalg.cholesky(matrix)
-            self.L, self.solve = L, lambda load: sl.lapack.dpotrs(L, load, lower=1)[0]
-            return
-        factor = symmetric_factor(matrix)
-        # the signs of the pivots are those of the eigenvalues (Sylvester's law of inertia)
-        if not np.all(factor.U.diagonal() > 0.0):
-            raise np.linalg.LinAlgError("the matrix is not positive definite")
-        self.solve = factor.solve
+def _definite(matrix: Any) -> Factor:
+    """Return the factors of a positive definite matrix; LinAlgError if it is not definite."""
+    factor = factorised(matrix)
+    if factor.negative:
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    return factor
 
 
-def _safely_factored(S: Any) -> _Factor | None:
+def _safely_factored(S: Any) -> Factor | None:
     """Return the factors of S; None if it is not definite, or only by rounding."""
     try:
-        factor = _Factor(S)
-    except (np.linalg.LinAlgError, RuntimeError):
+        factor = _definite(S)
+    except np.linalg.LinAlgError:
         return None
     # four steps of inverse iteration: the estimate of the lowest eigenvalue is never below it
     x = np.random.default_rng(0).standard_normal(S.shape[0])
@@ -167,13 +159,13 @@ def _safely_factored(S: Any) -> _Factor | None:
     return factor if np.linalg.norm(x) * _CAUTION * ZERO < 1.0 else None
 
 
-def _shifted(S: Any, M: Any) -> _Factor:
+def _shifted(S: Any, M: Any) -> Factor:
     """Return the factors of S + s M for a shift s that makes it definite: K is negative for some motion."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
-            return _Factor(S + start * 10.0**power * M)
-        except (np.linalg.LinAlgError, RuntimeError):
+            return _definite(S + start * 10.0**power * M)
+        except np.linalg.LinAlgError:
             continue
     raise SingularMassError("K is not positive definite for the motions without mass")
 
@@ -186,9 +178,9 @@ def _mass_normalised(M: Any, N: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(G), N.T).T)
 
 
-def _highest(factor: _Factor, M: Any, count: int) -> FloatArray:
+def _highest(factor: Factor, M: Any, count: int) -> FloatArray:
     """Return the vectors of the highest μ of M x = μ A x for the factors of A, shape (n, count), highest first."""
-    if factor.L is None:
+    if not isinstance(factor, DenseFactor):
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
     C, failed = sl.lapack.dsygst(M, factor.L, itype=1, lower=1)
@@ -256,13 +248,6 @@ def _dense(matrix: Any) -> FloatArray:
 # order of 1e-16, whatever the units and the mesh.
 
 
-def symmetric_factor(matrix: Any) -> Any:
-    """Return the sparse LU factors of a symmetric matrix without pivoting: the diagonal of U has its inertia."""
-    return ssl.splu(
-        sp.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-
-
 def unit_diagonal(matrix: Any) -> tuple[Any, FloatArray]:
     """Return S = D A D with a diagonal of ones (or zeros), and the diagonal of D, for a dense or sparse A."""
     diagonal = np.abs(matrix.diagonal())
@@ -298,7 +283,7 @@ def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
         return lam, vectors
     unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
     # the pivots tell whether an eigenvalue lies below the shift (Sylvester); Lanczos might miss one far below zero
-    while np.any((factor := symmetric_factor(S + shift * unit)).U.diagonal() <= 0.0):
+    while (factor := factorised(S + shift * unit)).negative:
         shift *= 10.0
     if shift > NEGATIVE:
         return _nearest(S, factor, -shift, 1)
@@ -337,12 +322,12 @@ def rank(matrix: Any) -> int:
 
 def _is_definite(S: Any) -> bool:
     """Say whether no eigenvalue of a matrix of unit diagonal can be zero."""
+    unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
-        pivots = symmetric_factor(S).U.diagonal() if sp.issparse(S) else np.diag(np.linalg.cholesky(S)) ** 2
-    except (np.linalg.LinAlgError, RuntimeError):
+        # consistent mass matrices have eigenvalues of at least 1e-3; if one is small, all the lowest are computed
+        return factorised(S - 1e-6 * unit).negative == 0
+    except np.linalg.LinAlgError:
         return False
-    # consistent mass matrices have pivots of at least 1e-3; if one is smaller, the eigenvalues decide
-    return bool(np.min(pivots) > 1e-6)
 
 
 def _nearest(S: Any, factor: Any, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:

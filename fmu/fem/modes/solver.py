@@ -1,9 +1,9 @@
 """Factors of symmetric matrices: one small protocol, three solvers.
 
 LAPACK for dense matrices. For sparse ones PARDISO of Intel's MKL where the extra ``fmu[fast]`` is installed
-(package pypardiso), else SuperLU, which comes with SciPy. At 10⁴ degrees of freedom both take the same time; at 10⁵
-PARDISO takes a sixth of it to factorise and a third to solve. It uses one thread, or as many as the environment
-variable ``MKL_NUM_THREADS`` says.
+(package pypardiso), else SuperLU, which comes with SciPy. At 10⁴ degrees of freedom both take the same time; at
+10⁵ PARDISO takes a sixth of it to factorise and a third to solve. It uses one thread, or as many as the
+environment variable ``MKL_NUM_THREADS`` says.
 
 None of them changes the order of rows for the sake of large pivots. The matrices are positive definite or nearly
 so, and the signs of the pivots then are those of the eigenvalues (Sylvester's law of inertia).
@@ -25,8 +25,8 @@ import scipy.sparse.linalg as ssl
 from fmu.types import FloatArray
 
 SUPERLU, PARDISO = "SuperLU", "PARDISO"
-# From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten, and
-# the number of its domain.
+# From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten,
+# and the number of its domain.
 _DEFINITE, _INDEFINITE = 2, -2
 _FACTORISE, _SOLVE, _RELEASE = 12, 33, -1
 _TINY, _OF_PARDISO = 20, 4
@@ -68,24 +68,28 @@ def factorised(matrix: Any, solver: str | None = None) -> Factor:
         If the matrix is singular to the last digit; one that is nearly so may pass.
     """
     if not sp.issparse(matrix):
-        return _Dense(matrix)
+        return DenseFactor(matrix)
     return (_Pardiso if (solver or sparse_solver()) == PARDISO else _SuperLU)(matrix)
 
 
-class _Dense:
+class DenseFactor:
     """Cholesky factors L Lᵀ, or those of an indefinite matrix, L D Lᵀ (Bunch & Kaufman 1977)."""
 
     def __init__(self, matrix: FloatArray) -> None:
-        self.negative, self.L = 0, None
+        self.negative = 0
+        self.L: FloatArray | None = None
         try:
             self.L = np.linalg.cholesky(matrix)
         except np.linalg.LinAlgError:
+            if not np.all(np.isfinite(matrix)):
+                raise
             self._ldl, self._pivots, failed = sl.lapack.dsytrf(matrix, lower=1)
             if failed:
                 raise np.linalg.LinAlgError("the matrix is singular") from None
             self.negative = int(np.sum(np.linalg.eigvalsh(matrix) <= 0.0))
 
     def solve(self, loads: FloatArray) -> FloatArray:
+        """Return A⁻¹ b."""
         if self.L is not None:
             return sl.lapack.dpotrs(self.L, loads, lower=1)[0]
         return sl.lapack.dsytrs(self._ldl, self._pivots, loads, lower=1)[0]

@@ -4,9 +4,9 @@ If every term K_k is positive semidefinite, then
 
     K(θ) + s M(θ) ≥ α (K(θ̄) + s M(θ̄)),    α = min over the terms of c_k(θ) / c_k(θ̄)
 
-(the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for Parametrized
-Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box serves where no coefficient
-changes by more than a factor of some tens. Where a stiffness may vanish there are several.
+(the min-θ bound; Patera & Rozza 2007, *Reduced Basis Approximation and A Posteriori Error Estimation for
+Parametrized Partial Differential Equations*, section 4.2.2). One anchor θ̄ in the middle of the box serves where
+no coefficient changes by more than a factor of some tens. Where a stiffness may vanish there are several.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class Anchors:
         return self._factors[a]
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
-        """Return for every theta (n, p) the anchor that bounds it best, and its α ≤ 0 where none does, both (n,)."""
+        """Return for every theta (n, p) the anchor that bounds it best, and α, not positive where none does."""
         ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
         low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -137,8 +137,8 @@ class Anchors:
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return anchors (n_anchors, p) for a box: its middle, and those of the parts in which a stiffness changes much.
 
-    A part is halved where a coefficient changes by more than a factor of `_WIDE`, along the parameter that changes it
-    most, until there are `_MOST`. Of parameters that change no stiffness the middle serves.
+    A part is halved where a coefficient changes by more than a factor of `_WIDE`, along the parameter that
+    changes it most, until there are `_MOST`. Of parameters that change no stiffness the middle serves.
     """
     varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
     anchors, parts = [_middle(lower, upper)], [(lower, upper)]

@@ -1,9 +1,9 @@
 """The trial space of one block: it grows by what the residuals of its modes ask for, and is cut at the end.
 
-A correction w = Ā⁻¹ r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94) that all points of the box
-share, since one factorisation serves them all. Those of a few points are compressed by proper orthogonal decomposition
-in the inner product of Ā before they join the space. In that inner product the energy of an error is the relative
-error of an eigenvalue.
+A correction w = Ā⁻¹ r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94) that all points of the
+box share, since one factorisation serves them all. Those of a few points are compressed by proper orthogonal
+decomposition in the inner product of Ā before they join the space. In that inner product the energy of an error
+is the relative error of an eigenvalue.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Learner:
         self.space = self.space.grown(X, self.anchors.first)
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
-        """Add the corrections (n_dof, m), all but what is small beside the target (m,) or the next step's own error."""
+        """Add the corrections (n_dof, m), but for what is small beside the target (m,) or what the step leaves."""
         gram = C.T @ (self.anchors.first @ C)
         energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
         energy, U = np.maximum(energy[::-1], 0.0), U[:, ::-1]
@@ -126,7 +126,7 @@ class Learner:
         self._add(C @ (U[:, :n][:, kept] / np.sqrt(energy[:n][kept])))
 
     def counts_the_same(self, theta: FloatArray, needed: int) -> bool:
-        """Say whether the full model has as many modes below as the space, at theta (n, p): Sylvester's inertia."""
+        """Say whether the full model has as many low modes as the space at theta (n, p), by Sylvester's law."""
         lam = self.space.modes(theta, min(self.count, self.space.size))[0]
         for values, (K, M) in zip(lam, self.block._matrices(theta), strict=True):
             # between two modes that are far apart, no lower than what is needed
@@ -143,7 +143,7 @@ class Learner:
         return True
 
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> Space:
-        """Return a space of few vectors, in which the frequencies at all points visited are off by `tolerance` at most.
+        """Return a space of few vectors whose frequencies agree at all points visited, within `tolerance`.
 
         Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
         λ. Of the decomposition as many vectors as the worst points need.
@@ -155,7 +155,7 @@ class Learner:
         theta, lam, y = theta[solved], lam[solved], y[solved]
         sigma = np.maximum(lam + space.shift, RIGID * lam[:, -1:])
         Z = (y / np.sqrt(sigma)[:, None, :]).transpose(1, 0, 2).reshape(space.size, -1)
-        energy, Q = np.linalg.eigh(Z @ Z.T)
+        _, Q = np.linalg.eigh(Z @ Z.T)
         Q = Q[:, ::-1][:, : max(largest, needed)]
         left = np.sum(Z**2, axis=0) - np.cumsum((Q.T @ Z) ** 2, axis=0)  # (r, n · m)
         left = np.max(left.reshape(Q.shape[1], len(theta), needed), axis=2)

@@ -1,21 +1,22 @@
 """How far the modes of a reduced model are from those of the structure, measured by their residuals.
 
-Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. With A = K + s M, σ = μ + s and T = A⁻¹ M,
-which is selfadjoint in the inner product of A, split the space into the Ritz vectors and what is A-orthogonal to all
-trial vectors, on which T ≤ β. The highest eigenvalues 1/σ of T are at most those of
+Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. With A = K + s M, σ = μ + s and T = A⁻¹
+M, which is selfadjoint in the inner product of A, split the space into the Ritz vectors and what is A-orthogonal
+to all trial vectors, on which T ≤ β. The highest eigenvalues 1/σ of T are at most those of
 
     diag(1/σ_i) + D G D,    G_ij = r_iᵀ A⁻¹ r_j / (σ_i σ_j)^(3/2),    D_ii = (1/σ_i − β)^(−1/2),
 
-up to terms of second order in G. Of a single mode far from the others that is the relative error
-‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465, with
-β of the next mode); the matrix serves close and repeated modes as well.
+up to terms of second order in G. Of a single mode far from the others that is the relative error ‖r‖²_{A⁻¹} / (σ
+(1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465, with β of the
+next mode); the matrix serves close and repeated modes as well.
 
-Proven, for positive semidefinite terms: A ≥ α Ā at an anchor (`fmu.fem.reduced.anchors`), so that the form r_iᵀ A⁻¹ r_j
-is at most 1/α that of Ā⁻¹. Estimated: what T is like on the rest of the space. The error's direction is w = Ā⁻¹ r, which
-is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient wᵀ M w / (α wᵀ Ā w), times σ, is
-the mean x < 1 of the spectrum there, and √x is taken for its upper end: a convex function of a spectrum in [0, √x] with
-mean x is at most 1/(1 − σ T) → 1 + x/(1 − √x) (Edmundson and Madansky). Were there a mode that the space knows nothing
-of, no residual would show it: training counts the modes at some points by Sylvester's law of inertia.
+Proven, for positive semidefinite terms: A ≥ α Ā at an anchor (`fmu.fem.reduced.anchors`), so that the form r_iᵀ
+A⁻¹ r_j is at most 1/α that of Ā⁻¹. Estimated: what T is like on the rest of the space. The error's direction is
+w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient wᵀ M w /
+(α wᵀ Ā w), times σ, is the mean x < 1 of the spectrum there, and √x is taken for its upper end: a convex
+function of a spectrum in [0, √x] with mean x is at most 1/(1 − σ T) → 1 + x/(1 − √x) (Edmundson and Madansky).
+Were there a mode that the space knows nothing of, no residual would show it: training counts the modes at some
+points by Sylvester's law of inertia.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.fem.modes.modal import RIGID
 from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import RIGID
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray
@@ -55,7 +56,7 @@ class Bounded(NamedTuple):
 
 
 def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) with the bounds of their errors; NaN where the solver fails."""
+    """Return the lowest `count` modes at theta (n, p) and bounds of their errors; NaN where the solver fails."""
     lam, y = space.modes(theta, count)
     n_dof, n = space.block.size, len(theta)
     best, alpha = anchors.nearest(theta, space)

@@ -70,9 +70,7 @@ class Space:
 
     def truncated(self, size: int) -> Space:
         """Return the space of the first `size` vectors."""
-        return Space(
-            self.block, self.shift, self.V[:, :size], self.K[:, :size, :size], self.M[:, :size, :size]
-        )
+        return Space(self.block, self.shift, self.V[:, :size], self.K[:, :size, :size], self.M[:, :size, :size])
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest λ (n, count) and M-normalised y (n, r, count) at theta (n, p); NaN on failure."""

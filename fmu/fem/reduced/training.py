@@ -1,9 +1,10 @@
 """How a reduced basis is trained: visit points of the box, follow the residuals there, cut, verify.
 
-K + s M is factorised at one point of the box, or at a few (`fmu.fem.reduced.anchors`). At every point visited the
-reduced problem is solved, and the residuals of its modes say how far off they are (`fmu.fem.reduced.residuals`) and
-what the space lacks (`fmu.fem.reduced.learning`). When a set of fresh points, corners and faces among them, is within
-the tolerance, the space is cut to the basis that is kept, and full solves at a few points more confirm it.
+K + s M is factorised at one point of the box, or at a few (`fmu.fem.reduced.anchors`). At every point visited
+the reduced problem is solved, and the residuals of its modes say how far off they are
+(`fmu.fem.reduced.residuals`) and what the space lacks (`fmu.fem.reduced.learning`). When a set of fresh points,
+corners and faces among them, is within the tolerance, the space is cut to the basis that is kept, and full
+solves at a few points more confirm it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import coefficients, weighted_sum
-from fmu.fem.pairing.rules import AT_ONCE, IndexPairing, RankPairing, ShapePairing
+from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.learning import SHARE, Learner, apart
 from fmu.progress.phases import phase, solved
@@ -148,6 +149,7 @@ class Training:
                     break
         self._cut()
         return self._trained()
+
     def state(self) -> dict[str, FloatArray]:
         """Return the outcome as arrays."""
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
@@ -241,8 +243,8 @@ class Training:
     def _verified(self, round_: int) -> bool:
         """Say whether full solves at fresh points agree; if not, their modes join the space.
 
-        The frequencies agree to the tolerance, the pairing is the same, and so is the number of modes below one that
-        is not needed any more.
+        The frequencies agree to the tolerance, the pairing is the same, and so is the number of modes below one
+        that is not needed any more.
         """
         points = box_points(self.lower, self.upper, self.n_sobol, _CHECKS + round_)
         points = points[np.random.default_rng(round_).permutation(len(points))][: 2 * _CHECKED]
@@ -279,9 +281,7 @@ class Training:
         return block
 
 
-def _solve_there(
-    full: BlockModel, task: tuple[int, FloatArray, int], _: object
-) -> tuple[FloatArray, FloatArray]:
+def _solve_there(full: BlockModel, task: tuple[int, FloatArray, int], _: object) -> tuple[FloatArray, FloatArray]:
     b, theta, count = task
     return full.blocks[b].modes(theta, count)
 
@@ -309,8 +309,8 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> FloatArray:
     """Return a basis of the space of V (size, r), orthonormal in the block's mass matrix at `centre`.
 
-    Where degrees of freedom have no mass, in M + K/λ with the mean λ = tr Vᵀ K V / tr Vᵀ M V, as M does not see how
-    they follow.
+    Where degrees of freedom have no mass, in M + K/λ with the mean λ = tr Vᵀ K V / tr Vᵀ M V, as M does not see
+    how they follow.
     """
     K, M = (weighted_sum(terms, coefficients(terms, centre[None])[0]) for terms in (block.K_terms, block.M_terms))
     if block.n_modes < block.size:
