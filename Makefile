@@ -1,10 +1,11 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test test-kernels lint notebooks notebooks-save bench bench-whole validate mutants clean-environment
+.PHONY: help paper test test-kernels test-fast lint notebooks notebooks-save bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
 READY_BENCH := .venv/.ready-bench
+READY_FAST := .venv/fast/.ready
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1|/' | column -t -s '|'
@@ -39,6 +40,21 @@ test-kernels: $(READY)  ## Run the numerical tests as other processors would com
 	  OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto \
 	    --dist=loadscope --quiet $(NUMERICAL); \
 	done
+
+# PARDISO has an environment of its own, on top of the other: `make test` is to pass without it.
+$(READY_FAST): $(READY)
+	.venv/bin/python -m venv .venv/fast
+	.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+	  > "$$(.venv/fast/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/with.pth"
+	.venv/fast/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt pypardiso
+	touch $(READY_FAST)
+
+# What factorises sparse matrices.
+SOLVED := tests/fem/test_solver.py tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_frame_stability.py \
+  tests/fem/test_frequency_bound.py tests/fem/test_training.py tests/fem/test_large_basis.py
+
+test-fast: $(READY_FAST)  ## Run the tests of what factorises sparse matrices with PARDISO
+	OPENBLAS_NUM_THREADS=1 .venv/fast/bin/python -m pytest --numprocesses=auto --quiet $(SOLVED)
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

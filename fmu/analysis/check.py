@@ -52,6 +52,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     said += _masses(problem, structure)
     if model.reduced_sizes:
         said.append(f"Its reduced model has {' + '.join(map(str, model.reduced_sizes))} unknowns.")
+    said.append(f"Its matrices are factorised by {model.solver}.")
     return said
 
 

@@ -102,7 +102,7 @@ def reduce_model(
         If training ended before the tolerances were met, from the cache too.
     """
     tolerances = (tolerance.frequency, tolerance.log_prob, PLAUSIBLE)
-    key = {"problem": problem.configuration(), "tolerances": tolerances}
+    key = {"problem": problem.configuration(), "tolerances": tolerances, "solver": structure.solver}
     state = load_basis(key)
     if state is not None:
         structure.restore(state)

@@ -79,11 +79,18 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
+def _solver(density: LogDensity) -> str:
+    """Return what factorises the matrices of the full model; empty for a density without any."""
+    structure = getattr(getattr(density, "model", None), "structure", None)
+    return density.model.solver if structure is not None else ""  # type: ignore[attr-defined]
+
+
 def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
     """Return the attributes of the root of a trace, all numbers or text, as netCDF requires.
 
     ``n_solves`` and ``n_gradients`` count the retained draws, ``warmup_n_solves`` and ``warmup_n_gradients`` the
     warm-up. ``wall_s`` is the time of sampling, warm-up included, and ``created_at`` the UTC time after it.
+    ``solver`` factorises the matrices of the full model.
     """
     settings = configuration(result, density, start)
     costs = {
@@ -106,6 +113,7 @@ def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dic
         "configuration": canonical_json(settings),
         "configuration_hash": configuration_hash(settings),
         "versions": canonical_json(versions()),
+        "solver": _solver(density),
         "created_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "wall_s": float(result.wall_s),
         "warmup_wall_s": float(result.warmup_wall_s),

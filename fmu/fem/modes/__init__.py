@@ -1,4 +1,4 @@
 """From theta to K and M, to modes and to their derivatives.
 
-Reading order: separable, eigensolver, modal, full_block, derivatives.
+Reading order: separable, solver, eigensolver, modal, full_block, derivatives.
 """

@@ -24,7 +24,7 @@ import scipy.sparse.linalg as ssl
 
 from fmu.types import FloatArray
 
-SUPERLU, PARDISO = "SuperLU", "PARDISO"
+LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
 # From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten,
 # and the number of its domain.
 _DEFINITE, _INDEFINITE = 2, -2

@@ -10,9 +10,11 @@ import numpy as np
 
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel, Failure
+from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.solver import LAPACK, sparse_solver
 from fmu.fem.pairing.prediction import Candidates, CandidateView, ModalPrediction, SensorView, joined, with_rows
 from fmu.fem.pairing.rules import (
     SOFTNESS,
@@ -24,6 +26,7 @@ from fmu.fem.pairing.rules import (
     count_rigid,
     reference_modes,
 )
+from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import Trained, Training
 from fmu.progress.phases import solved
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -401,6 +404,34 @@ class PairedStructure(ModalModel):
         """Return frequencies by the full model."""
         return frequency_hz(self.full_modes(theta).eigenvalues)
 
+    def frequency_bound(self, theta: FloatArray) -> FloatArray:
+        """Return how far the reduced model's frequencies may be off, relative, shape (n, n_modes).
+
+        By the residuals of its modes at theta (n, n_parameters), for the modes that it pairs: their number in
+        the spectrum is not examined. Infinite where there is no bound. What is proven of it and what is
+        estimated: `fmu.fem.reduced.residuals`. It costs a solve of linear equations a mode, not an eigenproblem;
+        the matrix is factorised at the first call.
+
+        Raises
+        ------
+        ValueError
+            If there is no reduced model.
+        """
+        if self.reduced is None:
+            raise ValueError("frequency_bound: there is no reduced model; train one first")
+        with single_thread():
+            inside = self.within(theta)
+            bound = np.full((len(theta), self.n_modes), np.inf)
+            if inside.any():
+                bound[inside] = self._bound(theta[inside], self._solve_reduced(theta[inside]))
+        return bound
+
+    @property
+    def solver(self) -> str:
+        """Name of what factorises the largest matrices of the full model."""
+        largest = max(block.size for block in self.full.blocks)
+        return sparse_solver() if largest > DENSE_LIMIT else LAPACK
+
     def full_shapes(self, theta: FloatArray) -> FloatArray:
         """Return the paired modes' shapes by the full model, shape (n_dof, n_modes), at theta (n_parameters,).
 
@@ -469,6 +500,7 @@ class PairedStructure(ModalModel):
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
+        self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper)
         self._see_reduced = SensorView(trained.model, self._solve_reduced, self._sensors)
         if self.rule.by_shape:
             self._reduced_candidates = CandidateView(trained.model, self.rule, self._at_sensors)

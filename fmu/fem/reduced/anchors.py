@@ -76,6 +76,10 @@ class Anchors:
         self._factors.clear()
         self.proven = all(is_semidefinite(t.matrix) for t in self._terms)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the factors, which cannot travel."""
+        return self.__dict__ | {"_factors": {}}
+
     @property
     def _terms(self) -> tuple[Term, ...]:
         return (*self.block.K_terms, *(self.block.M_terms if self.shift else ()))
@@ -135,7 +139,7 @@ class Anchors:
 
 
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return anchors (n_anchors, p) for a box: its middle, and those of the parts in which a stiffness changes much.
+    """Return anchors (n_anchors, p) of a box: its middle, and those of parts in which a stiffness changes much.
 
     A part is halved where a coefficient changes by more than a factor of `_WIDE`, along the parameter that
     changes it most, until there are `_MOST`. Of parameters that change no stiffness the middle serves.

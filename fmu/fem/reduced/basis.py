@@ -79,6 +79,11 @@ class ReducedBlock(Block):
         self.__dict__.update(state)
         self._set_terms(self._K, self._M)
 
+    @property
+    def terms(self) -> tuple[FloatArray, FloatArray]:
+        """Projected terms of K and of M, shapes (n_terms, r, r)."""
+        return self._K, self._M
+
     def truncated(self, size: int) -> ReducedBlock:
         """Return the block reduced by only the first `size` vectors of its basis."""
         leading = copy.copy(self)

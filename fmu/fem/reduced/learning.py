@@ -75,7 +75,7 @@ class Learner:
         return self.space.size >= self.largest
 
     def visit(self, theta: FloatArray, allowed: FloatArray) -> BoolArray:
-        """Return at which points (n, p) no error exceeds its share of `allowed` (m,), and grow where they are larger.
+        """Return at which points (n, p) errors keep to their share of `allowed` (m,); grow where they do not.
 
         Looks at the lowest m modes.
         """
@@ -95,7 +95,7 @@ class Learner:
         return good
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
-        """Return λ (n, count) and shapes (n, r, count) in the trial vectors at all points visited; NaN on failure."""
+        """Return λ (n, count) and shapes (n, r, count) in V at all points visited; NaN on failure."""
         if self._solved is None or self._solved[0] is not self.space or len(self._solved[1]) != len(self.theta):
             self._solved = (self.space, *self.space.modes(self.theta, self.count))
         return self._solved[1:]

@@ -21,12 +21,12 @@ points by Sylvester's law of inertia.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID
+from fmu.fem.modes.modal import RIGID, BlockModel, ModalSolution
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray
@@ -124,6 +124,44 @@ def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
     values = np.linalg.eigvalsh(added)[:, ::-1]
     # a small rise is lost in the digits of ν; for modes apart it is the diagonal
     return np.maximum(values / nu - 1.0, np.einsum("nii->ni", relative))
+
+
+class FrequencyBound:
+    """Bounds of the frequencies of a trained model at any point of its box, a right-hand side a mode.
+
+    Parameters
+    ----------
+    full, reduced : BlockModel
+    lower, upper : ndarray, shape (n_parameters,)
+        The box.
+    """
+
+    def __init__(self, full: BlockModel, reduced: BlockModel, lower: FloatArray, upper: FloatArray) -> None:
+        self.full, self.reduced = full, reduced
+        self.lower, self.upper = lower, upper
+        self._anchors: dict[int, Anchors] = {}
+
+    def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
+        """Return the bound of the relative error of every frequency, shape (n, m), for modes at theta (n, p)."""
+        error = np.full(modes.rank.shape, np.inf)
+        for b in np.unique(modes.block):
+            row, column = np.nonzero(modes.block == b)
+            rank = modes.rank[row, column]
+            error[row, column] = self._of_block(int(b), theta, int(rank.max()) + 1)[row, rank]
+        return error
+
+    def _of_block(self, b: int, theta: FloatArray, count: int) -> FloatArray:
+        full: Any = self.full.blocks[b]
+        reduced: Any = self.reduced.blocks[b]
+        if not reduced.is_reduced or reduced.size == full.size:
+            return np.zeros((len(theta), count))
+        if b not in self._anchors:
+            self._anchors[b] = Anchors(full, self.lower, self.upper)
+        anchors = self._anchors[b]
+        space = Space(full, anchors.shift, reduced.basis, *reduced.terms)
+        step = at_once(full, count)
+        parts = [theta[first : first + step] for first in range(0, len(theta), step)]
+        return np.concatenate([bounded(space, anchors, part, count).error for part in parts])
 
 
 def at_once(block: FullBlock, count: int) -> int:

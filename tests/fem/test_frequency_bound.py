@@ -1,0 +1,256 @@
+"""The bound of a reduced model's frequencies: above the true error everywhere, and not far above."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.testing import assert_array_equal
+
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced import anchors as anchors_module
+from fmu.fem.reduced import residuals
+from fmu.fem.reduced.anchors import Anchors, SingularAnchorError, anchor_points, is_semidefinite
+from fmu.fem.reduced.learning import Learner
+from fmu.fem.reduced.residuals import bounded
+from fmu.fem.reduced.training import box_points
+
+N, COUNT = 60, 5
+
+
+def springs(of, n=N):
+    """Return the stiffness of a chain of n masses whose springs k (0: to the ground) are those of the list."""
+    K = np.zeros((n, n))
+    for k in of:
+        K[k, k] += 1.0
+        if k:
+            K[k - 1, k - 1] += 1.0
+            K[k - 1, k] -= 1.0
+            K[k, k - 1] -= 1.0
+    return sp.csr_array(K)
+
+
+def masses(of, n=N):
+    return sp.csr_array(sp.diags_array(np.isin(np.arange(n), of).astype(float)))
+
+
+def halves():
+    """Return a chain with a stiffness for each half, as for two moduli."""
+    return (
+        _model([(springs(range(30)), (1, 0)), (springs(range(30, N)), (0, 1))], [(masses(range(N)), (0, 0))]),
+        0.5,
+        2.0,
+    )
+
+
+def free():
+    """Return the same without the ground: one motion as a rigid body."""
+    K = [(springs(range(1, 30)), (1, 0)), (springs(range(30, N)), (0, 1))]
+    return _model(K, [(masses(range(N)), (0, 0))]), 0.5, 2.0
+
+
+def heavy():
+    """Return a chain with uncertain masses."""
+    return (
+        _model([(springs(range(N)), (0, 0))], [(masses(range(20)), (1, 0)), (masses(range(20, N)), (0, 1))]),
+        0.5,
+        2.0,
+    )
+
+
+def plate():
+    """Return a chain with stiffness t³ and mass t, as of a plate, beside a part of its own."""
+    K = [(springs(range(30)), (3, 0)), (springs(range(30, N)), (0, 1))]
+    return _model(K, [(masses(range(30)), (1, 0)), (masses(range(30, N)), (0, 0))]), 0.7, 1.4
+
+
+def massless():
+    """Return a chain of which every third place has no mass."""
+    K = [(springs(range(30)), (1, 0)), (springs(range(30, N)), (0, 1))]
+    return _model(K, [(masses([k for k in range(N) if k % 3]), (0, 0))]), 0.5, 2.0
+
+
+def twins():
+    """Return two like chains with a weak link: their modes are close, and cross as one stiffens."""
+    first, second = sp.diags_array([1.0, 0.0]), sp.diags_array([0.0, 1.0])
+    lower, upper, link = springs(range(15), 30), springs(range(15, 30), 30), 1e-3 * sp.eye_array(30)
+    K = [(sp.kron(first, lower), (1, 0)), (sp.kron(second, upper), (0, 1))]
+    K += [(sp.kron(first, upper) + sp.kron(second, lower) + sp.kron([[1.0, -1.0], [-1.0, 1.0]], link), (0, 0))]
+    return _model(K, [(masses(range(N)), (0, 0))]), 0.8, 1.25
+
+
+def vanishing():
+    """Return a chain whose second support may be 10 000 times softer than it is at most."""
+    support = springs([0])[::-1, ::-1]
+    return (
+        _model([(springs(range(N)), (1, 0)), (sp.csr_array(support), (0, 1))], [(masses(range(N)), (0, 0))]),
+        (0.8, 1e-4),
+        (1.2, 1.0),
+    )
+
+
+def gone():
+    """Return a chain that only uncertain springs hold, which may have no stiffness at all."""
+    support = sp.csr_array(springs([0])[::-1, ::-1])
+    return (
+        _model([(springs(range(1, N)), (1, 0)), (support, (0, 1))], [(masses(range(N)), (0, 0))]),
+        (0.8, 0.0),
+        (1.2, 0.1),
+    )
+
+
+def _model(K, M):
+    return SeparableModel([Term(*term) for term in K], [Term(*term) for term in M])
+
+
+BUILT = [halves, free, heavy, plate, massless, twins, vanishing, gone]
+
+
+def box(built):
+    model, lower, upper = built()
+    return (
+        model,
+        np.broadcast_to(np.asarray(lower, float), 2).copy(),
+        np.broadcast_to(np.asarray(upper, float), 2).copy(),
+    )
+
+
+def compared(built, allowed=1e-5):
+    """Return true errors and bounds of a space learnt to `allowed` at points, faces and corners, and the modes."""
+    model, lower, upper = box(built)
+    (dofs,) = model.blocks
+    learner = Learner(FullBlock(model, dofs), lower, upper, COUNT, N)
+    for seed in range(3):
+        learner.visit(box_points(lower, upper, 16, seed), np.full(COUNT, allowed))
+    cut = learner.cut(COUNT, allowed, 1, N)
+    theta = box_points(lower, upper, 128, seed=50)
+    exact = learner.block.eigenvalues(theta, COUNT)
+    found = bounded(cut, learner.anchors, theta, COUNT)
+    # the modes of interest are elastic: for a rigid-body mode there is no relative error
+    elastic = exact > 1e-8 * exact[:, -1:]
+    true = np.where(
+        elastic, np.sqrt(np.maximum(found.eigenvalues, 0.0) / np.where(elastic, exact, 1.0)) - 1.0, 0.0
+    )
+    return true, found.error, learner
+
+
+@pytest.mark.parametrize("built", BUILT)
+def test_the_bound_is_a_bound(built):
+    true, bound, learner = compared(built)
+    assert learner.anchors.proven
+    # 1e-12: rounding of the full model, 1e-16 times a condition of some thousands
+    assert np.all(true <= bound + 1e-12)
+    known = true > 1e-9
+    assert known.sum() > 50
+    assert np.median(bound[known] / true[known]) <= 5.0
+
+
+@pytest.mark.parametrize("built", [halves, plate, vanishing])
+def test_without_alpha_it_is_none(built, monkeypatch):
+    nearest = Anchors.nearest
+    monkeypatch.setattr(Anchors, "nearest", lambda *given: (nearest(*given)[0], np.ones(len(given[1]))))
+    true, bound, _ = compared(built)
+    assert np.any(true > bound + 1e-12)
+
+
+def test_with_an_alpha_of_the_first_term_alone_it_is_none(monkeypatch):
+    ratios = Anchors._ratios
+    monkeypatch.setattr(Anchors, "_ratios", lambda *given: ratios(*given)[:, :1])
+    true, bound, _ = compared(halves)
+    assert np.any(true > bound + 1e-12)
+
+
+def test_a_residual_without_a_term_is_another(monkeypatch):
+    matrices, (model, lower, upper) = FullBlock._matrices, box(halves)
+    learner = Learner(FullBlock(model, np.arange(N)), lower, upper, COUNT, N)
+    learner.anchors.factor(0)
+    theta = box_points(lower, upper, 16, seed=1)
+    found = bounded(learner.space, learner.anchors, theta, COUNT).error
+
+    def of_fewer_terms(self, theta):
+        for (K, M), at in zip(matrices(self, theta), theta, strict=True):
+            yield K - at[1] * self.K_terms[1].matrix.toarray(), M
+
+    monkeypatch.setattr(FullBlock, "_matrices", of_fewer_terms)
+    assert np.all(bounded(learner.space, learner.anchors, theta, COUNT).error[:, 0] > 3.0 * found[:, 0])
+
+
+def test_the_bound_of_a_paired_model_is_that_of_its_modes():
+    model, lower, upper = box(twins)
+    paired = PairedStructure.of(model, pairing="shape", numbers=(1, 2, 3), sensors=(), reference=lower * 1.05)
+    with pytest.raises(ValueError, match=r"^frequency_bound: there is no reduced model"):
+        paired.frequency_bound(lower[None])
+    paired.train(lower, upper, 1e-6)
+    theta = box_points(lower, upper, 64, seed=9)
+    exact, reduced = paired.full_modes(theta), paired.modes(theta)
+    same = np.all((exact.rank == reduced.rank) & (exact.block == reduced.block), axis=1)
+    assert same.mean() > 0.9
+    true = np.sqrt(reduced.eigenvalues / exact.eigenvalues) - 1.0
+    bound = paired.frequency_bound(theta)
+    assert np.all(true[same] <= bound[same] + 1e-12)
+    assert np.max(bound) <= 2e-6
+    assert np.all(np.isinf(paired.frequency_bound(upper[None] * 1.1)))
+
+
+def test_a_term_that_is_not_semidefinite_gives_an_estimate():
+    K = [(springs(range(N)), (1, 0)), (springs([3]) - springs([4]), (0, 1))]
+    model = _model(K, [(masses(range(N)), (0, 0))])
+    block = FullBlock(model, np.arange(N))
+    assert not Anchors(block, np.array([0.8, 0.1]), np.array([1.2, 0.2])).proven
+    true, bound, learner = compared(lambda: (model, (0.8, 0.1), (1.2, 0.2)))
+    assert not learner.anchors.proven
+    assert np.all(true <= 1.1 * bound + 1e-12)
+
+
+def test_one_anchor_where_little_changes_several_where_a_stiffness_may_vanish():
+    terms = [Term(springs([0]), (1, 0)), Term(springs([1]), (0, 3))]
+    assert_array_equal(anchor_points(terms, np.full(2, 1.0), np.full(2, 1.5)), [[1.25, 1.25]])
+    several = anchor_points(terms, np.array([1.0, 1e-4]), np.array([1.5, 1.0]))
+    assert len(several) > 2
+    assert np.all(several[:, 0] == 1.25)
+    assert len(anchor_points(terms, np.zeros(2), np.ones(2))) <= anchors_module._MOST
+    assert 0.0 in anchor_points(terms, np.array([1.0, 0.0]), np.array([1.5, 1.0]))[:, 1]
+
+
+def test_semidefinite_terms_are_told_from_others():
+    assert is_semidefinite(springs(range(1, N)))
+    assert is_semidefinite(sp.csr_array((5, 5)))
+    assert not is_semidefinite(springs([3]) - 0.1 * springs([4]))
+    large = springs(range(1, 500), 500)
+    assert is_semidefinite(large)
+    assert not is_semidefinite(large - 1.1 * springs([4], 500))
+
+
+def test_a_motion_without_stiffness_and_mass_is_an_error():
+    K, M = springs(range(1, N)), masses([])
+    block = FullBlock(_model([(K, (1, 0))], [(masses(range(N)), (0, 0))]), np.arange(N))
+    anchors = Anchors(block, np.full(2, 1.0), np.full(2, 2.0))
+    assert anchors.shift > 0.0
+    anchors.shift = 0.0
+    anchors._factors.clear()
+    with pytest.raises(SingularAnchorError):
+        anchors.factor(0)
+    assert M.nnz == 0
+
+
+def test_a_mode_that_the_space_does_not_know_is_counted():
+    """Every residual is small, and yet a mode is missing."""
+    model, lower, upper = box(halves)
+    (dofs,) = model.blocks
+    learner = Learner(FullBlock(model, dofs), lower, upper, COUNT, N)
+    theta = 0.5 * (lower + upper)[None]
+    assert learner.counts_the_same(theta, 3)
+    _, shapes = learner.block.modes(theta, COUNT + 2)
+    learner.space = learner.space.empty(learner.block, 0.0).grown(
+        np.delete(shapes[0], 1, axis=1), learner.anchors.first
+    )
+    assert np.all(bounded(learner.space, learner.anchors, theta, 3).error < 1e-9)
+    assert not learner.counts_the_same(theta, 3)
+
+
+def test_fewer_points_at_once_where_memory_is_short(monkeypatch):
+    model, *_ = box(halves)
+    block = FullBlock(model, np.arange(N))
+    assert residuals.at_once(block, COUNT) == 16
+    monkeypatch.setattr(residuals, "BUDGET", 8 * 3 * N * COUNT * 4)
+    assert residuals.at_once(block, COUNT) == 4

@@ -1,0 +1,77 @@
+"""Factors of symmetric matrices: each solver solves a block, and counts the eigenvalues below zero."""
+
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.testing import assert_allclose
+
+from fmu.fem.modes import solver
+from fmu.fem.modes.solver import PARDISO, SUPERLU, factorised, sparse_solver
+
+fast = pytest.mark.skipif(find_spec("pypardiso") is None, reason="pypardiso, the extra fast, is not installed")
+SOLVERS = [SUPERLU, pytest.param(PARDISO, marks=fast), "LAPACK"]
+N = 60
+
+
+def chain(shift=0.0):
+    """Return the stiffness of a chain of springs less `shift`; its eigenvalues are 2 − 2 cos(k π/(n + 1))."""
+    return sp.csr_array(
+        sp.diags_array([[2.0 - shift] * N, [-1.0] * (N - 1), [-1.0] * (N - 1)], offsets=[0, 1, -1])
+    )
+
+
+def factors(matrix, name):
+    return factorised(matrix.toarray() if name == "LAPACK" else matrix, name)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("shift", [0.0, 1.03])
+def test_it_solves_one_load_and_a_block_of_them(name, shift):
+    A, loads = chain(shift), np.random.default_rng(0).standard_normal((N, 7))
+    factor = factors(A, name)
+    found = factor.solve(loads)
+    # ten times the rounding of a matrix of condition 2000, or of 60 at a shift between its eigenvalues
+    assert_allclose(A @ found, loads, atol=1e-11)
+    assert_allclose(factor.solve(loads[:, 2]), found[:, 2], rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("below", [0, 1, 17, N])
+def test_inertia_is_the_number_of_eigenvalues_below(name, below):
+    values = np.concatenate([[0.0], 2.0 - 2.0 * np.cos(np.arange(1, N + 1) * np.pi / (N + 1)), [4.2]])
+    assert factors(chain(0.5 * (values[below] + values[below + 1])), name).negative == below
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_singular_matrix_is_an_error(name):
+    singular = sp.csr_array(sp.diags_array([1.0] * (N - 1) + [0.0]))
+    with pytest.raises(np.linalg.LinAlgError):
+        factors(singular, name)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_small_pivots_are_left_as_they_are(name):
+    """A stiffness of 1e-12 of the others is one, not rounding."""
+    soft = sp.csr_array(sp.diags_array(np.where(np.arange(N) % 7, 1.0, 1e-12)))
+    assert_allclose(factors(soft, name).solve(np.ones(N)), np.where(np.arange(N) % 7, 1.0, 1e12), rtol=1e-10)
+
+
+def test_pardiso_where_it_is_installed_else_superlu(monkeypatch):
+    assert sparse_solver() == (PARDISO if find_spec("pypardiso") else SUPERLU)
+    monkeypatch.setattr(solver, "find_spec", lambda name: None)
+    assert sparse_solver() == SUPERLU
+    assert type(factorised(chain())).__name__ == "_SuperLU"
+
+
+@fast
+def test_pardiso_releases_what_it_holds():
+    import weakref
+
+    factor = factorised(chain(), PARDISO)
+    held = weakref.ref(factor)
+    del factor
+    assert held() is None
+    assert "pypardiso" in sys.modules
