@@ -13,6 +13,7 @@ import numpy as np
 from fmu.engines.base import Engine
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, typed
@@ -94,7 +95,8 @@ def reduce_model(
     Raises
     ------
     ValueError
-        If it is to be trained and rounding exceeds the errors of the measurement.
+        If it is to be trained and rounding exceeds the errors of the measurement, or if a motion has neither
+        stiffness nor mass where a parameter is zero.
 
     Warns
     -----
@@ -127,15 +129,25 @@ def reduce_model(
         return points[:, :n] if wrong.any() and not has_stalled(differences) else None
 
     # a pseudo-likelihood without computed modes has no log-probability to compare
-    state = structure.train(
-        lower, upper, tolerance.frequency, inaccurate_points if likelihood.of_modes else None, engine
-    )
+    try:
+        state = structure.train(
+            lower, upper, tolerance.frequency, inaccurate_points if likelihood.of_modes else None, engine
+        )
+    except SingularAnchorError as singular:
+        raise ValueError(_singular(problem, singular)) from singular
     error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
     store_basis(key, state)
     _warn_if_missed(structure, tolerance, state)
+
+
+def _singular(problem: Problem, error: SingularAnchorError) -> str:
+    if error.parameter is None:
+        return f"reduction: {error}, in the middle of the bounds; hold the motion or give it mass"
+    name = problem.parameters[error.parameter].name
+    return f"parameters: {name} must not reach zero: there {error}; raise its lower bound, or give the motion mass"
 
 
 def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:

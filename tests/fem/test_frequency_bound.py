@@ -14,6 +14,9 @@ from fmu.fem.reduced.anchors import Anchors, SingularAnchorError, anchor_points,
 from fmu.fem.reduced.learning import Learner
 from fmu.fem.reduced.residuals import bounded
 from fmu.fem.reduced.training import box_points
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.problem import UpdatingProblem
 
 N, COUNT = 60, 5
 
@@ -221,16 +224,20 @@ def test_semidefinite_terms_are_told_from_others():
     assert not is_semidefinite(large - 1.1 * springs([4], 500))
 
 
-def test_a_motion_without_stiffness_and_mass_is_an_error():
-    K, M = springs(range(1, N)), masses([])
-    block = FullBlock(_model([(K, (1, 0))], [(masses(range(N)), (0, 0))]), np.arange(N))
-    anchors = Anchors(block, np.full(2, 1.0), np.full(2, 2.0))
-    assert anchors.shift > 0.0
-    anchors.shift = 0.0
-    anchors._factors.clear()
-    with pytest.raises(SingularAnchorError):
-        anchors.factor(0)
-    assert M.nnz == 0
+def hinged():
+    """Return a chain with a massless end that an uncertain spring alone holds, which may vanish."""
+    K = [(springs(range(N - 1)), (1, 0)), (springs([N - 1]), (0, 1))]
+    return _model(K, [(masses(range(N - 1)), (0, 0))])
+
+
+def test_a_motion_without_stiffness_and_mass_names_the_parameter():
+    block = FullBlock(hinged(), np.arange(N))
+    with pytest.raises(SingularAnchorError, match=r"^K \+ s M is singular") as raised:
+        Anchors(block, np.array([0.8, 0.0]), np.array([1.2, 1.0]))
+    assert raised.value.parameter == 1
+    parameters = [Parameter("k", 1.0, 0.8, 1.2), Parameter("end", 0.5, 0.0, 1.0)]
+    with pytest.raises(ValueError, match=r"^parameters: end must not reach zero: .*raise its lower bound"):
+        UpdatingProblem.reduced(hinged(), ModalData([0.004, 0.012]), parameters, pairing="index")
 
 
 def test_a_mode_that_the_space_does_not_know_is_counted():

@@ -33,7 +33,17 @@ _MOST = 8
 
 
 class SingularAnchorError(ValueError):
-    """A motion of the structure has neither stiffness nor mass somewhere in the box."""
+    """A motion of the structure has neither stiffness nor mass somewhere in the box.
+
+    Attributes
+    ----------
+    parameter : int or None
+        The parameter that is zero there.
+    """
+
+    def __init__(self, message: str, parameter: int | None = None) -> None:
+        super().__init__(message)
+        self.parameter = parameter
 
 
 class Anchors:
@@ -58,7 +68,7 @@ class Anchors:
     Raises
     ------
     SingularAnchorError
-        If K + s M is singular at the anchor in the middle.
+        If K + s M is singular at an anchor.
     """
 
     def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray) -> None:
@@ -73,7 +83,9 @@ class Anchors:
             elastic = lam[~is_rigid(lam)]
             self.shift = float(elastic[0]) if len(elastic) else 1.0
             self.shift = max(self.shift, -2.0 * float(lam[0]))
-        self._factors.clear()
+            self._factors.clear()
+            for a in range(len(self.theta)):
+                self.factor(a)
         self.proven = all(is_semidefinite(t.matrix) for t in self._terms)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -105,10 +117,14 @@ class Anchors:
         if a not in self._factors:
             try:
                 found = factorised(self.matrix(a))
+                if found.negative:
+                    raise np.linalg.LinAlgError(f"{found.negative} of its eigenvalues are not positive")
             except np.linalg.LinAlgError as error:
-                raise SingularAnchorError(f"K + s M is singular: {error}") from error
-            if found.negative:
-                raise SingularAnchorError(f"K + s M is negative for {found.negative} motions")
+                zero = np.flatnonzero(self.theta[a] == 0.0)
+                raise SingularAnchorError(
+                    f"K + s M is singular, a motion has neither stiffness nor mass: {error}",
+                    int(zero[0]) if len(zero) else None,
+                ) from error
             self._factors[a] = found
         return self._factors[a]
 

@@ -39,6 +39,9 @@ _LOOSE = 1e-3
 _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
 # Fresh points of full solves, and how often training goes on from them.
 _CHECKED, _ROUNDS = 4, 4
+# The share of what the space leaves of the tolerance that the cut may take, at the points that it is tuned to. With
+# many parameters others lie a little further out.
+_CUT = 0.6
 _CHECKS = 1000  # seeds of theirs
 
 
@@ -110,7 +113,7 @@ class Training:
         self.basis: dict[int, FloatArray] = {}
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
-        self._seed = 0
+        self._seed, self._cut_share = 0, _CUT
 
     def run(self) -> Trained:
         """Train until fresh points, corners and faces among them, are within the tolerance, and full solves agree.
@@ -135,6 +138,7 @@ class Training:
             self._cut()
             if self.is_cut() or self._verified(round_):
                 break
+            self._cut_share *= 0.5
         else:
             self.confirmed = False
         self.confirmed &= not self.is_cut()
@@ -188,6 +192,7 @@ class Training:
                 points = box_points(self.lower, self.upper, self.n_sobol, self._seed)
                 points = points[np.random.default_rng(self._seed).permutation(len(points))]
                 self._seed += 1
+                size = self._size()
                 for first in range(0, len(points), _TOGETHER):
                     part = points[first : first + _TOGETHER]
                     under_way.expect(len(part))
@@ -195,11 +200,16 @@ class Training:
                     under_way.advance(len(part))
                     visited += len(part)
                     good = good + len(part) if was_good else 0
-                    if good >= enough or (not was_good and self._is_full()):
-                        break
-                if not was_good and self._is_full():
-                    break
+                    if good >= enough:
+                        return True
+                    if not was_good and self._is_full():
+                        return False
+                if good < len(points) and self._size() == size:  # where no solve succeeds, or rounding is all
+                    return False
         return good >= enough
+
+    def _size(self) -> int:
+        return sum(learner.space.size for learner in self.learners.values())
 
     def _is_full(self) -> bool:
         return any(learner.is_full and not learner.is_whole for learner in self.learners.values())
@@ -237,7 +247,7 @@ class Training:
                 return shapes[0]
         smallest = self.basis[b].shape[1] if b in self.basis else 1
         largest = max(affordable(block.size), needed)
-        cut = self.learners[b].cut(needed, (1.0 - SHARE) * self.tolerance, smallest, largest)
+        cut = self.learners[b].cut(needed, self._cut_share * (1.0 - SHARE) * self.tolerance, smallest, largest)
         return mass_orthonormal(block, cut.V, centre)
 
     def _verified(self, round_: int) -> bool:
