@@ -28,6 +28,8 @@ _GUARDS = 3
 _STEP = 0.05
 # Of a tolerance: the space grows where an error exceeds the first share, and may have the second before it is cut.
 GROWN, SHARE = 0.25, 0.45
+# Of the tolerance: energy left out of the cut that no frequency feels.
+_NEGLIGIBLE = 0.02
 # Points that the cut is tuned at; all others are checked.
 _TUNED = 24
 
@@ -159,6 +161,9 @@ class Learner:
         Q = Q[:, ::-1][:, : max(largest, needed)]
         left = np.sum(Z**2, axis=0) - np.cumsum((Q.T @ Z) ** 2, axis=0)  # (r, n · m)
         left = np.max(left.reshape(Q.shape[1], len(theta), needed), axis=2)
+        # far more vectors than any point needs are not worth their projection
+        Q = Q[:, : max(needed, int(np.sum(np.max(left, axis=1) > _NEGLIGIBLE * tolerance)) + 1)]
+        left = left[: Q.shape[1]]
         rotated = space.restricted(Q)
 
         def worst(size: int, rows: FloatArray) -> FloatArray:

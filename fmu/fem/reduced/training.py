@@ -39,8 +39,8 @@ _LOOSE = 1e-3
 _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
 # Fresh points of full solves, and how often training goes on from them.
 _CHECKED, _ROUNDS = 4, 4
-# The share of what the space leaves of the tolerance that the cut may take, at the points that it is tuned to. With
-# many parameters others lie a little further out.
+# The share of what the space leaves of the tolerance that the cut may take, at the points that it is tuned to.
+# With many parameters others lie a little further out.
 _CUT = 0.6
 _CHECKS = 1000  # seeds of theirs
 
