@@ -73,7 +73,7 @@ def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bo
         G[i] = R[:, i].T @ W[:, i]
         mass[i] = np.sum(W[:, i] * (M @ W[:, i]), axis=0)
     error = frequency_error(lam, space.shift, G, mass, alpha)
-    W /= np.sqrt(sigma)
+    W /= np.sqrt(np.abs(sigma))
     return Bounded(lam, y, error, W)
 
 

@@ -119,6 +119,8 @@ def _highest(B: FloatArray, A: FloatArray, count: int) -> tuple[FloatArray, Floa
     r = len(A)
     if r < _LANCZOS or 4 * count > r:
         nu, x = sl.eigh(B, A, subset_by_index=[r - count, r - 1], check_finite=False)
+        if len(nu) < count:  # LAPACK returns fewer on overflow, without an error
+            raise np.linalg.LinAlgError(f"{len(nu)} of {count} eigenvalues found")
         return nu[::-1], x[:, ::-1]
     L = np.linalg.cholesky(A)
 
