@@ -129,7 +129,10 @@ class Training:
         self.n_trained = dict.fromkeys(counts, 0)
         self._visit(2 * _TOGETHER)
         self.fixed, self.n_trained = self._needed()
+        near_zero = points_near_zero(self.lower, self.upper, self.n_sobol)
         for round_ in range(_ROUNDS):
+            for b, learner in self.learners.items():
+                learner.visit(near_zero, self._allowed(b))
             self.confirmed = self._visit(_ENOUGH)
             fixed, needed = self._needed()
             if fixed != self.fixed or any(n > self.n_trained.get(b, 0) for b, n in needed.items()):
@@ -314,6 +317,19 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
     else:
         corners = rng.integers(0, 2, size=(64, ndim)).astype(float)
     return lower + (upper - lower) * np.concatenate([inside, faces, corners])
+
+
+def points_near_zero(lower: FloatArray, upper: FloatArray, n: int) -> FloatArray:
+    """Return points (n, n_parameters) of a box at which parameters come near zero, if it reaches zero.
+
+    None if no lower bound is zero. A stiffness that nearly vanishes has modes that neither the face shows, where
+    it is gone, nor points that cover the box evenly.
+    """
+    rng = np.random.default_rng(n)
+    points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))
+    near = (rng.integers(0, 2, size=points.shape) == 1) & (lower == 0.0)
+    points = np.where(near, upper * 10.0 ** rng.uniform(-8.0, -1.0, size=points.shape), points)
+    return points[near.any(axis=1)]
 
 
 def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> FloatArray:
