@@ -22,7 +22,7 @@ _WEIGHED = 1024  # draws for each maximum
 _SLOW_S = 0.005
 _OVERHEAD_S = 1e-4  # of a step beside a solve
 _PROBES, _PROBE_S = 5, 0.04
-_CERTIFIED = 64
+_CERTIFIED = 64  # as long as so many full solves
 _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 

