@@ -1,9 +1,8 @@
 """Factors of symmetric matrices: one small protocol, three solvers.
 
 LAPACK for dense matrices. For sparse ones PARDISO of Intel's MKL where the extra ``fmu[fast]`` is installed
-(package pypardiso), else SuperLU, which comes with SciPy. At 10⁴ degrees of freedom both take the same time; at
-10⁵ PARDISO takes a sixth of it to factorise and a third to solve. It uses one thread, or as many as the
-environment variable ``MKL_NUM_THREADS`` says.
+(package pypardiso), else SuperLU, which comes with SciPy. PARDISO is meant for 10⁵ degrees of freedom and more; it
+uses one thread, or as many as the environment variable ``MKL_NUM_THREADS`` says.
 
 None of them changes the order of rows for the sake of large pivots. The matrices are positive definite or nearly
 so, and the signs of the pivots then are those of the eigenvalues (Sylvester's law of inertia).
