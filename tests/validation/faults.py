@@ -336,6 +336,20 @@ IN_THE_MIXTURE = (
         MIXTURE,
     ),
     Fault(
+        "mixture: a maximum that a fit loses is lost",
+        "fmu/samplers/mixture/tuner.py",
+        "self._take(_with_found(changed, lost))",
+        "self._take(changed)",
+        MIXTURE,
+    ),
+    Fault(
+        "mixture: a climb goes the wrong way",
+        "fmu/samplers/mixture/quadratic.py",
+        "(ahead - behind) / (2.0 * curvature)",
+        "(behind - ahead) / (2.0 * curvature)",
+        MIXTURE,
+    ),
+    Fault(
         "mixture: a fit to few points is kept whatever it is worth",
         "fmu/samplers/mixture/proposal.py",
         "and _gain_elsewhere(points, start) <= 0.0:",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ _CONDITION = 1e13
 _FLAT = 20.0
 _MOST_WIDENED = 2.5
 _PULL = 1e-3
+_CLIMBS, _LONGEST = 8, 3.0
+_LEVEL, _CLIFF = 0.1, 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +114,39 @@ def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: Float
     back = np.linalg.inv(L)
     gradient, curvature = back.T @ c[1 : 1 + len(mean)], back.T @ definite(H) @ back
     return Quadratic(mean, float(c[0]), gradient, curvature, L @ L.T)
+
+
+def climbed(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like: FloatArray) -> Quadratic:
+    """Climb towards a maximum by differences; return the log-density around the highest point.
+
+    Newton steps along axes that are scaled by the curvatures found, 8 at most. They need no gradients, and
+    2 ndim + 1 evaluations each. The quadratic has no curvature between these axes.
+
+    Parameters
+    ----------
+    log_prob : callable
+        Points (n, ndim) to log-densities (n,), which may be -inf.
+    start : ndarray, shape (ndim,)
+    like : ndarray, shape (ndim, ndim)
+        A precision whose Cholesky factor gives the axes.
+    """
+    x, axes = start, np.linalg.inv(np.linalg.cholesky(definite(like))).T
+    top, highest = start, -np.inf
+    for _ in range(_CLIMBS):
+        points = np.concatenate([x[None], x + axes.T, x - axes.T])
+        values = log_prob(points)
+        if values[0] < highest:  # the step was too long
+            x, axes = top, 0.5 * axes
+            continue
+        top, highest = points[np.argmax(values)], float(values.max())
+        ahead, behind = np.maximum(values[1:], values[0] - _CLIFF).reshape(2, -1)
+        slope, curvature = 0.5 * (ahead - behind), np.maximum(2.0 * values[0] - ahead - behind, _LEVEL)
+        x = x + axes @ np.clip(slope / curvature, -_LONGEST, _LONGEST)
+        axes = axes / np.sqrt(curvature)
+        if slope @ (slope / curvature) < _LEVEL:
+            break
+    back = np.linalg.inv(axes)
+    return Quadratic(top, highest, np.zeros_like(top), back.T @ back)
 
 
 def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:

@@ -15,7 +15,7 @@ from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import MOST, Mixture, Points, Warp, fitted_mixture, refitted_mixture
-from fmu.samplers.mixture.quadratic import Quadratic, fitted, n_coefficients
+from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted, n_coefficients
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, IntArray, LogDensity
 
@@ -27,11 +27,11 @@ _SAMPLE = 1000  # draws of a mixture that give its covariance
 _FAR = 10.0  # points with a log-density further below the median, plus one per coordinate, are on the way
 _APART = 3.0
 _LEAST_MOVE = 1e-8  # in scaled units
-_UNKNOWN, _VALLEY = 5.0, 3.0
-"""A point where log w exceeds its median by the first is where the mixture has nothing. It is near a maximum that
-the mixture does not know if the log-density between it and its component drops by the second: more than what
+_UNKNOWN, _VALLEY = 1.0, 3.0
+"""A point where log w exceeds its median by the first is where the mixture has too little. It is near a maximum
+that the mixture does not know if the log-density between it and its component drops by the second: more than what
 local steps cross by themselves."""
-_LOWEST = -5.0  # of the logarithm of a new component's weight
+_LOWEST = -5.0  # of the logarithm of a new component's share
 _CHECKED = 5  # points per fit
 _BETWEEN = np.arange(6) / 6.0  # from the component to the point
 
@@ -161,7 +161,8 @@ class MixtureTuner:
     def _fit(self, state: State) -> IntArray | None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
 
-        Return the evaluations of each chain that this took.
+        Maxima that it does not know are looked for before, since their candidates would spoil the fit, and after,
+        since a fit may lose one. Return the evaluations of each chain that this took.
         """
         assert self.mixture is not None
         u, log_prob, _ = self.drawn
@@ -173,48 +174,55 @@ class MixtureTuner:
             np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
         ]
         log_q = np.asarray(logsumexp(of_stages, axis=0))
-        new, spent = self._unknown_maxima(state, u, log_prob)
+        new, spent = self._unknown_maxima(self.mixture, state, u, log_prob)
         old = _with_found(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
         mixture = self.mixture
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
                 mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], log_q[old]), mixture)
-        if new or mixture is not self.mixture:
-            self._take(_with_found(mixture, new))
-        return spent
+        changed = _with_found(mixture, new)
+        lost, more = self._unknown_maxima(changed, state, u, log_prob)
+        if new or lost or mixture is not self.mixture:
+            self._take(_with_found(changed, lost))
+        return spent + more
 
     def _unknown_maxima(
-        self, state: State, u: FloatArray, log_prob: FloatArray
-    ) -> tuple[list[tuple[FloatArray, float]], IntArray]:
-        """Return points, one near each maximum that the mixture does not know, and evaluations of each chain.
+        self, mixture: Mixture, state: State, u: FloatArray, log_prob: FloatArray
+    ) -> tuple[list[Found], IntArray]:
+        """Return the maxima that a mixture does not know, and evaluations of each chain.
 
-        They are where chains are, candidates u (n, ndim), or where chains were before the first fit. Log w is far
-        above its median there, and a valley lies between them and the component that accounts for them. A chain at
-        a low maximum without a component would hardly leave it; the others must be as high as the draws.
+        They are climbed to from where chains are, candidates u (n, ndim), or where chains were before the first
+        fit, if log w is above its median there, and a valley lies between the point and the component that
+        accounts for it. A chain at a low maximum without a component would hardly leave it; the others must be as
+        high as the draws.
         """
-        assert self.mixture is not None
-        usual = np.median(log_prob - self.mixture.log_density(u))
+        usual = float(np.median(log_prob - mixture.log_density(u)))
         u = np.concatenate([state.position, u, self.visited.position])
         log_prob = np.concatenate([state.log_prob, log_prob, self.visited.log_prob])
         is_chain = np.arange(len(u)) < self.chains
         known = ~is_chain & (log_prob < np.median(state.log_prob) - _FAR - self.density.ndim)
-        mixture, found = self.mixture, list[tuple[FloatArray, float]]()
+        found = list[Found]()
         spent = np.zeros(self.chains, dtype=np.int64)
         for check in range(_CHECKED):
-            unknown = ~known & (log_prob - mixture.log_density(u) > usual + _UNKNOWN)
-            if not unknown.any() or len(mixture.quadratics) == MOST:
+            log_w = log_prob - mixture.log_density(u)
+            unknown = ~known & (log_w > usual + _UNKNOWN)
+            if not unknown.any() or len(mixture.quadratics) >= MOST:
                 break
             first = unknown & is_chain if np.any(unknown & is_chain) else unknown
-            at = int(np.argmax(np.where(first, log_prob, -np.inf)))
-            owner = int(np.argmax(mixture.responsibilities(u[at : at + 1])[:, 0]))
-            begin, end = mixture.quadratics[owner].position, mixture.warp.to_x(u[at])
-            between = self.target.evaluate(mixture.warp.to_u(begin + _BETWEEN[:, None] * (end - begin)))
-            spent[check % self.chains] += int(between.n_solves.sum())
-            if np.min(between.log_prob) < min(between.log_prob[0], log_prob[at]) - _VALLEY:
-                found.append((u[at], float(log_prob[at])))
-                mixture = _with_found(self.mixture, found)
-            else:
-                known[at] = True
+            at = int(np.argmax(np.where(first, log_w, -np.inf)))
+            owner = mixture.quadratics[int(np.argmax(mixture.responsibilities(u[at : at + 1])[:, 0]))]
+            begin, end = owner.position, mixture.warp.to_x(u[at])
+            evaluate = _Counted(self.target)
+            between = evaluate(mixture.warp.to_u(begin + _BETWEEN[:, None] * (end - begin)))
+            known[at] = True
+            if np.min(between) < min(between[0], log_prob[at]) - _VALLEY:
+                away = mixture.warp.stretch(u[at])
+                summit = climbed(evaluate, u[at], owner.hessian / np.outer(away, away))
+                if summit.log_prob - mixture.log_density(summit.position[None])[0] > usual + _UNKNOWN:
+                    log_mass = summit.log_prob - 0.5 * np.linalg.slogdet(summit.hessian / (2.0 * np.pi))[1]
+                    found.append(Found(summit, float(np.exp(np.clip(log_mass - usual, _LOWEST, 0.0)))))
+                    mixture = _with_found(mixture, found[-1:])
+            spent[check % self.chains] += evaluate.n_solves
         return found, spent
 
     def _take(self, mixture: Mixture) -> None:
@@ -274,18 +282,34 @@ class Evaluated(NamedTuple):
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
-def _with_found(mixture: Mixture, found: Sequence[tuple[FloatArray, float]]) -> Mixture:
-    """Return the mixture with a component at points, given with their log-density.
+class _Counted:
+    """A target's log-density, with the solves counted."""
 
-    It has the curvature of the heaviest component, and its weight unless the point is lower; later fits correct
-    both.
-    """
-    heaviest = int(np.argmax(mixture.weights))
-    like = mixture.quadratics[heaviest]
-    new = [Quadratic(mixture.warp.to_x(u), value, np.zeros_like(u), like.hessian) for u, value in found]
-    height = np.array([value - like.log_prob + len(like.position) for _, value in found])
-    weights = np.append(mixture.weights, mixture.weights[heaviest] * np.exp(np.clip(height, _LOWEST, 0.0)))
-    return Mixture([*mixture.quadratics, *new], weights, mixture.warp)
+    def __init__(self, target: Target) -> None:
+        self.target, self.n_solves = target, 0
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """Return the log-density at points u (n, ndim), -inf outside the box."""
+        found = self.target.evaluate(u)
+        self.n_solves += int(found.n_solves.sum())
+        return found.log_prob
+
+
+class Found(NamedTuple):
+    """A maximum: the log-density around it, not warped, and its mass over that of the mixture."""
+
+    quadratic: Quadratic
+    mass: float
+
+
+def _with_found(mixture: Mixture, found: Sequence[Found]) -> Mixture:
+    """Return the mixture with a component at each maximum; later fits correct its weight and shape."""
+    if not found:
+        return mixture
+    new = [mixture.warp.quadratic(one.quadratic) for one in found]
+    return Mixture(
+        [*mixture.quadratics, *new], np.append(mixture.weights, [one.mass for one in found]), mixture.warp
+    )
 
 
 def shaped(
