@@ -18,12 +18,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fmu.fem.modes.modal import RIGID
+from fmu.fem.modes.modal import RIGID, ModalSolution
 from fmu.fem.modes.separable import Term, coefficients
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.numbers import share, significant
@@ -40,6 +41,8 @@ _ROUNDINGS = 4.0
 # motion does not strain the term, apart from rounding, also in matrices exported with ten digits.
 _LOST = 1e-6
 _RIGID_AT_MOST = 7
+# The last start of each model: it is asked for before training and after.
+_SOLVED: WeakKeyDictionary[PairedStructure, tuple[FloatArray, FloatArray, ModalSolution]] = WeakKeyDictionary()
 
 
 class RoundingWarning(UserWarning):
@@ -97,13 +100,15 @@ def rounding(problem: Problem) -> Rounding | None:
     if model is None or not likelihood.of_modes:
         return None
     theta = problem.start[: model.n_parameters]
-    shapes = model.full_shapes(theta)
-    modes = model.full_modes(theta[None])
-    lam = modes.eigenvalues[0]
-    if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(lam))):
-        return None
-    lam = np.maximum(lam, 0.0)
-    _require_no_term_lost(model, theta, float(lam.max()))
+    if model not in _SOLVED or not np.array_equal(_SOLVED[model][0], theta):
+        shapes = model.full_shapes(theta)
+        modes = model.full_modes(theta[None])
+        if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(modes.eigenvalues))):
+            return None
+        _require_no_term_lost(model, theta, max(float(modes.eigenvalues.max()), 0.0))
+        _SOLVED[model] = theta, shapes, modes
+    _, shapes, modes = _SOLVED[model]
+    lam = np.maximum(modes.eigenvalues[0], 0.0)
     K, M = (_sizes(terms, theta) for terms in (model.structure.K_terms, model.structure.M_terms))
     stiff, heavy = _energies(K, shapes), _energies(M, shapes)
     error = np.sqrt(stiff.sum(axis=0)) + lam * np.sqrt(heavy.sum(axis=0)) + _reduced(model, modes.block[0], theta)
@@ -146,8 +151,9 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
     energy in it, that is wrong: the term was lost in the sum, or nearly.
     """
     structure = model.structure
-    for block in model.full.blocks:
-        lam, shapes = block.modes(theta[None], min(_RIGID_AT_MOST, block.n_modes))
+    counts = model.rule.counts(model.full)  # so many were solved for
+    for b, block in enumerate(model.full.blocks):
+        lam, shapes = block.modes(theta[None], max(counts.get(b, 0), min(_RIGID_AT_MOST, block.n_modes)))
         N = np.zeros((structure.n_dof, int(np.sum(lam[0] <= RIGID * top))))
         N[block.dofs] = shapes[0][:, : N.shape[1]]
         for term in structure.K_terms if N.shape[1] else ():

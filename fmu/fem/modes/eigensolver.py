@@ -152,11 +152,16 @@ def _safely_factored(S: Any) -> Factor | None:
         factor = _definite(S)
     except np.linalg.LinAlgError:
         return None
+    return factor if is_clearly_definite(factor, np.ones(S.shape[0])) else None
+
+
+def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
+    """Say whether a definite A is so by more than rounding, from its factors and D with D A D of unit diagonal."""
     # four steps of inverse iteration: the estimate of the lowest eigenvalue is never below it
-    x = np.random.default_rng(0).standard_normal(S.shape[0])
+    x = np.random.default_rng(0).standard_normal(len(scale))
     for _ in range(4):
-        x = factor.solve(x / np.linalg.norm(x))
-    return factor if np.linalg.norm(x) * _CAUTION * ZERO < 1.0 else None
+        x = factor.solve(x / np.linalg.norm(x) / scale) / scale
+    return bool(np.linalg.norm(x) * _CAUTION * ZERO < 1.0)
 
 
 def _shifted(S: Any, M: Any) -> Factor:

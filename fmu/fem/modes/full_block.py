@@ -46,10 +46,12 @@ class FullBlock(Block):
         self.size = len(dofs)
         self.n_modes = self.n_trained = _finite_modes(self.M_terms)
         self.massless = self.n_modes < self.size
+        self._constant_rank: int | None = None
+        self._last: tuple[Any, FloatArray, FloatArray] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what is prepared when needed."""
-        return {name: value for name, value in self.__dict__.items() if name != "_sums"}
+        return {name: value for name, value in self.__dict__.items() if name != "_sums"} | {"_last": None}
 
     @cached_property
     def _sums(self) -> tuple[WeightedSum, WeightedSum]:
@@ -62,22 +64,38 @@ class FullBlock(Block):
         return zip(map(K_sum, self._K_map(theta)), map(M_sum, self._M_map(theta)), strict=True)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure."""
+        """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
+
+        Of a large block the last solve at a single theta is remembered: of a start several things are asked.
+        """
+        asked = (theta.tobytes(), count) if len(theta) == 1 and self.size > DENSE_LIMIT else None
+        if asked is None or self._last is None or self._last[0] != asked:
+            found = self._solved(theta, count)
+            if asked is None:
+                return found
+            self._last = (asked, *found)
+        return self._last[1].copy(), self._last[2].copy()
+
+    def _solved(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
         if count == 0:
             return lam, phi
-        finite = None
         for i, (K, M) in enumerate(self._matrices(theta)):
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
-                if finite is None or not self.constant_mass:  # the rank of M costs a factorisation
-                    finite = rank(M)
-                lam[i], phi[i] = eigen(K, M, count, finite)
+                lam[i], phi[i] = eigen(K, M, count, self._rank(M))
             except SingularMassError:
                 continue
         return lam, phi
+
+    def _rank(self, M: Any) -> int:
+        if not self.constant_mass:
+            return rank(M)
+        if self._constant_rank is None:  # it costs a factorisation
+            self._constant_rank = rank(M)
+        return self._constant_rank
 
     def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
         # sparse rows multiply one shape at a time

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -347,16 +347,19 @@ class BlockModel:
         chosen = np.concatenate(slopes, axis=1)[row, order] if gradient else None
         return ModalSolution(lowest, chosen, owner[order], rank[order])
 
-    def shapes(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
+    def shapes(
+        self, theta: FloatArray, modes: ModalSolution, counts: Mapping[int, int] | None = None
+    ) -> FloatArray:
         """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
 
-        For full blocks only. A shape is zero in every block but its own.
+        For full blocks only. A shape is zero in every block but its own. `counts` says how many modes of a block
+        were solved for to find these, if they were: they are then not solved for again.
         """
         block, rank = modes.block[0], modes.rank[0]
         shapes = np.zeros((sum(len(of.dofs) for of in self.blocks), len(block)))
         for b in np.unique(block):
             columns = np.flatnonzero(block == b)
-            _, phi = self.blocks[b].modes(theta, int(rank[columns].max()) + 1)
+            _, phi = self.blocks[b].modes(theta, (counts or {}).get(int(b), int(rank[columns].max()) + 1))
             shapes[np.ix_(self.blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
         return shapes
 

@@ -440,7 +440,7 @@ class PairedStructure(ModalModel):
         point = np.asarray(theta, dtype=float)[None]
         modes = self.full_modes(point)
         with single_thread():
-            return self.full.shapes(point, modes)
+            return self.full.shapes(point, modes, self.rule.counts(self.full))
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
@@ -500,7 +500,7 @@ class PairedStructure(ModalModel):
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._solve_reduced = trained.pairing.bind(trained.model)
-        self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper)
+        self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper, trained.anchors)
         self._see_reduced = SensorView(trained.model, self._solve_reduced, self._sensors)
         if self.rule.by_shape:
             self._reduced_candidates = CandidateView(trained.model, self.rule, self._at_sensors)

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
-from fmu.fem.modes.eigensolver import DENSE_LIMIT, NEGATIVE, unit_diagonal
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, NEGATIVE, is_clearly_definite, unit_diagonal
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.modes.separable import Term, coefficients
@@ -76,10 +76,10 @@ class Anchors:
         self.theta = anchor_points(block.K_terms, lower, upper)
         self._factors: dict[int, Factor] = {}
         self.shift = 0.0
-        lam = block.eigenvalues(self.theta[:1], min(12, block.n_modes))[0]
-        if not np.all(np.isfinite(lam)):
-            raise SingularAnchorError("K, M: the eigenproblem in the middle of the bounds has no solution")
-        if is_rigid(lam).any() or not self._is_definite_at_anchors():
+        if not self._is_definite_at_anchors():
+            lam = block.eigenvalues(self.theta[:1], min(12, block.n_modes))[0]
+            if not np.all(np.isfinite(lam)):
+                raise SingularAnchorError("K, M: the eigenproblem in the middle of the bounds has no solution")
             elastic = lam[~is_rigid(lam)]
             self.shift = float(elastic[0]) if len(elastic) else 1.0
             self.shift = max(self.shift, -2.0 * float(lam[0]))
@@ -90,7 +90,7 @@ class Anchors:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the factors, which cannot travel."""
-        return self.__dict__ | {"_factors": {}}
+        return {name: value for name, value in self.__dict__.items() if name != "first"} | {"_factors": {}}
 
     @property
     def _terms(self) -> tuple[Term, ...]:
@@ -98,7 +98,10 @@ class Anchors:
 
     def _is_definite_at_anchors(self) -> bool:
         try:
-            return all(self.factor(a).negative == 0 for a in range(len(self.theta)))
+            return all(
+                is_clearly_definite(self.factor(a), unit_diagonal(self.matrix(a))[1])
+                for a in range(len(self.theta))
+            )
         except (np.linalg.LinAlgError, SingularAnchorError):
             return False
 

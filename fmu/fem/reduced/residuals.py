@@ -21,6 +21,7 @@ points by Sylvester's law of inertia.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,12 +135,21 @@ class FrequencyBound:
     full, reduced : BlockModel
     lower, upper : ndarray, shape (n_parameters,)
         The box.
+    anchors : mapping of int to Anchors
+        Those of blocks for which they are there already.
     """
 
-    def __init__(self, full: BlockModel, reduced: BlockModel, lower: FloatArray, upper: FloatArray) -> None:
+    def __init__(
+        self,
+        full: BlockModel,
+        reduced: BlockModel,
+        lower: FloatArray,
+        upper: FloatArray,
+        anchors: Mapping[int, Anchors],
+    ) -> None:
         self.full, self.reduced = full, reduced
         self.lower, self.upper = lower, upper
-        self._anchors: dict[int, Anchors] = {}
+        self._anchors = dict(anchors)
 
     def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
         """Return the bound of the relative error of every frequency, shape (n, m), for modes at theta (n, p)."""

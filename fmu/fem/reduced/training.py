@@ -9,7 +9,8 @@ solves at a few points more confirm it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
@@ -21,6 +22,7 @@ from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import coefficients, weighted_sum
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
+from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.learning import SHARE, Learner, apart
 from fmu.progress.phases import phase, solved
@@ -66,6 +68,8 @@ class Trained:
     lower, upper : ndarray, shape (n_parameters,)
     confirmed : bool
         Whether fresh points of the box were all within the tolerance, those of all candidate modes.
+    anchors : mapping of int to Anchors
+        The factorised points of each block, where training left them.
     """
 
     model: BlockModel
@@ -73,6 +77,7 @@ class Trained:
     lower: FloatArray
     upper: FloatArray
     confirmed: bool = True
+    anchors: Mapping[int, Anchors] = field(default_factory=dict)
 
 
 class Training:
@@ -185,7 +190,8 @@ class Training:
     def _trained(self) -> Trained:
         blocks = (self._reduced(b) if b in self.basis else full for b, full in enumerate(self.full.blocks))
         model = BlockModel(tuple(blocks), self.full.n_parameters)
-        return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed)
+        anchors = {b: learner.anchors for b, learner in self.learners.items()}
+        return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed, anchors)
 
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until `enough` in a row are good, and say whether there were."""
