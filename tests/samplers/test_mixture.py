@@ -65,6 +65,10 @@ def test_a_quadratic_keeps_its_value_and_slope_under_a_warp():
         u = (FLAT.position + d)[None]
         exact = FLAT(u) + warp.log_stretch(u)
         assert of_x(warp.to_x(u)) == pytest.approx(exact, abs=3e-7)
+    back = warp.straightened(of_x)
+    assert back.log_prob == pytest.approx(FLAT.log_prob, abs=1e-12)
+    for name in ("position", "gradient", "hessian"):
+        assert getattr(back, name) == pytest.approx(getattr(FLAT, name), rel=1e-12, abs=1e-12)
 
 
 def test_a_fit_finds_a_quadratic():

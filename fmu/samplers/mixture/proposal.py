@@ -86,6 +86,20 @@ class Warp:
             of_u.log_prob + float(np.sum(np.log(away))),
             of_u.gradient * away + bent,
             of_u.hessian * np.outer(away, away) - np.diag(bent * of_u.gradient * away),
+            None if of_u.covariance is None else of_u.covariance / np.outer(away, away),
+        )
+
+    def straightened(self, of_x: Quadratic) -> Quadratic:
+        """Return the log-density of u to second order, from that of x at the same point: `quadratic` undone."""
+        u = self.to_u(of_x.position)
+        away = self.stretch(u)
+        slope = of_x.gradient - self.bent
+        return Quadratic(
+            u,
+            of_x.log_prob - float(np.sum(np.log(away))),
+            slope / away,
+            (of_x.hessian + np.diag(self.bent * slope)) / np.outer(away, away),
+            None if of_x.covariance is None else of_x.covariance * np.outer(away, away),
         )
 
 
@@ -234,8 +248,10 @@ def fitted_mixture(points: Points, start: Mixture) -> Mixture:
     """
     responsibility = start.responsibilities(points.position)
     warp = _straightened(points, responsibility, start.warp)
-    same = np.array_equal(warp.bent, start.warp.bent)  # components are in the coordinates of the warp
-    best, share = _settled(points, responsibility, warp, start.quadratics if same else ())
+    before: Sequence[Quadratic] = start.quadratics
+    if not np.array_equal(warp.bent, start.warp.bent):  # components are in the coordinates of the warp
+        before = [warp.quadratic(start.warp.straightened(one)) for one in before]
+    best, share = _settled(points, responsibility, warp, before)
     while share < GOOD and len(best.quadratics) < MOST:
         split = _split(points, best)
         if split is None:

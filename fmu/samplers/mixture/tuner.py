@@ -170,10 +170,7 @@ class MixtureTuner:
         u, log_prob = u[known], log_prob[known]
         if not len(u):
             return None
-        of_stages = [
-            np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
-        ]
-        log_q = np.asarray(logsumexp(of_stages, axis=0))
+        log_q = self._log_density_so_far(u)
         new, spent = self._unknown_maxima(self.mixture, state, u, log_prob)
         old = _with_found(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
         mixture = self.mixture
@@ -193,14 +190,20 @@ class MixtureTuner:
 
         They are climbed to from where chains are, candidates u (n, ndim), or where chains were before the first
         fit, if log w is above its median there, and a valley lies between the point and the component that
-        accounts for it. A chain at a low maximum without a component would hardly leave it; the others must be as
-        high as the draws.
+        accounts for it. A chain at a low maximum without a component would hardly leave it. The others must be as
+        high as the draws, and log w above its median for the candidates of all mixtures so far, too: a maximum
+        that those showed to be slight is not climbed to again.
         """
-        usual = float(np.median(log_prob - mixture.log_density(u)))
-        u = np.concatenate([state.position, u, self.visited.position])
-        log_prob = np.concatenate([state.log_prob, log_prob, self.visited.log_prob])
-        is_chain = np.arange(len(u)) < self.chains
-        known = ~is_chain & (log_prob < np.median(state.log_prob) - _FAR - self.density.ndim)
+        n = len(u)
+        u = np.concatenate([u, state.position, self.visited.position])
+        log_prob = np.concatenate([log_prob, state.log_prob, self.visited.log_prob])
+        is_chain = (np.arange(len(u)) >= n) & (np.arange(len(u)) < n + self.chains)
+        usual = float(np.median(log_prob[:n] - mixture.log_density(u[:n])))
+        of_all = log_prob - self._log_density_so_far(u)
+        known = (log_prob < np.median(state.log_prob) - _FAR - self.density.ndim) | (
+            of_all <= np.median(of_all[:n]) + _UNKNOWN
+        )
+        known &= ~is_chain
         found = list[Found]()
         spent = np.zeros(self.chains, dtype=np.int64)
         for check in range(_CHECKED):
@@ -224,6 +227,13 @@ class MixtureTuner:
                     mixture = _with_found(mixture, found[-1:])
             spent[check % self.chains] += evaluate.n_solves
         return found, spent
+
+    def _log_density_so_far(self, u: FloatArray) -> FloatArray:
+        """Return the logarithm of the density of all candidates so far at points u (n, ndim), up to a constant."""
+        of_stages = [
+            np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
+        ]
+        return np.asarray(logsumexp(of_stages, axis=0))
 
     def _take(self, mixture: Mixture) -> None:
         self.stages.append(mixture)
