@@ -348,8 +348,11 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
     """
     full: Any = getattr(problem.model, "full", None)
     if full is not None:
-        sizes = problem.model.reduced_sizes or [block.size for block in full.blocks]
-        return float(sum(max(1e-5, 6e-8 * n**2 if n <= DENSE_LIMIT else 3e-5 * n) for n in sizes))
+        reduced = problem.model.reduced_sizes  # solved many at a time
+        if reduced:
+            return float(sum(max(1e-5, 6e-8 * n**2) for n in reduced))
+        sizes = [block.size for block in full.blocks]
+        return float(sum(5e-4 + 1.2e-7 * n**2 if n <= DENSE_LIMIT else 3e-5 * n for n in sizes))
     began = time.perf_counter()
     problem.log_prob(theta[:_TIMED])
     return (time.perf_counter() - began) / min(_TIMED, len(theta))
