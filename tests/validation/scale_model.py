@@ -12,6 +12,7 @@ from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.posterior.priors.base import Normal
+from fmu.types import FloatArray
 
 N_MODES, NOISE = 10, 0.005
 """Frequencies measured, and the relative standard deviation of their errors."""
@@ -62,15 +63,24 @@ def frame(size: Size, n_parameters: int) -> fmu.Frame:
     return fmu.Frame(nodes=nodes, groups=groups, supports={int(n): DIRECTIONS for n in number[0].ravel()})
 
 
-def scale_problem(size: Size, n_parameters: int, reduction: bool | float) -> fmu.UpdatingProblem:
-    """Return the updating problem: a modulus a group; the ten lowest frequencies of a true frame with noise."""
-    whole = frame(size, n_parameters)
-    names = [f"E_{group.name}" for group in whole.groups]
-    model = whole.separable({f"E_{group.name}": [("E", group.name)] for group in whole.groups})
+def measured_by(model: fmu.SeparableModel, n_parameters: int) -> FloatArray:
+    """Return the ten lowest frequencies of a true frame, Hz, with noise."""
     rng = np.random.default_rng(1)
     truth = E * (1.0 + SD * np.clip(rng.standard_normal(n_parameters), -2.0, 2.0))
     exact = frequency_hz(eigen(model.K(truth), model.M(truth), N_MODES)[0])
-    measured = exact * (1.0 + NOISE * rng.standard_normal(N_MODES))
+    return exact * (1.0 + NOISE * rng.standard_normal(N_MODES))
+
+
+def frame_model(size: Size, n_parameters: int) -> fmu.SeparableModel:
+    """Return the matrices of a frame, a modulus a group."""
+    whole = frame(size, n_parameters)
+    return whole.separable({f"E_{group.name}": [("E", group.name)] for group in whole.groups})
+
+
+def scale_problem(size: Size, n_parameters: int, reduction: bool | float) -> fmu.UpdatingProblem:
+    """Return the updating problem: a modulus a group; the ten lowest frequencies of a true frame with noise."""
+    model = frame_model(size, n_parameters)
+    measured = measured_by(model, n_parameters)
     parameters = [
         fmu.Parameter(
             name,
@@ -80,7 +90,7 @@ def scale_problem(size: Size, n_parameters: int, reduction: bool | float) -> fmu
             prior=Normal(sd=SD * E, mean=E),
             unit="N/m²",
         )
-        for name in names
+        for name in (f"E{k}" for k in range(1, n_parameters + 1))
     ]
     data = fmu.ModalData(measured, sd_hz=NOISE * measured)
     return fmu.UpdatingProblem.reduced(model, data, parameters, reduction=reduction, name="frame")

@@ -1,0 +1,204 @@
+"""The bound of reduced frequencies against full solves: python -m tests.validation.bound OUT_DIRECTORY [--quick].
+
+Writes ``bound.md``. Exit code 1 if an error exceeds its bound, or the bound is far above the error.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import fmu
+from fmu import cases
+from fmu.fem.modes.modal import ModalSolution, is_rigid
+from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.residuals import FrequencyBound
+from fmu.fem.reduced.training import box_points
+from fmu.numbers import MISSING, significant, whole
+from fmu.tables import markdown_table
+from fmu.types import FloatArray
+from tests.fem.test_frequency_bound import BUILT, box
+from tests.validation.scale_model import Size, scale_problem
+
+SEED = 2000
+POINTS, FEWEST = 1000, 10
+"""Points of small structures and of the largest."""
+AT_ONCE = 16
+MOST_RATIO = 5.0
+"""Of the bound to the error, in the median."""
+UNIT = 2.0**-53
+ROUNDINGS, SOLVER = 10.0, 1e-11
+"""Roundings of a reduced eigenvalue, relative to the highest, and the relative error of a full solve."""
+
+
+class Case(NamedTuple):
+    """A trained structure, its box, and how many points of it are solved."""
+
+    name: str
+    structure: PairedStructure
+    lower: FloatArray
+    upper: FloatArray
+    points: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a case shows; errors and bounds are relative, of frequencies.
+
+    Attributes
+    ----------
+    basis : int
+    points, compared : int
+        Points, and elastic modes at all of them.
+    exceeded : int
+        Modes with an error above the bound by more than rounding.
+    error, bound : float
+        The largest.
+    ratios : ndarray
+        Bound over error where that is more than ten times rounding.
+    """
+
+    name: str
+    n_dof: int
+    n_parameters: int
+    basis: int
+    points: int
+    compared: int
+    exceeded: int
+    error: float
+    bound: float
+    ratios: FloatArray
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether the bound is one, and near enough."""
+        return self.exceeded == 0 and (len(self.ratios) == 0 or float(np.median(self.ratios)) <= MOST_RATIO)
+
+
+def examined(case: Case) -> Found:
+    """Compare errors and bounds of all modes that the case was trained for, at points, faces and corners."""
+    full, reduced = case.structure.full, case.structure.reduced
+    assert reduced is not None  # narrowed for the type checker: it was trained
+    points = box_points(case.lower, case.upper, 2 ** int(np.ceil(np.log2(case.points))), SEED)
+    theta = points[np.random.default_rng(SEED).permutation(len(points))[: case.points]]
+    bound = FrequencyBound(full, reduced, case.lower, case.upper, {})
+    error, limit, rounding = [], [], []
+    for b, block in enumerate(reduced.blocks):
+        if not isinstance(block, ReducedBlock):
+            continue
+        labels = np.broadcast_to(np.arange(block.n_trained), (len(theta), block.n_trained))
+        for first in range(0, len(theta), AT_ONCE):
+            rows = slice(first, first + AT_ONCE)
+            exact = full.blocks[b].eigenvalues(theta[rows], block.n_trained)
+            found = block.eigenvalues(theta[rows], block.n_modes)
+            modes = ModalSolution(exact, None, np.full_like(labels[rows], b), labels[rows])
+            kept = np.isfinite(exact) & ~is_rigid(exact)
+            lam = np.where(kept, exact, 1.0)
+            error.append((np.sqrt(np.maximum(found[:, : block.n_trained], 0.0) / lam) - 1.0)[kept])
+            limit.append(bound(theta[rows], modes)[kept])
+            rounding.append((ROUNDINGS * UNIT * found[:, -1:] / lam)[kept] + SOLVER)
+    errors, limits, lost = map(np.concatenate, (error, limit, rounding))
+    clear = errors > 10.0 * lost
+    return Found(
+        case.name,
+        sum(len(block.dofs) for block in full.blocks),
+        len(case.lower),
+        sum(case.structure.reduced_sizes),
+        len(theta),
+        len(errors),
+        int(np.sum(errors > limits + lost)),
+        float(errors.max()),
+        float(limits.max()),
+        limits[clear] / errors[clear],
+    )
+
+
+def shipped() -> Iterator[Case]:
+    """Yield the built-in cases."""
+    for name in cases.names():
+        yield _of_problem(name, cases.load(name), POINTS)
+
+
+def frames() -> Iterator[Case]:
+    """Yield the frames of the study of scale."""
+    for size, n_parameters, tolerance, points in (
+        (Size(3, 3, 2), 5, 1e-6, POINTS),
+        (Size(12, 3, 2), 2, 1e-5, POINTS),
+        (Size(28, 3, 2), 2, 1e-6, POINTS),
+        (Size(28, 3, 2), 5, 1e-6, POINTS),
+        (Size(28, 3, 2), 20, 1e-3, POINTS),
+        (Size(70, 6, 4), 5, 1e-6, 10 * FEWEST),
+        (Size(70, 6, 4), 50, 1e-3, 10 * FEWEST),
+    ):
+        name = f"frame, `{significant(tolerance, 1)}`"
+        yield _of_problem(name, scale_problem(size, n_parameters, tolerance), points)
+
+
+def chains() -> Iterator[Case]:
+    """Yield small structures of every kind: free, without mass, with crossing modes, with vanishing springs."""
+    for built in BUILT:
+        yield _of_chain(built)
+
+
+def _of_problem(name: str, problem: fmu.UpdatingProblem, points: int) -> Case:
+    structure: Any = problem.model.as_structure()
+    of_model = problem.parameters[: structure.n_parameters]
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in of_model]).T
+    return Case(name, structure, lower, upper, points)
+
+
+def _of_chain(built: Callable[[], Any]) -> Case:
+    model, lower, upper = box(built)
+    middle = 0.5 * (lower + upper)
+    paired = PairedStructure.of(model, pairing="index", numbers=(2, 3, 4, 5), sensors=(), reference=middle)
+    paired.train(lower, upper, 1e-6)
+    return Case(f"chain, {built.__name__}", paired, lower, upper, POINTS)
+
+
+def page(found: list[Found]) -> str:
+    """Return the page in Markdown."""
+    header = (
+        "case", "DOF", "parameters", "basis", "points", "modes compared", "above the bound", "largest error",
+        "largest bound", "bound / error, median", "least",
+    )  # fmt: skip
+    lines = []
+    for of in found:
+        ratios = [significant(float(f(of.ratios)), 3) if len(of.ratios) else MISSING for f in (np.median, np.min)]
+        counts = map(whole, (of.n_dof, of.n_parameters, of.basis, of.points, of.compared, of.exceeded))
+        lines.append((of.name, *counts, significant(of.error, 2), significant(of.bound, 2), *ratios))
+    exceeded = sum(of.exceeded for of in found)
+    said = f"**Errors that exceed their bounds: {whole(exceeded)}**" if exceeded else "No error exceeds its bound"
+    return (
+        "# The bound of a reduced frequency\n\n"
+        "Written by `make validate` (`python -m tests.validation.bound results`). Residuals bound the error "
+        "of every frequency of a reduced model (`fmu.fem.reduced.residuals`). Here the full model is solved "
+        "at points of the box, on its faces and in its corners, none of which training has seen, and all "
+        "modes are compared that the basis was trained for. Errors and bounds are relative. Rounding is "
+        "allowed: ten units in the last place of the highest reduced eigenvalue, and 1e-11 for the full "
+        "solve; ratios are those of errors ten times as large. A block that is kept whole has no error but "
+        "rounding, and a bound of zero.\n\n"
+        f"{said}; the median ratio must not be above {MOST_RATIO:g}.\n\n"
+        + markdown_table(header, lines, words=(0,))
+        + "\n"
+    )
+
+
+def main(out: Path, quick: bool) -> int:
+    """Examine all cases and write the page."""
+    found = []
+    for case in chain(*([] if quick else [shipped(), frames()]), chains()):
+        found.append(examined(case))
+        print(found[-1].name, found[-1].exceeded, found[-1].error, found[-1].bound, flush=True)
+    (out / "bound.md").write_text(page(found), encoding="utf-8")
+    return 0 if all(of.is_sound for of in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), "--quick" in sys.argv[2:]))

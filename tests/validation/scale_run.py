@@ -1,0 +1,103 @@
+"""One whole run of the study of scale, ``fmu run`` as a user starts it, measured in a process of its own.
+
+python -m tests.validation.scale_run RUN_AS_JSON OUT_FILE
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import fmu
+from fmu.fem.modes.solver import SUPERLU
+from tests.validation.scale_files import CELLS, write_frame, write_plate
+from tests.validation.scale_model import Size
+from tests.validation.scale_row import peak_gib
+
+CHAINS = 4
+
+
+@dataclass(frozen=True)
+class WholeRun:
+    """What is run: a frame by its size, or the plate by its cells, ``"frame"`` or ``"plate"``."""
+
+    kind: str
+    size: tuple[int, int, int]
+    parameters: int
+    reduction: float
+    solver: str = SUPERLU
+
+    @property
+    def name(self) -> str:
+        """Name of its file."""
+        return f"run-{self.kind}-{'x'.join(map(str, self.size))}-{self.parameters}-{self.solver}"
+
+    def write(self, folder: Path) -> Path:
+        """Write the problem and its matrices."""
+        if self.kind == "plate":
+            return write_plate(folder, self.size)
+        return write_frame(folder, Size(*self.size), self.parameters, self.reduction)
+
+
+PLATE = WholeRun("plate", CELLS, 6, 1e-6, "PARDISO")
+
+
+def measured(run: WholeRun) -> dict[str, Any]:
+    """Return the run with what it took, by the clock and in processor seconds, and its phases by the clock."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = run.write(Path(folder))
+        out = Path(folder) / "run"
+        command = [sys.executable, "-m", "fmu", "run", str(file), "--chains", str(CHAINS), "--out", str(out)]
+        before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        environment = os.environ | {"FMU_CACHE_DIR": ""}
+        done = subprocess.run([*command, "--progress", "json"], env=environment, capture_output=True, text=True)
+        wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+        if not (out / "report" / "index.html").is_file():
+            raise RuntimeError(
+                f"{run.name}: no report; fmu run ended with {done.returncode}: {done.stderr[-2000:]}"
+            )
+        (trace_file,) = out.glob("*.nc")
+        trace = fmu.load_trace(trace_file)
+        summary, attrs, of = fmu.summary(trace), trace.attrs, "certificate_"
+        n_dof = int(re.search(r"SeparableModel\((\d+) DOF", attrs["configuration"])[1])
+        return asdict(run) | {
+            "n_dof": n_dof,
+            "wall_s": wall,
+            "cpu_s": sum(getattr(after, of) - getattr(before, of) for of in ("ru_utime", "ru_stime")),
+            "peak_gib": peak_gib(resource.RUSAGE_CHILDREN),
+            "code": done.returncode,
+            "said": [line for line in done.stderr.splitlines() if not line.startswith("{")],
+            "phases": phases(done.stderr),
+            "sampler": trace_file.stem,
+            "solves": int(attrs["n_solves"] + attrs["warmup_n_solves"]),
+            "rhat": float(summary["rhat"].max()),
+            "ess": float(summary["ess_bulk"].min()),
+            "certificate": {name.removeprefix(of): float(value) for name, value in attrs.items() if of in name},
+            "finished": time.strftime("%Y-%m-%d %H:%M"),
+        }
+
+
+def phases(lines: str) -> dict[str, float]:
+    """Return the seconds from the first to the last line of every phase in the JSON lines of a run."""
+    times: dict[str, list[datetime]] = {}
+    for line in lines.splitlines():
+        if line.startswith("{"):
+            told = json.loads(line)
+            times.setdefault(told["phase"], []).append(datetime.fromisoformat(told["time"]))
+    return {phase: (at[-1] - at[0]).total_seconds() for phase, at in times.items()}
+
+
+if __name__ == "__main__":
+    given = json.loads(sys.argv[1])
+    run = WholeRun(**given | {"size": tuple(given["size"])})
+    Path(sys.argv[2]).write_text(json.dumps(measured(run), indent=1), encoding="utf-8")
