@@ -296,15 +296,15 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: refits without the weights of the mixtures before",
         "fmu/samplers/mixture/tuner.py",
-        "Points.weighted(u[old], log_prob[old], log_q[old])",
+        "Points.weighted(u[old], log_prob[old], seen.log_q[:n][old])",
         "Points.weighted(u[old], log_prob[old], log_prob[old])",
         MIXTURE,
     ),
     Fault(
         "mixture: refits take all candidates for draws of the last mixture",
         "fmu/samplers/mixture/tuner.py",
-        "log_q = np.asarray(logsumexp(of_stages, axis=0))",
-        "log_q = np.asarray(of_stages[-1])",
+        "return np.asarray(logsumexp(of_stages, axis=0))",
+        "return np.asarray(of_stages[-1])",
         MIXTURE,
     ),
     Fault(
@@ -338,8 +338,8 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: a maximum that a fit loses is lost",
         "fmu/samplers/mixture/tuner.py",
-        "self._take(_with_found(changed, lost))",
-        "self._take(changed)",
+        "self._take(_with_found(mixture, lost))",
+        "self._take(mixture)",
         MIXTURE,
     ),
     Fault(

@@ -17,7 +17,7 @@ from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import MOST, Mixture, Points, Warp, fitted_mixture, refitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted, n_coefficients
 from fmu.samplers.slice import Slice
-from fmu.types import FloatArray, IntArray, LogDensity
+from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 _LOCAL_PART = 0.5
 """Part of the warm-up that local steps take where no component is known."""
@@ -170,44 +170,41 @@ class MixtureTuner:
         u, log_prob = u[known], log_prob[known]
         if not len(u):
             return None
-        log_q = self._log_density_so_far(u)
-        new, spent = self._unknown_maxima(self.mixture, state, u, log_prob)
+        n = len(u)
+        seen_u = np.concatenate([u, state.position, self.visited.position])
+        seen_log_prob = np.concatenate([log_prob, state.log_prob, self.visited.log_prob])
+        seen = Seen(seen_u, seen_log_prob, self._log_density_so_far(seen_u), n, self.chains)
+        new, spent = self._unknown_maxima(self.mixture, seen)
         old = _with_found(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
         mixture = self.mixture
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
-                mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], log_q[old]), mixture)
-        changed = _with_found(mixture, new)
-        lost, more = self._unknown_maxima(changed, state, u, log_prob)
-        if new or lost or mixture is not self.mixture:
-            self._take(_with_found(changed, lost))
-        return spent + more
+                mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
+        mixture = _with_found(mixture, new)
+        if mixture is not self.mixture:
+            lost, more = self._unknown_maxima(mixture, seen)
+            self._take(_with_found(mixture, lost))
+            spent += more
+        return spent
 
-    def _unknown_maxima(
-        self, mixture: Mixture, state: State, u: FloatArray, log_prob: FloatArray
-    ) -> tuple[list[Found], IntArray]:
+    def _unknown_maxima(self, mixture: Mixture, seen: Seen) -> tuple[list[Found], IntArray]:
         """Return the maxima that a mixture does not know, and evaluations of each chain.
 
-        They are climbed to from where chains are, candidates u (n, ndim), or where chains were before the first
-        fit, if log w is above its median there, and a valley lies between the point and the component that
-        accounts for it. A chain at a low maximum without a component would hardly leave it. The others must be as
-        high as the draws, and log w above its median for the candidates of all mixtures so far, too: a maximum
-        that those showed to be slight is not climbed to again.
+        They are climbed to from where chains are, candidates, or where chains were before the first fit, if log w
+        is above its median there, and a valley lies between the point and the component that accounts for it. A
+        chain at a low maximum without a component would hardly leave it. The others must be as high as the draws,
+        and log w above its median for the candidates of all mixtures so far, too: a maximum that those showed to
+        be slight is not climbed to again.
         """
-        n = len(u)
-        u = np.concatenate([u, state.position, self.visited.position])
-        log_prob = np.concatenate([log_prob, state.log_prob, self.visited.log_prob])
-        is_chain = (np.arange(len(u)) >= n) & (np.arange(len(u)) < n + self.chains)
-        usual = float(np.median(log_prob[:n] - mixture.log_density(u[:n])))
-        of_all = log_prob - self._log_density_so_far(u)
-        known = (log_prob < np.median(state.log_prob) - _FAR - self.density.ndim) | (
-            of_all <= np.median(of_all[:n]) + _UNKNOWN
-        )
-        known &= ~is_chain
+        u, log_prob, log_q, n, _ = seen
+        is_chain = seen.is_chain
+        log_w, of_all = log_prob - mixture.log_density(u), log_prob - log_q
+        usual = float(np.median(log_w[:n]))
+        is_low = log_prob < np.median(log_prob[is_chain]) - _FAR - self.density.ndim
+        known = ~is_chain & (is_low | (of_all <= np.median(of_all[:n]) + _UNKNOWN))
         found = list[Found]()
         spent = np.zeros(self.chains, dtype=np.int64)
         for check in range(_CHECKED):
-            log_w = log_prob - mixture.log_density(u)
             unknown = ~known & (log_w > usual + _UNKNOWN)
             if not unknown.any() or len(mixture.quadratics) >= MOST:
                 break
@@ -225,6 +222,7 @@ class MixtureTuner:
                     log_mass = summit.log_prob - 0.5 * np.linalg.slogdet(summit.hessian / (2.0 * np.pi))[1]
                     found.append(Found(summit, float(np.exp(np.clip(log_mass - usual, _LOWEST, 0.0)))))
                     mixture = _with_found(mixture, found[-1:])
+                    log_w = log_prob - mixture.log_density(u)
             spent[check % self.chains] += evaluate.n_solves
         return found, spent
 
@@ -290,6 +288,31 @@ class Evaluated(NamedTuple):
         """Return these points and others."""
         more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+
+class Seen(NamedTuple):
+    """Points at which a fit looks: candidates, where the chains are, and where they were before the first fit.
+
+    Attributes
+    ----------
+    position : ndarray, shape (n, ndim)
+    log_prob : ndarray, shape (n,)
+    log_q : ndarray, shape (n,)
+        Logarithm of the density of all candidates so far, up to a constant.
+    candidates, chains : int
+    """
+
+    position: FloatArray
+    log_prob: FloatArray
+    log_q: FloatArray
+    candidates: int
+    chains: int
+
+    @property
+    def is_chain(self) -> BoolArray:
+        """Which points are those of the chains, shape (n,)."""
+        k = np.arange(len(self.position)) - self.candidates
+        return np.asarray((k >= 0) & (k < self.chains))
 
 
 class _Counted:
