@@ -176,7 +176,8 @@ class Learner:
         while True:
             top = high
             while top - low > 1:
-                middle = guess if low < guess < top else (low + top) // 2
+                # the guess is rarely far off
+                middle = guess if low < guess < top else top - max(1, (top - low) // 4)
                 guess = -1
                 if np.all(worst(middle, tuned) <= tolerance):
                     top = middle

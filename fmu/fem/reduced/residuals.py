@@ -168,7 +168,7 @@ class FrequencyBound:
         if b not in self._anchors:
             self._anchors[b] = Anchors(full, self.lower, self.upper)
         anchors = self._anchors[b]
-        space = Space(full, anchors.shift, reduced.basis, *reduced.terms)
+        space = Space(full, anchors.shift, reduced.basis, *([terms] for terms in reduced.terms))
         step = at_once(full, count)
         parts = [theta[first : first + step] for first in range(0, len(theta), step)]
         return np.concatenate([bounded(space, anchors, part, count).error for part in parts])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,14 @@ from fmu.types import FloatArray
 
 # From this size on Lanczos iterations on the dense matrices are cheaper than LAPACK.
 _LANCZOS = 200
-# Numbers in the assembled matrices of a few points: 64 MiB.
-_AT_ONCE = 2**23
+# Of a mode's residual: what is left of the error of λ is its square.
+_CONVERGED = 1e-7
+# Numbers in the assembled matrices of a few points: 128 MiB.
+_AT_ONCE = 2**24
 # Of unit vectors, directions with less energy than this are in the space already, but for rounding.
 _RANK = 1e-12
+# Vectors that join a space together.
+_TOGETHER = 64
 
 
 class Space:
@@ -29,19 +34,21 @@ class Space:
     shift : float
         s ≥ 0, which makes K + s M positive definite.
     V : ndarray, shape (block.size, r)
-    K, M : ndarray, shapes (n_K_terms, r, r), (n_M_terms, r, r)
-        The projected terms.
+    K, M : sequence of ndarray, each of shape (n_terms, q, width)
+        The lower triangles of the projected terms, q rows at a time up to the end of the last. So a space grows,
+        and is truncated, without moving what is there.
     """
 
-    def __init__(self, block: FullBlock, shift: float, V: FloatArray, K: FloatArray, M: FloatArray) -> None:
+    def __init__(
+        self, block: FullBlock, shift: float, V: FloatArray, K: Sequence[FloatArray], M: Sequence[FloatArray]
+    ) -> None:
         self.block, self.shift = block, shift
-        self.V, self.K, self.M = V, K, M
+        self.V, self.K, self.M = V, tuple(K), tuple(M)
 
     @classmethod
     def empty(cls, block: FullBlock, shift: float) -> Space:
         """Return the space of no vectors."""
-        K, M = (np.empty((len(terms), 0, 0)) for terms in (block.K_terms, block.M_terms))
-        return cls(block, shift, np.empty((block.size, 0)), K, M)
+        return cls(block, shift, np.empty((block.size, 0)), (), ())
 
     @property
     def size(self) -> int:
@@ -56,21 +63,24 @@ class Space:
             gram = X.T @ (A @ X)
             energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
             X = X @ (U[:, energy > new] / np.sqrt(energy[energy > new]))
-        if not X.shape[1]:
-            return self
-        V = np.concatenate([self.V, X], axis=1)
-        K = _bordered(self.K, self.block.K_terms, self.V, X)
-        M = _bordered(self.M, self.block.M_terms, self.V, X)
+        return self.joined(X)
+
+    def joined(self, X: FloatArray) -> Space:
+        """Return the space of the vectors of V and X (size, q)."""
+        V, K, M = self.V, self.K, self.M
+        for first in range(0, X.shape[1], _TOGETHER):
+            new = X[:, first : first + _TOGETHER]
+            K, M = (*K, _rows(self.block.K_terms, V, new)), (*M, _rows(self.block.M_terms, V, new))
+            V = np.concatenate([V, new], axis=1)
         return Space(self.block, self.shift, V, K, M)
 
     def restricted(self, Q: FloatArray) -> Space:
         """Return the space of the vectors V Q, for Q of shape (r, q)."""
-        K, M = (np.stack([Q.T @ (term @ Q) for term in terms]) for terms in (self.K, self.M))
-        return Space(self.block, self.shift, self.V @ Q, K, M)
+        return Space.empty(self.block, self.shift).joined(self.V @ Q)
 
     def truncated(self, size: int) -> Space:
         """Return the space of the first `size` vectors."""
-        return Space(self.block, self.shift, self.V[:, :size], self.K[:, :size, :size], self.M[:, :size, :size])
+        return Space(self.block, self.shift, self.V[:, :size], _leading(self.K, size), _leading(self.M, size))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the lowest λ (n, count) and M-normalised y (n, r, count) at theta (n, p); NaN on failure."""
@@ -80,7 +90,7 @@ class Space:
         for first in range(0, n, at_once):
             rows = slice(first, min(first + at_once, n))
             stiff, heavy = self.assembled(theta[rows])
-            stiff = stiff + self.shift * heavy
+            stiff = stiff + self.shift * heavy if self.shift else stiff
             for i, (A, B) in enumerate(zip(stiff, heavy, strict=True), start=first):
                 try:
                     nu, x = _highest(B, A, count)
@@ -91,44 +101,63 @@ class Space:
         return lam, y
 
     def assembled(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the reduced K and M at theta (n, p), each of shape (n, r, r)."""
-        r = self.size
-        return tuple(  # type: ignore[return-value]
-            (coefficients(terms, theta) @ reduced.reshape(len(terms), -1)).reshape(-1, r, r)
-            for terms, reduced in ((self.block.K_terms, self.K), (self.block.M_terms, self.M))
-        )
+        """Return the lower triangles of the reduced K and M at theta (n, p), each of shape (n, r, r)."""
+        K = self._assembled(self.K, coefficients(self.block.K_terms, theta))
+        if not self.block.constant_mass:
+            return K, self._assembled(self.M, coefficients(self.block.M_terms, theta))
+        M = self._assembled(self.M, coefficients(self.block.M_terms, theta[:1]))
+        return K, np.broadcast_to(M, K.shape)
+
+    def _assembled(self, rows: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+        n, n_terms = weights.shape
+        whole = np.zeros((n, self.size, self.size))
+        first = 0
+        for part in rows:
+            q, width = part.shape[1:]
+            whole[:, first : first + q, :width] = (weights @ part.reshape(n_terms, -1)).reshape(n, q, width)
+            first += q
+        return whole
 
 
-def _bordered(reduced: FloatArray, terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
-    """Return the terms projected onto [V X], of which those onto V are known."""
+def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
+    """Return Xᵀ K [V X] for every term, shape (n_terms, q, r + q)."""
     r, q = V.shape[1], X.shape[1]
-    whole = np.empty((len(terms), r + q, r + q))
-    whole[:, :r, :r] = reduced
-    for term, of in zip(terms, whole, strict=True):
+    projected = np.empty((len(terms), q, r + q))
+    for term, of in zip(terms, projected, strict=True):
         rows = np.flatnonzero(np.diff(term.matrix.indptr))
         KX = term.matrix[rows] @ X
-        of[:r, r:] = V[rows].T @ KX
-        of[r:, :r] = of[:r, r:].T
+        of[:, :r] = KX.T @ V[rows]
         corner = X[rows].T @ KX
-        of[r:, r:] = 0.5 * (corner + corner.T)
-    return whole
+        of[:, r:] = 0.5 * (corner + corner.T)
+    return projected
+
+
+def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
+    """Return the lower triangles of the first `size` rows and columns."""
+    leading: list[FloatArray] = []
+    for part in rows:
+        left = size - sum(of.shape[1] for of in leading)
+        if left > 0:
+            leading.append(part if part.shape[1] <= left else part[:, :left, :size].copy())
+    return leading
 
 
 def _highest(B: FloatArray, A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the highest ν of B x = ν A x, descending, and x with xᵀ A x = 1."""
+    """Return the highest ν of B x = ν A x, descending, and x with xᵀ A x = 1; of A and B the lower triangles."""
     r = len(A)
     if r < _LANCZOS or 4 * count > r:
         nu, x = sl.eigh(B, A, subset_by_index=[r - count, r - 1], check_finite=False)
         if len(nu) < count:  # LAPACK returns fewer on overflow, without an error
             raise np.linalg.LinAlgError(f"{len(nu)} of {count} eigenvalues found")
         return nu[::-1], x[:, ::-1]
-    L = np.linalg.cholesky(A)
+    # rows of a lower triangle are columns of an upper one, which is how LAPACK sees them
+    U, B = np.linalg.cholesky(A).T, B.T
 
     def apply(v: FloatArray) -> FloatArray:
-        half = sl.solve_triangular(L, v, lower=True, trans=1, check_finite=False)
-        return sl.solve_triangular(L, B @ half, lower=True, check_finite=False)
+        return sl.blas.dtrsv(U, sl.blas.dsymv(1.0, B, sl.blas.dtrsv(U, v)), trans=1)
 
+    operator = ssl.LinearOperator((r, r), matvec=apply, dtype=float)
     start = np.random.default_rng(0).standard_normal(r)
-    nu, z = ssl.eigsh(ssl.LinearOperator((r, r), matvec=apply, dtype=float), count, v0=start, tol=1e-10)
+    nu, z = ssl.eigsh(operator, count, v0=start, tol=_CONVERGED, ncv=max(20, 3 * count))
     order = np.argsort(nu)[::-1]
-    return nu[order], sl.solve_triangular(L, z[:, order], lower=True, trans=1, check_finite=False)
+    return nu[order], sl.solve_triangular(U, z[:, order], check_finite=False)
