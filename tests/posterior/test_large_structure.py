@@ -8,6 +8,7 @@ from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.posterior import train_reduced
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.train_reduced import plausible_points
+from tests.validation.bound import _of_problem, examined
 from tests.validation.scale_model import Size, scale_problem
 
 SIZE = Size(12, 3, 2)
@@ -55,6 +56,10 @@ def test_the_bound_of_the_log_probability_follows_from_those_of_the_frequencies(
     true = np.abs(np.sum(problem.likelihood.terms(points), axis=1) - exact)
     assert np.all(true <= bound + 1e-8)
     assert np.any(true >= 0.99 * bound)
+
+
+def test_the_bound_holds_where_the_basis_does_not_know_the_mode_above(made):
+    assert examined(_of_problem("frame", made[0], 256)).exceeded == 0
 
 
 def test_the_factors_of_training_serve_the_bound(made, monkeypatch):

@@ -30,6 +30,8 @@ from fmu.types import BoolArray, FloatArray, IntArray
 # A box in which a coefficient changes by more than this factor is halved, and has two anchors.
 _WIDE = 30.0
 _MOST = 8
+# Modes of the anchors beyond those that are asked for.
+_GUARDS = 3
 
 
 class SingularAnchorError(ValueError):
@@ -75,6 +77,7 @@ class Anchors:
         self.block = block
         self.theta = anchor_points(block.K_terms, lower, upper)
         self._factors: dict[int, Factor] = {}
+        self._modes: Space | None = None
         self.shift = 0.0
         if not self._is_definite_at_anchors():
             lam = block.eigenvalues(self.theta[:1], min(12, block.n_modes))[0]
@@ -130,6 +133,17 @@ class Anchors:
                 ) from error
             self._factors[a] = found
         return self._factors[a]
+
+    def modes(self, count: int) -> Space:
+        """Return the space of the full model's lowest modes at all anchors, `count` of each and a few more."""
+        if self._modes is None or self._modes.size < count:
+            space = Space.empty(self.block, self.shift)
+            for at in self.theta:
+                _, shapes = self.block.modes(at[None], min(count + _GUARDS, self.block.n_modes))
+                if np.isfinite(shapes).all():
+                    space = space.grown(shapes[0], self.first)
+            self._modes = space
+        return self._modes
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
         """Return for every theta (n, p) the anchor that bounds it best, and α, not positive where none does."""

@@ -22,8 +22,6 @@ from fmu.fem.reduced.residuals import at_once, bounded
 from fmu.fem.reduced.space import Space
 from fmu.types import BoolArray, FloatArray
 
-# Modes of the anchors beyond those that are candidates, with which a space begins.
-_GUARDS = 3
 # A step of Davidson's method leaves about this share of an error: what is smaller need not be added.
 _STEP = 0.05
 # Of a tolerance: the space grows where an error exceeds the first share, and may have the second before it is cut.
@@ -58,13 +56,9 @@ class Learner:
         self.block, self.count, self.largest = block, count, largest
         self.dofs, self.n_modes = block.dofs, block.n_modes
         self.anchors = Anchors(block, lower, upper)
-        self.space = Space.empty(block, self.anchors.shift)
+        self.space = self.anchors.modes(count)
         self.theta = np.empty((0, len(lower)))
         self._solved: tuple[Space, FloatArray, FloatArray] | None = None
-        for at in self.anchors.theta:
-            _, shapes = block.modes(at[None], min(count + _GUARDS, block.n_modes))
-            if np.isfinite(shapes).all():
-                self._add(shapes[0])
 
     @property
     def is_whole(self) -> bool:

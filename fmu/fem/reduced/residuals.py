@@ -13,10 +13,11 @@ next mode); the matrix serves close and repeated modes as well.
 Proven, for positive semidefinite terms: A ≥ α Ā at an anchor (`fmu.fem.reduced.anchors`), so that the form r_iᵀ
 A⁻¹ r_j is at most 1/α that of Ā⁻¹. Estimated: what T is like on the rest of the space. The error's direction is
 w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient wᵀ M w /
-(α wᵀ Ā w), times σ, is the mean x < 1 of the spectrum there, and √x is taken for its upper end: a convex
-function of a spectrum in [0, √x] with mean x is at most 1/(1 − σ T) → 1 + x/(1 − √x) (Edmundson and Madansky).
-Were there a mode that the space knows nothing of, no residual would show it: training counts the modes at some
-points by Sylvester's law of inertia.
+(α wᵀ Ā w), times σ, is the mean x < 1 of the spectrum there. For its upper end b the larger of √x and σ_i/σ_j is
+taken, where j is the lowest mode that the trial vectors do not know, estimated by the modes at the anchors: a
+convex function of a spectrum in [0, b] with mean x is at most 1/(1 − σ T) → 1 + x/(1 − b) (Edmundson and
+Madansky). Were a mode among those needed unknown to the space, no residual would show it: training counts the
+modes at some points by Sylvester's law of inertia.
 """
 
 from __future__ import annotations
@@ -34,6 +35,12 @@ from fmu.types import FloatArray
 
 BUDGET = 2**28
 """Bytes of a dense array of vectors of all degrees of freedom, wherever training needs many."""
+
+
+AHEAD = 3
+"""Modes above those that are bounded that are looked at."""
+# A mode is in the trial vectors if its λ there is no more than this times the one by the anchors' modes.
+_KNOWN = 1.1
 
 
 class Bounded(NamedTuple):
@@ -58,7 +65,11 @@ class Bounded(NamedTuple):
 
 def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
     """Return the lowest `count` modes at theta (n, p) and bounds of their errors; NaN where the solver fails."""
-    lam, y = space.modes(theta, count)
+    known = anchors.modes(count)
+    wanted = min(known.size, space.size, count + AHEAD)
+    lam, y = space.modes(theta, wanted)
+    rest = _lowest_of_the_rest(lam, known.modes(theta, wanted)[0], count) + space.shift
+    lam, y = lam[:, :count], y[:, :, :count]
     n_dof, n = space.block.size, len(theta)
     best, alpha = anchors.nearest(theta, space)
     sigma = lam + space.shift
@@ -73,13 +84,25 @@ def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bo
     for i, (_, M) in enumerate(space.block._matrices(theta)):
         G[i] = R[:, i].T @ W[:, i]
         mass[i] = np.sum(W[:, i] * (M @ W[:, i]), axis=0)
-    error = frequency_error(lam, space.shift, G, mass, alpha)
+    error = frequency_error(lam, space.shift, G, mass, alpha, rest)
     W /= np.sqrt(np.abs(sigma))
     return Bounded(lam, y, error, W)
 
 
+def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> FloatArray:
+    """Return the lowest λ (n,) that the trial vectors do not know, for Ritz values in them and in known vectors.
+
+    Of those after the first `count`, in the order of (n, m); infinite where there is none.
+    """
+    if lam.shape[1] == count:
+        return np.full(len(lam), np.inf)
+    missing = ~(lam[:, count:] <= _KNOWN * known[:, count:])
+    missing[:, -1] = True
+    return known[np.arange(len(lam)), count + np.argmax(missing, axis=1)]
+
+
 def frequency_error(
-    lam: FloatArray, shift: float, G: FloatArray, mass: FloatArray, alpha: FloatArray
+    lam: FloatArray, shift: float, G: FloatArray, mass: FloatArray, alpha: FloatArray, rest: FloatArray
 ) -> FloatArray:
     """Return the bound of the relative error of every frequency, shape (n, m).
 
@@ -94,6 +117,8 @@ def frequency_error(
     mass : ndarray, shape (n, m)
         wᵀ M w.
     alpha : ndarray, shape (n,)
+    rest : ndarray, shape (n,)
+        The lowest σ of what is not in the trial vectors; infinite where nothing is known of it.
     """
     sigma = lam + shift
     with np.errstate(all="ignore"):
@@ -102,7 +127,8 @@ def frequency_error(
         relative = weight[:, :, None] * G * weight[:, None, :]
         energy = np.maximum(np.einsum("nii->ni", relative), 0.0)
         blind = np.where(energy > 0.0, mass / (alpha**2 * energy), 0.0)
-        factor = np.where(blind < 1.0, 1.0 + blind / (1.0 - np.sqrt(blind)), np.inf)
+        end = np.maximum(np.sqrt(blind), sigma / rest[:, None])
+        factor = np.where(end < 1.0, 1.0 + blind / (1.0 - end), np.inf)
         # an eigenvalue lies no further away than the residual (Weinstein), whatever else is near
         factor = np.where(energy > 0.0, np.fmin(factor, 1.0 / np.sqrt(energy)), 1.0)
         relative *= np.sqrt(factor[:, :, None] * factor[:, None, :])
