@@ -1,6 +1,6 @@
-"""Run everybody on every posterior, or on some: python -m tests.benchmarks.peers.whole_runs OUT.json [CASE …].
+"""Run everybody on every posterior: python -m tests.benchmarks.peers.whole_runs OUT.json [NAME …].
 
-`--one-seed` for one run of each. Everything runs on one processor core.
+Names of cases, or of contenders, pick some. `--one-seed` for one run of each. All run on one processor core.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def main(out: str, *options: str) -> None:
     rows = []
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     for posterior in [one for one in POSTERIORS if one[0] in options] or POSTERIORS:
-        rows += measured(*posterior, one_seed="--one-seed" in options)
+        rows += measured(*posterior, options, one_seed="--one-seed" in options)
         Path(out).write_text(json.dumps({"versions": versions, "rows": rows}, indent=1))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
@@ -155,11 +155,12 @@ def fmu_whole(target: Target, name: str) -> Callable[[int], WholeRun]:
     return once
 
 
-def measured(case: str, pairing: str, one_seed: bool = False) -> list[dict[str, Any]]:
-    """Run everybody on one posterior, and return the runs as plain data, an entry a contender."""
+def measured(case: str, pairing: str, names: Collection[str] = (), one_seed: bool = False) -> list[dict[str, Any]]:
+    """Run everybody, or those that are named, on one posterior; return plain data, an entry a contender."""
     rows = []
     target = Target.load(case, pairing)
-    for whose, name, seeds, run in contenders(target):
+    everybody = list(contenders(target))
+    for whose, name, seeds, run in [one for one in everybody if one[1] in names] or everybody:
         runs = []
         for seed in range(1, 1 + (1 if one_seed else seeds)):
             runs.append(asdict(run(seed)))
