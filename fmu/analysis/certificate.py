@@ -21,8 +21,9 @@ _AT_ONCE = 16  # draws
 _OF_MODES = ("eigenvalues", "block", "rank")
 _WORK, _FEWEST, _MOST = 150_000, 64, 1024
 """Degrees of freedom times draws at which the bound is evaluated; at least and at most so many draws."""
-_EACH, _FEWEST_SOLVED = 12, 16
-"""One of so many of these draws is solved with the full model, and at least so many."""
+_EACH, _FEWEST_SOLVED, _WORST = 12, 16, 4
+"""One of so many of these draws is solved with the full model, at least so many, and so many that have the largest
+bounds."""
 _ROUNDING = 0.01
 """Part of the tolerance by which the full model's own rounding may exceed the bound."""
 
@@ -51,7 +52,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         frequency, and ``certificate_bound_median``, the median over draws of the largest of each. It is 0 where
         the full model answers, outside the trained box.
 
-        ``certificate_draws``, those of them that were solved with the full model;
+        ``certificate_draws``, those of them that were solved with the full model, the four with the largest bounds
+        among them;
         ``certificate_frequency_error``, the largest relative error of a frequency there;
         ``certificate_bound_exceeded``, draws at which an error is larger than its bound;
         ``certificate_log_prob_error``, the largest error of the log-probability among those of these draws whose
@@ -78,8 +80,12 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     structural = theta[:, : structure.n_parameters]
     bound = np.concatenate(by_parts("certificate", structure.frequency_bound, structural, _AT_ONCE))
     bound[~structure.within(structural)] = 0.0
-    solved = max(len(theta) // _EACH, _FEWEST_SOLVED)
-    theta, structural, n_bounded = theta[:solved], structural[:solved], len(theta)
+    n_bounded = len(theta)
+    # where a basis is poor is not left to chance
+    solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:_WORST]
+    others = np.setdiff1d(np.arange(n_bounded), solved)
+    solved = np.concatenate([solved, others[: max(n_bounded // _EACH, _FEWEST_SOLVED) - _WORST]])
+    theta, structural = theta[solved], structural[solved]
     parts = by_parts("certificate", structure.full_modes, structural, _AT_ONCE)
     exact, block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in _OF_MODES)
     reduced = structure.modes(structural)
@@ -101,7 +107,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any((block != reduced.block) | (rank != reduced.rank), axis=1)
     # with another pairing these are not the modes that were bounded
-    exceeded = ~changed & np.any(errors > bound[: len(theta)] + _ROUNDING * tolerance.frequency, axis=1)
+    exceeded = ~changed & np.any(errors > bound[solved] + _ROUNDING * tolerance.frequency, axis=1)
     certificate = {
         "certificate_bound_draws": n_bounded,
         "certificate_bound": float(np.max(bound)),

@@ -53,7 +53,8 @@ class ProblemFile(TomlTable):
     """Standard deviations to be inferred, which error models refer to by name."""
     reduction: Reduction = True
     """Whether a certified reduced model replaces the full one within the bounds, which is much faster. A number up
-    to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6."""
+    to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6. Where the bounds are so wide
+    that this would not pay, it is kept where the posterior has its mass, and 1e-3 elsewhere."""
     model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
     """The structure: type "frame", "matrices" or "python"."""
     measurement: MeasurementTable

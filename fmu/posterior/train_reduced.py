@@ -35,10 +35,11 @@ _AT_ONCE = 16  # points
 # The share of the tolerance of the log-probability at the points that training looks at: others lie further out.
 _TUNED = 0.7
 _CHECKED, _CHECK_SEED = 32, 10_000
+_HALVED = 16  # times, the way to a point
 
 
 class ReductionWarning(UserWarning):
-    """Training ended before the reduced model met its tolerance."""
+    """Training ended before the reduced model met its tolerance, or met it in a part of the box only."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,10 @@ def reduce_model(
     own wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
     choose differently, are not counted. Training ends early where more points do not help, because only rounding
     of the full model is left, or where a larger basis would not pay (`fmu.fem.reduced.training.affordable`). After
-    a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). An engine solves the
-    full model at several points at once.
+    a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). Where the box is so
+    wide that a basis for it would not pay, frequencies keep 1e-3 in it, and their tolerance where the
+    log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. An engine solves the full model at
+    several points at once.
 
     Raises
     ------
@@ -139,7 +142,12 @@ def reduce_model(
     # a pseudo-likelihood without computed modes has no log-probability to compare
     try:
         state = structure.train(
-            lower, upper, tolerance.frequency, inaccurate_points if likelihood.of_modes else None, engine
+            lower,
+            upper,
+            tolerance.frequency,
+            inaccurate_points if likelihood.of_modes else None,
+            engine,
+            (lambda: plausible_points(problem, 64, rng)[:, :n]) if likelihood.of_modes else None,
         )
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
@@ -191,20 +199,32 @@ def _off(found: float, tolerance: float) -> str:
 
 
 def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]) -> None:
+    sizes = " + ".join(map(str, structure.reduced_sizes))
     if "reached" not in state:
+        if "elsewhere" in state:
+            box = typed(float(state["elsewhere"]))
+            _warn(
+                f"within the bounds a basis for frequencies to {typed(tolerance.frequency)} would not pay; this "
+                f"one of {sizes} vectors keeps it where the posterior has its mass, and {box} elsewhere; "
+                "after a run see its certificate, or choose narrower bounds or priors"
+            )
         return
     frequency, log_prob = state["reached"].tolist()
-    sizes = " + ".join(map(str, structure.reduced_sizes))
     missed = []
     if not frequency <= tolerance.frequency:
         missed.append(f"its frequencies are off by up to {_off(frequency, tolerance.frequency)}")
     if not log_prob <= tolerance.log_prob:
         missed.append(f"its log-probability is off by up to {_off(log_prob, tolerance.log_prob)}")
-    warnings.warn(
-        f"reduction: with a basis of {sizes} vectors the reduced model misses its tolerance: "
-        f"{' and '.join(missed)}; "
+    _warn(
+        f"with a basis of {sizes} vectors the reduced model misses its tolerance: {' and '.join(missed)}; "
         f"choose a looser tolerance, such as reduction={typed(_looser(tolerance, frequency))}, narrower bounds or "
-        "priors, or reduction=False, the full model",
+        "priors, or reduction=False, the full model"
+    )
+
+
+def _warn(said: str) -> None:
+    warnings.warn(
+        f"reduction: {said}",
         ReductionWarning,
         skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",),  # the line of the user
     )
@@ -277,7 +297,7 @@ def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> Floa
             )
         far = np.min(np.where(direction == 0, np.inf, walls), axis=1)
         near, far = np.zeros(n), np.minimum(far, 100.0)
-        for _ in range(40):
+        for _ in range(_HALVED):
             middle = 0.5 * (near + far)
             above = problem.log_prob(_along(problem, maximum.theta, direction, middle)) >= floor
             near, far = np.where(above, middle, near), np.where(above, far, middle)

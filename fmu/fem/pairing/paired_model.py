@@ -27,7 +27,7 @@ from fmu.fem.pairing.rules import (
     reference_modes,
 )
 from fmu.fem.reduced.residuals import FrequencyBound
-from fmu.fem.reduced.training import Trained, Training
+from fmu.fem.reduced.training import LOOSE, Trained, Training
 from fmu.progress.phases import solved
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -324,6 +324,7 @@ class PairedStructure(ModalModel):
         tolerance: float = 1e-6,
         inaccurate_points: Callable[[], FloatArray | None] | None = None,
         engine: Engine | None = None,
+        region: Callable[[], FloatArray] | None = None,
     ) -> dict[str, FloatArray]:
         """Train the reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
 
@@ -337,6 +338,10 @@ class PairedStructure(ModalModel):
             a purpose of one's own; None where it is.
         engine : Engine, optional
             Solves the full model at several points at once.
+        region : callable, optional
+            Returns fresh points (n, n_parameters) of the part of the box that matters, by the reduced model as
+            trained so far. Where a basis for the whole box would not pay, the tolerance is kept in that part, and
+            elsewhere 1e-3.
 
         Returns
         -------
@@ -345,7 +350,17 @@ class PairedStructure(ModalModel):
         """
         training = Training(self.full, self.rule, lower, upper, tolerance, engine=engine)
         with single_thread():
-            self._install(training.run())
+            whole = training.run()
+            self._install(whole)
+            if training.is_cut() and region is not None and tolerance < LOOSE:
+                narrow = Training(self.full, self.rule, lower, upper, LOOSE, engine=engine)
+                self._install(narrow.run())
+                for trained in () if narrow.is_cut() else narrow.narrowed(tolerance, region):
+                    self._install(trained)
+                if narrow.is_cut() or not narrow.confirmed:
+                    self._install(whole)
+                else:
+                    training = narrow
             for _ in range(20 if inaccurate_points is not None else 0):
                 points = inaccurate_points()  # type: ignore[misc]
                 if points is None or training.is_cut():

@@ -50,6 +50,8 @@ class Learner:
     anchors : Anchors
     theta : ndarray, shape (n, n_parameters)
         Points visited so far.
+    share : ndarray, shape (n,)
+        What is allowed there, as a share of the tolerance.
     """
 
     def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray, count: int, largest: int) -> None:
@@ -57,7 +59,7 @@ class Learner:
         self.dofs, self.n_modes = block.dofs, block.n_modes
         self.anchors = Anchors(block, lower, upper)
         self.space = self.anchors.modes(count)
-        self.theta = np.empty((0, len(lower)))
+        self.theta, self.share = np.empty((0, len(lower))), np.empty(0)
         self._solved: tuple[Space, FloatArray, FloatArray] | None = None
 
     @property
@@ -70,17 +72,19 @@ class Learner:
         """Whether the space may not grow any more."""
         return self.space.size >= self.largest
 
-    def visit(self, theta: FloatArray, allowed: FloatArray) -> BoolArray:
+    def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
         """Return at which points (n, p) errors keep to their share of `allowed` (m,); grow where they do not.
 
-        Looks at the lowest m modes.
+        Looks at the lowest m modes. At these points only `share` of what is allowed elsewhere is allowed.
         """
+        allowed = share * allowed
         good = np.empty(len(theta), dtype=bool)
         step = at_once(self.block, len(allowed))
         for first in range(0, len(theta), step):
             rows = slice(first, first + step)
             found = bounded(self.space, self.anchors, theta[rows], len(allowed))
             self.theta = np.concatenate([self.theta, theta[rows]])
+            self.share = np.concatenate([self.share, np.full(len(theta[rows]), share)])
             solved = np.isfinite(found.eigenvalues)
             error = np.where(solved & self.is_whole, 0.0, found.error)
             good[rows] = np.all(error <= SHARE * allowed, axis=1)
@@ -142,15 +146,16 @@ class Learner:
         """Return a space of few vectors whose frequencies agree at all points visited, within `tolerance`.
 
         Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
-        λ. Of the decomposition as many vectors as the worst points need.
+        λ. Of the decomposition as many vectors as the worst points need. Where only a share of the tolerance is
+        allowed, modes have more weight.
         """
         space, theta = self.space, self.theta
         lam, y = self.solved()
         lam, y = lam[:, :needed], y[:, :, :needed]
         solved = np.isfinite(lam).all(axis=1)
-        theta, lam, y = theta[solved], lam[solved], y[solved]
+        theta, lam, y, share = theta[solved], lam[solved], y[solved], self.share[solved]
         sigma = np.maximum(lam + space.shift, RIGID * lam[:, -1:])
-        Z = (y / np.sqrt(sigma)[:, None, :]).transpose(1, 0, 2).reshape(space.size, -1)
+        Z = (y / np.sqrt(sigma * share[:, None])[:, None, :]).transpose(1, 0, 2).reshape(space.size, -1)
         _, Q = np.linalg.eigh(Z @ Z.T)
         Q = Q[:, ::-1][:, : max(largest, needed)]
         left = np.sum(Z**2, axis=0) - np.cumsum((Q.T @ Z) ** 2, axis=0)  # (r, n · m)
@@ -162,7 +167,7 @@ class Learner:
 
         def worst(size: int, rows: FloatArray) -> FloatArray:
             reduced = rotated.truncated(size).modes(theta[rows], needed)[0]
-            return np.asarray(np.max(apart(reduced, lam[rows]), axis=1))
+            return np.asarray(np.max(apart(reduced, lam[rows]), axis=1) / share[rows])
 
         low, high = max(smallest, needed) - 1, rotated.size
         guess = min(max(low + 1, int(np.sum(np.max(left, axis=1) > 2.0 * tolerance))), high)

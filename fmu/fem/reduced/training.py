@@ -9,7 +9,7 @@ solves at a few points more confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
@@ -36,11 +36,12 @@ _HIGHEST = 1e-7
 _MOST_VECTORS = 1000
 # Candidates are first told apart with errors of their frequencies up to this; only those that are needed are then
 # improved.
-_LOOSE = 1e-3
+LOOSE = 1e-3
 # Points visited together, points in a row that must be good, and most of them.
 _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
 # Fresh points of full solves, and how often training goes on from them.
 _CHECKED, _ROUNDS = 4, 4
+_MOST_ROUNDS = 20  # in a region
 # The share of what the space leaves of the tolerance that the cut may take, at the points that it is tuned to.
 # With many parameters others lie a little further out.
 _CUT = 0.6
@@ -118,6 +119,7 @@ class Training:
         self.basis: dict[int, FloatArray] = {}
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
+        self.share = 1.0
         self._seed, self._cut_share = 0, _CUT
 
     def run(self) -> Trained:
@@ -153,18 +155,46 @@ class Training:
         return self._trained()
 
     def refined(self, theta: FloatArray) -> Trained:
-        """Continue with more points (n, n_parameters) and a third of the tolerance."""
-        self.tolerance /= 3.0
+        """Continue with more points (n, n_parameters) and a third of the tolerance.
+
+        After `narrowed` a third of that of its region.
+        """
+        if self.share < 1.0:
+            self.share /= 3.0
+        else:
+            self.tolerance /= 3.0
         for b, learner in self.learners.items():
             for _ in range(_ROUNDS):
-                if learner.visit(theta, self._allowed(b)).all():
+                if learner.visit(theta, self._allowed(b), self.share).all():
                     break
         self._cut()
         return self._trained()
 
+    def narrowed(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
+        """Continue in a region of the box, where a smaller `tolerance` is to be kept.
+
+        Yields the reduced model so far before each call of `region`, which returns points (n, n_parameters), fresh
+        ones each time. Ends when all of them are good; without success when the basis would be larger than
+        `affordable`, or after some rounds.
+        """
+        self.share = tolerance / self.tolerance
+        for _ in range(_MOST_ROUNDS):
+            yield self._trained()
+            theta = region()
+            good = [learner.visit(theta, self._allowed(b), self.share) for b, learner in self.learners.items()]
+            self._cut()
+            if self.is_cut():
+                break
+            if np.all(good):
+                yield self._trained()
+                return
+        self.confirmed = False
+
     def state(self) -> dict[str, FloatArray]:
-        """Return the outcome as arrays."""
+        """Return the outcome as arrays; `elsewhere` is the tolerance outside the region, if there is one."""
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
+        if self.share < 1.0:
+            state["elsewhere"] = np.array(self.tolerance)
         if self.fixed is not None:
             state["pairing"] = np.array([self.fixed.block, self.fixed.rank], dtype=float)
         for b, basis in self.basis.items():
@@ -226,7 +256,7 @@ class Training:
     def _allowed(self, b: int) -> FloatArray:
         """Return the errors that the modes of block `b` may have: its candidates, or those needed of them."""
         n = self.n_trained.get(b, 0)
-        return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(_LOOSE, self.tolerance))
+        return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
     def _needed(self) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""

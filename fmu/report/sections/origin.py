@@ -56,7 +56,10 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
         bound, exceeded = float(attrs["certificate_bound"]), int(attrs["certificate_bound_exceeded"])
         is_kept = is_kept and not exceeded
         n_bounded = int(attrs["certificate_bound_draws"])
-        said = f"At {n_bounded} of the draws the errors of the frequencies were bounded by their residuals. {said}"
+        said = (
+            f"At {n_bounded} of the draws the errors of the frequencies were bounded by their residuals. "
+            f"{said.removesuffix('. ')}, those with the largest bounds among them. "
+        )
         bounds = (
             ("largest bound of a frequency's relative error", *_beside(bound, allowed.frequency)),
             (
