@@ -95,3 +95,13 @@ def test_log_mass(a, b):
     assert log_mass(np.array(a), np.array(b)) == pytest.approx(expected, rel=1e-6, abs=1e-8)
     if b == np.inf:
         assert log_mass(np.array(a), np.array(b)) == pytest.approx(log_ndtr(-a), rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("centre", [-18688930762644.508, 18688930762644.508])
+def test_a_box_far_out_in_the_tail_is_drawn_from_at_its_wall(centre):
+    """The logarithm of the mass is -2e26 there, and its rounding 3e10."""
+    precision = np.array([[1.0, 0.3], [0.3, 1.0]])
+    normal = SequentialNormal(np.full(2, centre), precision, np.zeros(2), np.ones(2))
+    u = normal.draw(np.random.default_rng(1), 20)
+    assert np.all(np.abs(u - float(centre > 0)) < 1e-6)
+    assert not np.isnan(normal.log_density(u)).any()

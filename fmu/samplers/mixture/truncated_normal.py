@@ -10,6 +10,7 @@ from scipy.special import log_ndtr, ndtri_exp
 from fmu.types import FloatArray
 
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
+_FAR_OUT = 1e7  # standard deviations from which on the logarithm of a normal's mass is mostly rounding
 
 
 class SequentialNormal:
@@ -109,8 +110,13 @@ def _ordered(
 
 
 def _mean_of_cut_normal(a: float, b: float) -> float:
-    """Return the mean of the standard normal cut to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a)); NaN without mass."""
+    """Return the mean of the standard normal cut to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a)); NaN without mass.
+
+    Far out it is the limit at which the density is higher.
+    """
     low, high = (-b, -a) if a > 0 else (a, b)
+    if -math.inf < high < -_FAR_OUT:
+        return a if a > 0 else b
     upper = log_ndtr(high)
     below = math.exp(log_ndtr(low) - upper)
     if not below < 1.0:
