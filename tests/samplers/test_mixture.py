@@ -360,6 +360,17 @@ def test_a_climb_ends_at_the_maximum_with_the_curvature_there():
     assert top.log_prob == log_prob(top.position[None])[0]
 
 
+def test_components_with_hardly_more_points_than_coordinates_stay_as_they_were():
+    """Quadratics through 8 points in ten coordinates had no mass within the box."""
+    ndim, rng = 10, np.random.default_rng(4)
+    warp = Warp(np.zeros(ndim), np.ones(ndim), np.zeros(ndim, dtype=bool))
+    centres = rng.uniform(0.3, 0.7, (5, ndim))
+    start = Mixture([Quadratic(c, 0.0, np.zeros(ndim), 2e3 * np.eye(ndim)) for c in centres], np.ones(5), warp)
+    u = start.draw(rng, 40)
+    fit = fitted_mixture(Points.weighted(u, start.log_density(u), start.log_density(u)), start)
+    assert [q.position.tolist() for q in fit.quadratics] == [q.position.tolist() for q in start.quadratics]
+
+
 def test_a_fit_to_few_points_is_kept_only_if_it_suits_others():
     """Through 40 points in eight coordinates pass many quadratics."""
     ndim, rng = 8, np.random.default_rng(4)

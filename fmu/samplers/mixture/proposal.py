@@ -283,7 +283,8 @@ def refitted_mixture(points: Points, start: Mixture) -> Mixture:
     n = n_coefficients(points.position.shape[1])
     if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
         return start
-    return fitted_mixture(points, start)
+    fit = fitted_mixture(points, start)
+    return start if np.isnan(fit.log_density(points.position)).any() else fit
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
@@ -343,9 +344,11 @@ def _settled(
     for _ in range(_SWEEPS):
         weight = responsibility * points.weight
         size = _effective_size(weight)
-        enough = size >= min(needed, 0.5 * size.max())
+        before = before or [None] * len(weight)
+        spanning = (size > x.shape[1] + 1) | [one is None for one in before]  # fewer points span no ellipsoid
+        enough = spanning & (size >= min(needed, 0.5 * size.max()))
         quadratics, shares = list[Quadratic](), list[float]()
-        for w, is_enough, one in zip(weight, enough, before or [None] * len(weight), strict=True):
+        for w, is_enough, one in zip(weight, enough, before, strict=True):
             if is_enough:
                 quadratics.append(of_moments(x, w) if by_moments else fitted(x, value, w, slope))
             elif one is not None and w.sum() >= _LEAST * weight.sum():
@@ -354,13 +357,12 @@ def _settled(
                 continue
             shares.append(w.sum())
         mixture = Mixture(quadratics, np.array(shares), warp)
-        share = points.effective_share(mixture.log_density(points.position))
+        share = float(np.nan_to_num(points.effective_share(mixture.log_density(points.position))))
         if found is None or share > found[1]:
             found = mixture, share
-        if len(quadratics) == 1:
+        before, responsibility = quadratics, mixture.responsibilities(points.position)
+        if len(quadratics) == 1 or np.isnan(responsibility).any():  # NaN where a fit has no mass within the box
             break
-        before = quadratics
-        responsibility = mixture.responsibilities(points.position)
     assert found is not None
     return found
 
