@@ -105,7 +105,7 @@ def rounding(problem: Problem) -> Rounding | None:
         modes = model.full_modes(theta[None])
         if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(modes.eigenvalues))):
             return None
-        _require_no_term_lost(model, theta, max(float(modes.eigenvalues.max()), 0.0))
+        _require_no_term_lost(problem, model, theta, max(float(modes.eigenvalues.max()), 0.0))
         _SOLVED[model] = theta, shapes, modes
     _, shapes, modes = _SOLVED[model]
     lam = np.maximum(modes.eigenvalues[0], 0.0)
@@ -144,8 +144,8 @@ def require_digits(problem: Problem) -> None:
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 
-def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float) -> None:
-    """Raise ValueError if a mode taken for a rigid-body mode strains a term of K.
+def _require_no_term_lost(problem: Problem, model: PairedStructure, theta: FloatArray, top: float) -> None:
+    """Raise ValueError if a mode taken for a rigid-body mode strains a term of K, or K is negative for one.
 
     A λ that is tiny relative to `top` is taken for zero, and pairing ignores the mode. If a term of K has strain
     energy in it, that is wrong: the term was lost in the sum, or nearly.
@@ -156,6 +156,8 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
         lam, shapes = block.modes(theta[None], max(counts.get(b, 0), min(_RIGID_AT_MOST, block.n_modes)))
         N = np.zeros((structure.n_dof, int(np.sum(lam[0] <= RIGID * top))))
         N[block.dofs] = shapes[0][:, : N.shape[1]]
+        if np.any(lam[0] < -RIGID * top):
+            raise ValueError(_negative(problem, model, theta, N[:, 0]))
         for term in structure.K_terms if N.shape[1] else ():
             energy = N * (term.matrix @ N)
             if energy.sum() > _LOST * np.sum(np.abs(N) * (abs(term.matrix) @ np.abs(N))):
@@ -168,6 +170,21 @@ def _require_no_term_lost(model: PairedStructure, theta: FloatArray, top: float)
                     "a soft part is lost in rounding); to make a part rigid, make it 1e3 to 1e6 "
                     "times as stiff as its neighbours, or tie its ends"
                 )
+
+
+def _negative(problem: Problem, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
+    """Say which term makes K negative for a motion (n_dof,)."""
+    terms = model.structure.K_terms
+    weights = coefficients(terms, theta[None])[0]
+    energy = [c * (motion @ (t.matrix @ motion)) for c, t in zip(weights, terms, strict=True)]
+    worst = terms[int(np.argmin(energy))]
+    names = [p.name for p, power in zip(problem.parameters, worst.powers, strict=False) if power]
+    of = f"the term of {' and '.join(names)}" if names else "the term that no parameter changes"
+    node, direction = model.structure.dofs[int(np.argmax(np.abs(motion)))]
+    return (
+        f"stiffness: K must not be negative for any motion; at the start it is for one of node {node} "
+        f"{direction}, by {of}; correct its matrix, or the start and the bounds"
+    )
 
 
 def _sizes(terms: Sequence[Term], theta: FloatArray) -> Any:

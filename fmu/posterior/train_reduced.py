@@ -17,7 +17,7 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points
-from fmu.numbers import apart, typed
+from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.protocol import Problem
@@ -115,7 +115,7 @@ def reduce_model(
     state = load_basis(key)
     if state is not None:
         structure.restore(state)
-        _warn_if_missed(structure, tolerance, state)
+        _warn_if_missed(problem, structure, tolerance, state)
         return
     bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
@@ -156,7 +156,7 @@ def reduce_model(
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
     store_basis(key, state)
-    _warn_if_missed(structure, tolerance, state)
+    _warn_if_missed(problem, structure, tolerance, state)
 
 
 def _log_prob_bound(structure: PairedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
@@ -198,7 +198,18 @@ def _off(found: float, tolerance: float) -> str:
     return f"{apart(found, tolerance, digits=3)[0]} (asked for: {typed(tolerance)})"
 
 
-def _warn_if_missed(structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]) -> None:
+def _warn_if_missed(
+    problem: Problem, structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]
+) -> None:
+    if "far" in state:
+        j, value, is_above, is_negative = state["far"]
+        there = f"{problem.parameters[int(j)].name} is {'above' if is_above else 'below'} {significant(value, 3)}"
+        _warn(
+            f"K is negative for some motion where {there}; narrow the bounds of this parameter"
+            if is_negative
+            else f"errors of the reduced model are not bounded well where {there}, far from every point at which "
+            "K was factorised; narrow the bounds of this parameter, or let fewer stiffnesses vanish at once"
+        )
     sizes = " + ".join(map(str, structure.reduced_sizes))
     if "reached" not in state:
         if "elsewhere" in state:

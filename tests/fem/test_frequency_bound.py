@@ -1,5 +1,8 @@
 """The bound of a reduced model's frequencies: above the true error everywhere, and not far above."""
 
+import re
+import warnings
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -261,3 +264,67 @@ def test_fewer_points_at_once_where_memory_is_short(monkeypatch):
     assert residuals.at_once(block, COUNT) == 16
     monkeypatch.setattr(residuals, "BUDGET", 8 * 3 * N * COUNT * 4)
     assert residuals.at_once(block, COUNT) == 4
+
+
+def posed(K, lower, upper):
+    """Return the problem of a chain with the terms of K, and all warnings of its training."""
+    ndim = len(lower)
+    model = _model(K, [(masses(range(N)), (0,) * ndim)])
+    start = 0.5 * (np.array(lower) + np.array(upper))
+    lam = FullBlock(model, np.arange(N)).eigenvalues(start[None], 3)[0]
+    measured = ModalData(np.sqrt(np.abs(lam)) / (2.0 * np.pi))
+    parameters = [Parameter(f"p{j}", *of) for j, of in enumerate(zip(start, lower, upper, strict=True))]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        problem = UpdatingProblem.reduced(model, measured, parameters, pairing="index")
+    return problem, [str(warning.message) for warning in said]
+
+
+def uncertain(of, ndim):
+    """Return terms of K: the chain, and a spring for each parameter."""
+    unit = np.eye(ndim, dtype=int)
+    return [(springs(range(N)), (0,) * ndim), *((K, tuple(row)) for K, row in zip(of, unit, strict=True))]
+
+
+def test_springs_that_vanish_together_have_anchors_of_their_own():
+    problem, said = posed(uncertain([50.0 * springs([k]) for k in (10, 40)], 2), [0.0, 0.0], [10.0, 10.0])
+    assert not said
+    theta = 10.0 ** np.random.default_rng(0).uniform(-9.0, 1.0, size=(200, 2))
+    bound = problem.model.frequency_bound(theta).max(axis=1)
+    assert np.median(bound) <= 1e-6
+    assert bound.max() <= 1e-3
+
+
+def test_a_coefficient_that_changes_its_sign_has_an_estimate_of_alpha():
+    """As of a change that is added to a nominal part."""
+    problem, said = posed(uncertain([springs([10]), springs([40])], 2), [-0.5, 0.5], [0.5, 1.5])
+    assert not said
+    theta = problem.sample_prior(np.random.default_rng(0), 100)
+    error = problem.frequencies(theta) / problem.model.full_frequencies(theta) - 1.0
+    bound = problem.model.frequency_bound(theta)
+    assert np.all(np.abs(error) <= bound + 1e-12)
+    assert bound.max() <= 5e-6
+
+
+def test_where_no_anchor_is_near_is_told():
+    terms = uncertain([50.0 * springs([k]) for k in (10, 20, 30, 40)], 4)
+    _, said = posed(terms, [0.0] * 4, [10.0] * 4)
+    (message,) = said
+    assert re.match(r"reduction: errors of the reduced model are not bounded well where p\d is below", message)
+    assert "narrow the bounds of this parameter" in message
+
+
+def test_a_stiffness_that_turns_negative_is_told_with_its_parameter():
+    terms = uncertain([-1.0 * springs([10]), springs([40])], 2)
+    _, said = posed(terms, [0.1, 0.5], [1.2, 1.5])
+    (message,) = said
+    found = re.match(
+        r"reduction: K is negative for some motion where p0 is above (\S+); narrow the bounds", message
+    )
+    assert 0.99 <= float(found.group(1)) <= 1.0
+
+
+def test_a_stiffness_that_is_negative_at_the_start_is_refused():
+    terms = uncertain([-3.0 * springs([10]), springs([40])], 2)
+    with pytest.raises(ValueError, match=r"^stiffness: K must not be negative .*, by the term of p0; correct its"):
+        posed(terms, [0.5, 0.5], [1.5, 1.5])

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
@@ -29,9 +29,12 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 # A box in which a coefficient changes by more than this factor is halved, and has two anchors.
 _WIDE = 30.0
+# Where α is a smaller share than this of the largest ratio, an anchor says little.
+_FAR = 1e-3
 _MOST = 8
 # Modes of the anchors beyond those that are asked for.
 _GUARDS = 3
+_HALVED = 20  # times, the way out of a region
 
 
 class SingularAnchorError(ValueError):
@@ -46,6 +49,29 @@ class SingularAnchorError(ValueError):
     def __init__(self, message: str, parameter: int | None = None) -> None:
         super().__init__(message)
         self.parameter = parameter
+
+
+class Far(NamedTuple):
+    """A point that no anchor is near to.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n_parameters,)
+    parameter : int
+        The one that takes it there.
+    value : float
+        From which on, found by bisection.
+    is_above : bool
+        Whether that is so above the value, or below.
+    is_negative : bool
+        Whether K is negative there for some motion.
+    """
+
+    theta: FloatArray
+    parameter: int
+    value: float
+    is_above: bool
+    is_negative: bool
 
 
 class Anchors:
@@ -64,8 +90,8 @@ class Anchors:
     shift : float
         s of K + s M, above 0 where the structure is free at an anchor: of the size of its lowest elastic λ.
     proven : bool
-        Whether all terms are positive semidefinite. Where they are not, α is estimated: it is the smallest
-        eigenvalue of the reduced matrices.
+        Whether all terms are positive semidefinite, with coefficients that are not negative in the box. Where they
+        are not, α is estimated: it is the smallest eigenvalue of the reduced matrices.
 
     Raises
     ------
@@ -89,7 +115,9 @@ class Anchors:
             self._factors.clear()
             for a in range(len(self.theta)):
                 self.factor(a)
-        self.proven = all(is_semidefinite(t.matrix) for t in self._terms)
+        self.proven = not any(np.any((lower < 0.0) & (np.mod(t.powers, 2) == 1)) for t in self._terms) and all(
+            is_semidefinite(t.matrix) for t in self._terms
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the factors, which cannot travel."""
@@ -147,13 +175,44 @@ class Anchors:
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
         """Return for every theta (n, p) the anchor that bounds it best, and α, not positive where none does."""
-        ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
-        low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            tight = np.where(low > 0.0, low / np.maximum(high, 1.0), -1.0)
+        low, tight = self._tight(theta)
         best = np.argmax(tight, axis=0)
         alpha = low[best, np.arange(len(theta))]
         return best, alpha if self.proven else self._estimated(theta, best, space)
+
+    def far(self, theta: FloatArray, space: Space) -> Far | None:
+        """Return where K is farthest from every anchor, of theta (n, p); None if it is far nowhere."""
+
+        def near(points: FloatArray) -> FloatArray:
+            if self.proven:
+                return np.asarray(np.max(self._tight(points)[1], axis=0))
+            return self._estimated(points, np.zeros(len(points), dtype=int), space)
+
+        tight = near(theta)
+        i = int(np.argmin(tight))
+        if tight[i] >= _FAR:
+            return None
+        back = np.where(np.eye(theta.shape[1], dtype=bool), self.theta[0], theta[i])  # one parameter each
+        closer = near(back)
+        j = int(np.argmax(closer))
+        outer, inner = float(theta[i, j]), float(self.theta[0, j])
+        for _ in range(_HALVED if closer[j] >= _FAR else 0):
+            back[j, j] = 0.5 * (outer + inner)
+            if near(back[j : j + 1])[0] < _FAR:
+                outer = float(back[j, j])
+            else:
+                inner = float(back[j, j])
+        return Far(theta[i], j, outer, outer > self.theta[0, j], not self.proven and tight[i] <= 0.0)
+
+    def _tight(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return α of every anchor at theta (n, p), and how near K is to it, both of shape (n_anchors, n)."""
+        ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
+        low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
+        # a term that an anchor leaves out is as far from it as from a small share of what it is in the middle
+        left_out = _WIDE * self._ratios(theta, self.theta[0])
+        high = np.where(np.isinf(high), np.max(np.where(np.isinf(ratios), left_out, ratios), axis=2), high)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return low, np.where(low > 0.0, low / np.maximum(high, 1.0), -1.0)
 
     def _ratios(self, theta: FloatArray, at: FloatArray) -> FloatArray:
         here, there = coefficients(self._terms, theta), coefficients(self._terms, at[None])
@@ -189,13 +248,13 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
         cut = np.sqrt(low[j] * high[j]) if low[j] > 0.0 else high[j] / _WIDE
         below, above = high.copy(), low.copy()
         below[j], above[j] = cut, cut
-        anchors += [_middle(low, below), _middle(above, high)]
         if low[j] == 0.0:  # further down no anchor but the face itself can follow
-            face = _middle(low, below)
+            face = below.copy()
             face[j] = 0.0
-            anchors.append(face)
-            parts.append((above, high))
+            anchors += [_middle(low, face), _middle(low, below), _middle(above, high)]
+            parts += [(above, high), (low, face)]
         else:
+            anchors += [_middle(low, below), _middle(above, high)]
             parts += [(low, below), (above, high)]
     return np.stack(anchors[:_MOST])
 

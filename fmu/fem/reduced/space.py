@@ -96,8 +96,8 @@ class Space:
                     nu, x = _highest(B, A, count)
                 except (np.linalg.LinAlgError, ssl.ArpackError):
                     continue
-                with np.errstate(all="ignore"):
-                    lam[i], y[i] = 1.0 / nu - self.shift, x / np.sqrt(nu)
+                nu = np.where(nu > 0.0, nu, np.nan)
+                lam[i], y[i] = 1.0 / nu - self.shift, x / np.sqrt(nu)
         return lam, y
 
     def assembled(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,9 +22,11 @@ from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import coefficients, weighted_sum
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
-from fmu.fem.reduced.anchors import Anchors
+from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.learning import SHARE, Learner, apart
+from fmu.fem.reduced.residuals import bounded
+from fmu.fem.reduced.space import Space
 from fmu.progress.phases import phase, solved
 from fmu.types import FloatArray
 
@@ -120,6 +122,7 @@ class Training:
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
         self.share = 1.0
+        self.far: Far | None = None
         self._seed, self._cut_share = 0, _CUT
 
     def run(self) -> Trained:
@@ -152,6 +155,7 @@ class Training:
         else:
             self.confirmed = False
         self.confirmed &= not self.is_cut()
+        self.far = self._far(np.concatenate([self._points(_CHECKS + _ROUNDS), near_zero]))
         return self._trained()
 
     def refined(self, theta: FloatArray) -> Trained:
@@ -191,10 +195,15 @@ class Training:
         self.confirmed = False
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the outcome as arrays; `elsewhere` is the tolerance outside the region, if there is one."""
+        """Return the outcome as arrays; `elsewhere` is the tolerance outside the region, if there is one.
+
+        `far` are the parameter, the value and what else is known of where errors are not bounded well.
+        """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
         if self.share < 1.0:
             state["elsewhere"] = np.array(self.tolerance)
+        if self.far is not None:
+            state["far"] = np.array(self.far[1:], dtype=float)
         if self.fixed is not None:
             state["pairing"] = np.array([self.fixed.block, self.fixed.rank], dtype=float)
         for b, basis in self.basis.items():
@@ -228,7 +237,7 @@ class Training:
         good = visited = 0
         with phase("training") as under_way:
             while good < enough and visited < _MOST_POINTS:
-                points = box_points(self.lower, self.upper, self.n_sobol, self._seed)
+                points = self._points(self._seed)
                 points = points[np.random.default_rng(self._seed).permutation(len(points))]
                 self._seed += 1
                 size = self._size()
@@ -246,6 +255,19 @@ class Training:
                 if good < len(points) and self._size() == size:  # where no solve succeeds, or rounding is all
                     return False
         return good >= enough
+
+    def _points(self, seed: int) -> FloatArray:
+        return box_points(self.lower, self.upper, self.n_sobol, seed)
+
+    def _far(self, theta: FloatArray) -> Far | None:
+        """Return where errors are not bounded to the tolerance, as no anchor is near, if there is such a place."""
+        for b, needed in self.n_trained.items():
+            anchors, reduced = self.learners[b].anchors, self._reduced(b)
+            space = Space(self._block(b), anchors.shift, reduced.basis, *([terms] for terms in reduced.terms))
+            far = anchors.far(theta, space)
+            if far and not np.all(bounded(space, anchors, far.theta[None], needed).error <= self.tolerance):
+                return far
+        return None
 
     def _size(self) -> int:
         return sum(learner.space.size for learner in self.learners.values())
@@ -295,7 +317,7 @@ class Training:
         The frequencies agree to the tolerance, the pairing is the same, and so is the number of modes below one
         that is not needed any more.
         """
-        points = box_points(self.lower, self.upper, self.n_sobol, _CHECKS + round_)
+        points = self._points(_CHECKS + round_)
         points = points[np.random.default_rng(round_).permutation(len(points))][: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
