@@ -1,11 +1,12 @@
 """How time and memory grow with degrees of freedom, parameters and chains, and where the reduced basis ends.
 
-    python -m tests.validation.scale OUT_DIRECTORY [--quick] [--keep] [--fast PYTHON] [--before CHECKOUT]
+    python -m tests.validation.scale OUT_DIRECTORY [--quick] [--keep | --page] [--fast PYTHON] [--before CHECKOUT]
 
 Every row is measured in a process of its own, one after the other, with one BLAS thread. It takes an hour and
-more. With ``--keep`` rows that are in OUT_DIRECTORY/scale/rows already are not measured again; ``--quick``
-measures small frames alone, in a minute. PYTHON has the extra ``fast`` (`make test-fast` makes one, the default);
-CHECKOUT is a copy of the sources before training by residuals, of which the training alone is measured.
+more. With ``--keep`` rows that are in OUT_DIRECTORY/scale/rows already are not measured again, with ``--page``
+none is, and the page is that of the rows that are there; ``--quick`` measures small frames alone, in a minute.
+PYTHON has the extra ``fast`` (`make test-fast` makes one, the default); CHECKOUT is a copy of the sources before
+training by residuals, of which the training alone is measured.
 """
 
 from __future__ import annotations
@@ -95,16 +96,16 @@ def measured_before(folder: Path, checkout: Path) -> None:
             print(file.stem, flush=True)
 
 
-def main(out: Path, quick: bool, keep: bool, fast: str, before: Path | None) -> int:
+def main(out: Path, quick: bool, keep: bool, page_only: bool, fast: str, before: Path | None) -> int:
     """Measure what is missing and write the page."""
     tables = rows(quick)
     folder = out / "scale" / "rows"
     folder.mkdir(parents=True, exist_ok=True)
-    known = {path.stem for path in folder.glob("*.json")} if keep else set()
+    known = {path.stem for path in folder.glob("*.json")} if keep or page_only else set()
     pythons = {SUPERLU: sys.executable, PARDISO: fast}
     with tempfile.TemporaryDirectory() as cache:
         for row in (row for wanted in tables.values() for row in wanted):
-            if row.name in known:
+            if row.name in known or page_only:
                 continue
             file, cached = folder / f"{row.name}.json", isinstance(row, Row) and row.cached
             if cached and not os.listdir(cache):
@@ -120,7 +121,7 @@ def main(out: Path, quick: bool, keep: bool, fast: str, before: Path | None) -> 
         return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
 
     found = {
-        name: [{**(read(row.name) or {}), "before": read(f"before-{row.name}")} for row in wanted]
+        name: [of | {"before": read(f"before-{row.name}")} for row in wanted if (of := read(row.name)) is not None]
         for name, wanted in tables.items()
     }
     for name, figure in figures(found).items():
@@ -134,6 +135,7 @@ if __name__ == "__main__":
     parser.add_argument("out", type=Path)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--keep", action="store_true")
+    parser.add_argument("--page", action="store_true", dest="page_only")
     parser.add_argument("--fast", default=str(FAST))
     parser.add_argument("--before", type=Path)
     sys.exit(main(**vars(parser.parse_args())))

@@ -28,7 +28,7 @@ INTRODUCTION = (
     "clock; memory is the largest resident set, each row in a process of its own (Python and its libraries take "
     "0.1 GiB of it). Offline is all that makes the problem: the frame and its true frequencies, the reference "
     "modes, the training. A full solve is that of `PairedStructure.full_modes`: a factorisation, Lanczos and the "
-    "pairing."
+    "pairing. Other work on the machine makes processor seconds longer too, by a third and more."
 )
 
 
@@ -38,17 +38,17 @@ def n_dof(row: Mapping[str, Any]) -> int:
 
 
 def page(found: Found) -> str:
-    """Return the page in Markdown."""
+    """Return the page in Markdown; a table without rows is left out."""
     trained = [*found["dof"], *found["superlu"], *found["demand"]]
-    parts = [
-        f"# Scale\n\n{INTRODUCTION}",
-        _training(trained),
-        _whole_runs(found["runs"]),
-        _demand(found["demand"]),
-        _by_dof(found["dof"]),
-        _by_parameters(found["parameters"]),
-        _by_chains(found["chains"]),
-    ]
+    sections = (
+        (_training, trained),
+        (_whole_runs, found["runs"]),
+        (_demand, found["demand"]),
+        (_by_dof, found["dof"]),
+        (_by_parameters, found["parameters"]),
+        (_by_chains, found["chains"]),
+    )
+    parts = [f"# Scale\n\n{INTRODUCTION}", *(section(rows) for section, rows in sections if rows)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -58,7 +58,7 @@ def _training(rows: Rows) -> str:
         before = row["before"]
         old: tuple[str, ...] = (MISSING,) * 3
         if before is not None:
-            commits.add(before["commit"])
+            commits.add(f"{before['commit']}, measured on {before['finished'].split()[0]}")
             old = (
                 fixed(before["offline_s"], 0),
                 whole(before["offline_solves"]),
@@ -86,11 +86,7 @@ def _training(rows: Rows) -> str:
         "right-hand sides", "share of them", "eigenproblems", "before, s", "eigenproblems before", "faster",
         "peak, GiB",
     )  # fmt: skip
-    by = (
-        f"; before: training by full solves, commit {', '.join(sorted(commits))}, in the same run"
-        if commits
-        else ""
-    )
+    by = f"; before: training by full solves, commit {', '.join(sorted(commits))}" if commits else ""
     return (
         "## Training\n\nA few full eigenproblems, and residuals everywhere else: right-hand sides for the factors "
         f"of one matrix{by}.\n\n" + markdown_table(header, lines, words=(2, 3))
@@ -179,7 +175,7 @@ def _demand(rows: Rows) -> str:
         "(`fmu.posterior.train_reduced.Tolerance`).\n\n"
         + markdown_table(header, lines)
         + ("\n\nWhat training says:\n\n" + "\n".join(said) if said else "\n\nTraining reached every tolerance.")
-        + "\n\n![Basis and time against the tolerance](scale/tolerance.png)"
+        + ("\n\n![Basis and time against the tolerance](scale/tolerance.png)" if len(rows) > 1 else "")
     )
 
 
@@ -271,7 +267,10 @@ def _by_chains(rows: Rows) -> str:
 
 def figures(found: Found) -> dict[str, Figure]:
     """Return the figures by the names of their files."""
-    return {"tolerance.png": _tolerances(found["demand"]), "growth.png": _growth(found)}
+    drawn = {"tolerance.png": _tolerances(found["demand"])} if len(found["demand"]) > 1 else {}
+    if all(found[name] for name in ("dof", "parameters", "chains")):
+        drawn["growth.png"] = _growth(found)
+    return drawn
 
 
 def _tolerances(rows: Rows) -> Figure:
