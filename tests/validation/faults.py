@@ -345,8 +345,8 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: a climb goes the wrong way",
         "fmu/samplers/mixture/quadratic.py",
-        "(ahead - behind) / (2.0 * curvature)",
-        "(behind - ahead) / (2.0 * curvature)",
+        "0.5 * (ahead - behind)",
+        "0.5 * (behind - ahead)",
         MIXTURE,
     ),
     Fault(
