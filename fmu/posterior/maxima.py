@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import Parameter, box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import advanced, phase
@@ -99,7 +99,7 @@ def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed:
     """Return scaled points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
-    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters]).T
+    lower, upper = box(problem.parameters)
     sobol = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed))
     unit = sobol.random_base2(int(np.ceil(np.log2(starts))))[: starts - 1]
     theta = np.concatenate([problem.start[None], lower + (upper - lower) * unit])

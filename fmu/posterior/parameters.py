@@ -141,6 +141,12 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
     )
 
 
+def box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and upper limits of the box in which a reduced model must be accurate, shape (n,) each."""
+    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in parameters]).T
+    return lower, upper
+
+
 class JointPrior:
     """The product of the parameters' priors, truncated to the bounds and normalised over them.
 

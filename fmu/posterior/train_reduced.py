@@ -20,6 +20,7 @@ from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.maxima import local_maxima
+from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.rounding import bounded_rounding
 from fmu.progress.phases import by_parts
@@ -119,7 +120,7 @@ def reduce_model(
         return
     bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
-    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters[:n]]).T
+    lower, upper = box(problem.parameters[:n])
     rng = np.random.default_rng(0)
     likelihood = problem.likelihood
 

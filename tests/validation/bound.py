@@ -22,6 +22,7 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import MISSING, significant, whole
+from fmu.posterior.parameters import box as box_of_priors
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.fem.test_frequency_bound import BUILT, box
@@ -149,9 +150,7 @@ def chains() -> Iterator[Case]:
 
 def _of_problem(name: str, problem: fmu.UpdatingProblem, points: int) -> Case:
     structure: Any = problem.model.as_structure()
-    of_model = problem.parameters[: structure.n_parameters]
-    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in of_model]).T
-    return Case(name, structure, lower, upper, points)
+    return Case(name, structure, *box_of_priors(problem.parameters[: structure.n_parameters]), points)
 
 
 def _of_chain(built: Callable[[], Any]) -> Case:

@@ -20,7 +20,7 @@ from typing import Any
 
 import fmu
 from fmu.fem.modes.solver import SUPERLU
-from tests.validation.scale_files import CELLS, write_frame, write_plate
+from tests.validation.scale_files import write_frame, write_plate
 from tests.validation.scale_model import Size
 from tests.validation.scale_row import peak_gib
 
@@ -47,9 +47,6 @@ class WholeRun:
         if self.kind == "plate":
             return write_plate(folder, self.size)
         return write_frame(folder, Size(*self.size), self.parameters, self.reduction)
-
-
-PLATE = WholeRun("plate", CELLS, 6, 1e-6, "PARDISO")
 
 
 def measured(run: WholeRun) -> dict[str, Any]:

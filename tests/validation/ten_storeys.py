@@ -16,6 +16,7 @@ import numpy as np
 import fmu
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.formats.matrices.read import write_matrix
+from fmu.posterior.parameters import box
 from fmu.types import FloatArray
 
 STOREYS, STIFFNESS, MASS = 10, 176.729e6, 100e3  # N/m, kg: the lowest frequency is 1 Hz
@@ -79,8 +80,7 @@ def structure() -> PairedStructure:
     paired = PairedStructure.of(
         model, pairing="index", numbers=NUMBERS, sensors=SENSORS, reference=np.ones(STOREYS), shapes=None
     )
-    lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in PARAMETERS]).T
-    paired.train(lower, upper)
+    paired.train(*box(PARAMETERS))
     return paired
 
 

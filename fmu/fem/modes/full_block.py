@@ -60,8 +60,11 @@ class FullBlock(Block):
 
     def _matrices(self, theta: FloatArray) -> Iterator[tuple[Any, Any]]:
         """Yield K and M at each theta (n, n_parameters) in turn."""
-        K_sum, M_sum = self._sums
-        return zip(map(K_sum, self._K_map(theta)), map(M_sum, self._M_map(theta)), strict=True)
+        return zip(map(self._sums[0], self._K_map(theta)), self._masses(theta), strict=True)
+
+    def _masses(self, theta: FloatArray) -> Iterator[Any]:
+        """Yield M at each theta (n, n_parameters) in turn."""
+        return map(self._sums[1], self._M_map(theta))
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.

@@ -105,11 +105,8 @@ class Learner:
         seen, reference = compressed(rows @ self.space.V, reference)
         return Mapped(seen), reference
 
-    def add_modes(self, shapes: FloatArray) -> None:
-        """Add mode shapes (n_dof, m) of the full model."""
-        self._add(shapes)
-
-    def _add(self, X: FloatArray) -> None:
+    def add(self, X: FloatArray) -> None:
+        """Add vectors (n_dof, m), such as modes of the full model."""
         self.space = self.space.grown(X, self.anchors.first)
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
@@ -123,7 +120,7 @@ class Learner:
         n = int(np.argmax(enough)) + 1 if enough.any() else len(energy)
         n = min(n, self.largest - self.space.size)
         kept = energy[:n] > 0.0
-        self._add(C @ (U[:, :n][:, kept] / np.sqrt(energy[:n][kept])))
+        self.add(C @ (U[:, :n][:, kept] / np.sqrt(energy[:n][kept])))
 
     def counts_the_same(self, theta: FloatArray, needed: int) -> bool:
         """Say whether the full model has as many low modes as the space at theta (n, p), by Sylvester's law."""

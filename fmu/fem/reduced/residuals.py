@@ -81,7 +81,7 @@ def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bo
     for a in np.unique(best):
         rows = np.flatnonzero(best == a)
         W[:, rows] = anchors.factor(int(a)).solve(R[:, rows].reshape(n_dof, -1)).reshape(n_dof, -1, count)
-    for i, (_, M) in enumerate(space.block._matrices(theta)):
+    for i, M in enumerate(space.block._masses(theta)):
         G[i] = R[:, i].T @ W[:, i]
         mass[i] = np.sum(W[:, i] * (M @ W[:, i]), axis=0)
     error = frequency_error(lam, space.shift, G, mass, alpha, rest)
@@ -194,7 +194,7 @@ class FrequencyBound:
         if b not in self._anchors:
             self._anchors[b] = Anchors(full, self.lower, self.upper)
         anchors = self._anchors[b]
-        space = Space(full, anchors.shift, reduced.basis, *([terms] for terms in reduced.terms))
+        space = Space.of(reduced, full, anchors.shift)
         step = at_once(full, count)
         parts = [theta[first : first + step] for first in range(0, len(theta), step)]
         return np.concatenate([bounded(space, anchors, part, count).error for part in parts])

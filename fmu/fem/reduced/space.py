@@ -11,6 +11,7 @@ import scipy.sparse.linalg as ssl
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.separable import Term, coefficients
+from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import FloatArray
 
 # From this size on Lanczos iterations on the dense matrices are cheaper than LAPACK.
@@ -49,6 +50,11 @@ class Space:
     def empty(cls, block: FullBlock, shift: float) -> Space:
         """Return the space of no vectors."""
         return cls(block, shift, np.empty((block.size, 0)), (), ())
+
+    @classmethod
+    def of(cls, reduced: ReducedBlock, block: FullBlock, shift: float) -> Space:
+        """Return the space of the basis of a reduced block."""
+        return cls(block, shift, reduced.basis, *([terms] for terms in reduced.terms))
 
     @property
     def size(self) -> int:

@@ -118,7 +118,7 @@ class Training:
         self._engine = engine or InProcess()
         self.learners: dict[int, Learner] = {}
         self.fixed: RankPairing | None = None
-        self.basis: dict[int, FloatArray] = {}
+        self.reduced: dict[int, ReducedBlock] = {}
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
         self.share = 1.0
@@ -206,9 +206,9 @@ class Training:
             state["far"] = np.array(self.far[1:], dtype=float)
         if self.fixed is not None:
             state["pairing"] = np.array([self.fixed.block, self.fixed.rank], dtype=float)
-        for b, basis in self.basis.items():
-            state[f"basis{b}"] = basis
-            state[f"n_trained{b}"] = np.array(float(self.n_trained[b]))
+        for b, reduced in self.reduced.items():
+            state[f"basis{b}"] = reduced.basis
+            state[f"n_trained{b}"] = np.array(float(reduced.n_trained))
         return state
 
     @classmethod
@@ -222,12 +222,12 @@ class Training:
             training.fixed = RankPairing(tuple(block), tuple(rank))
         for b in range(len(full.blocks)):
             if f"basis{b}" in state:
-                training.basis[b] = state[f"basis{b}"]
-                training.n_trained[b] = int(state[f"n_trained{b}"])
+                n_trained = int(state[f"n_trained{b}"])
+                training.reduced[b] = ReducedBlock(training._block(b), state[f"basis{b}"], n_trained)
         return training._trained()
 
     def _trained(self) -> Trained:
-        blocks = (self._reduced(b) if b in self.basis else full for b, full in enumerate(self.full.blocks))
+        blocks = (self.reduced.get(b, full) for b, full in enumerate(self.full.blocks))
         model = BlockModel(tuple(blocks), self.full.n_parameters)
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
         return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed, anchors)
@@ -262,8 +262,8 @@ class Training:
     def _far(self, theta: FloatArray) -> Far | None:
         """Return where errors are not bounded to the tolerance, as no anchor is near, if there is such a place."""
         for b, needed in self.n_trained.items():
-            anchors, reduced = self.learners[b].anchors, self._reduced(b)
-            space = Space(self._block(b), anchors.shift, reduced.basis, *([terms] for terms in reduced.terms))
+            anchors = self.learners[b].anchors
+            space = Space.of(self.reduced[b], self._block(b), anchors.shift)
             far = anchors.far(theta, space)
             if far and not np.all(bounded(space, anchors, far.theta[None], needed).error <= self.tolerance):
                 return far
@@ -292,11 +292,14 @@ class Training:
 
     def _cut(self) -> None:
         """Find a small basis with errors within the tolerance at all points visited."""
-        self.basis = {b: self._kept(b, needed) for b, needed in self.n_trained.items()}
+        self.reduced = {
+            b: ReducedBlock(self._block(b), self._kept(b, needed), needed) for b, needed in self.n_trained.items()
+        }
 
     def is_cut(self) -> bool:
         """Say whether a basis has reached its largest useful size: more points cannot improve it."""
-        return any(len(v) > DENSE_LIMIT and v.shape[1] >= affordable(len(v)) for v in self.basis.values())
+        sizes = [(len(of.basis), of.size) for of in self.reduced.values()]
+        return any(n_dof > DENSE_LIMIT and size >= affordable(n_dof) for n_dof, size in sizes)
 
     def _kept(self, b: int, needed: int) -> FloatArray:
         block = self._block(b)
@@ -306,7 +309,7 @@ class Training:
             # all modes of the block, unless the highest are so high that the low ones would lose their digits
             if not lam[0, -1] * _HIGHEST > lam[0, lam[0] > 0.0].min(initial=np.inf):
                 return shapes[0]
-        smallest = self.basis[b].shape[1] if b in self.basis else 1
+        smallest = self.reduced[b].size if b in self.reduced else 1
         largest = max(affordable(block.size), needed)
         cut = self.learners[b].cut(needed, self._cut_share * (1.0 - SHARE) * self.tolerance, smallest, largest)
         return mass_orthonormal(block, cut.V, centre)
@@ -332,18 +335,15 @@ class Training:
         agreed &= all(needed[b] <= n or self.fixed is None for b, n in self.n_trained.items())
         for b, n in self.n_trained.items():
             learner, lam = self.learners[b], eigenvalues[b][:, :n]
-            found = self._reduced(b).eigenvalues(points[:_CHECKED], n)
+            if learner.is_whole:
+                continue
+            found = self.reduced[b].eigenvalues(points[:_CHECKED], n)
             known = np.isfinite(lam).all(axis=1)
             bad = known & ~np.all(apart(found, lam) <= self.tolerance, axis=1)
-            if self.learners[b].is_whole:
-                continue
             agreed &= not bad.any() and learner.counts_the_same(points[_CHECKED:], n)
             for row in np.flatnonzero(bad):
-                learner.add_modes(shapes[b][row])
+                learner.add(shapes[b][row])
         return agreed
-
-    def _reduced(self, b: int) -> ReducedBlock:
-        return ReducedBlock(self._block(b), self.basis[b], self.n_trained[b])
 
     def _block(self, b: int) -> FullBlock:
         block: Any = self.full.blocks[b]
@@ -378,9 +378,9 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 
 
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int) -> FloatArray:
-    """Return points (n, n_parameters) of a box at which parameters come near zero, if it reaches zero.
+    """Return points (m, n_parameters), m ≤ n, of a box, near zero in parameters whose lower bound is zero.
 
-    None if no lower bound is zero. A stiffness that nearly vanishes has modes that neither the face shows, where
+    A stiffness that nearly vanishes has modes that neither the face shows, where
     it is gone, nor points that cover the box evenly.
     """
     rng = np.random.default_rng(n)

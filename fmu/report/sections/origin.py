@@ -50,7 +50,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
         float(attrs.get("certificate_log_prob_tolerance", usual.log_prob)),
     )
     is_kept = frequency <= allowed.frequency and log_prob <= allowed.log_prob and not changes
-    said = f"{attrs['certificate_draws']} of the draws were solved again with the full model. "
+    said = f"{attrs['certificate_draws']} of the draws were solved again with the full model"
     bounds: tuple[tuple[str, str, str], ...] = ()
     if "certificate_bound" in attrs:  # a trace of an earlier version has none
         bound, exceeded = float(attrs["certificate_bound"]), int(attrs["certificate_bound_exceeded"])
@@ -58,7 +58,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
         n_bounded = int(attrs["certificate_bound_draws"])
         said = (
             f"At {n_bounded} of the draws the errors of the frequencies were bounded by their residuals. "
-            f"{said.removesuffix('. ')}, those with the largest bounds among them. "
+            f"{said}, those with the largest bounds among them"
         )
         bounds = (
             ("largest bound of a frequency's relative error", *_beside(bound, allowed.frequency)),
@@ -68,7 +68,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
             ),
             ("solved draws at which an error is above its bound", str(exceeded), "0"),
         )
-    said += "Reduced-model error " + ("within tolerance." if is_kept else "above tolerance.")
+    said += ". Reduced-model error " + ("within tolerance." if is_kept else "above tolerance.")
     rows = (
         *bounds,
         ("largest relative error of a frequency", *_beside(frequency, allowed.frequency)),

@@ -17,7 +17,9 @@ _FLAT = 20.0
 _MOST_WIDENED = 2.5
 _PULL = 1e-3
 _CLIMBS, _LONGEST = 8, 3.0
+"""Most steps of a climb, and the longest along an axis, as a multiple of it."""
 _LEVEL, _CLIFF = 0.1, 50.0
+"""Least curvature of a step, and a gain that is not worth another; no neighbour counts as lower than that."""
 
 
 @dataclass(frozen=True, eq=False)
