@@ -33,6 +33,9 @@ from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
 from .posterior.errors.mac import MACErrors as MACErrors
 from .posterior.errors.shape import ShapeErrors as ShapeErrors
+from .posterior.joint.joint_problem import JointProblem as JointProblem
+from .posterior.joint.modal_test import Test as Test
+from .posterior.joint.population import Population as Population
 from .posterior.parameters import Parameter as Parameter
 from .posterior.priors.base import Normal as Normal
 from .posterior.priors.base import Uniform as Uniform

@@ -13,7 +13,7 @@ from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.identifiability import doubts as doubts_of_information
 from fmu.analysis.initial_modes import InitialModes, initial_modes, modes_as_text
-from fmu.analysis.maxima.search import is_searchable
+from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
@@ -313,7 +313,7 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
     ValueError
         If `problem` is not an updating problem, `draws` is less than 2, or the model fails at the start values.
     """
-    if not is_searchable(problem):
+    if not is_updating(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
     if not np.all(np.isfinite(problem.frequencies(problem.start))):
         raise ValueError(f"start: the model must have frequencies there (got {problem.start.tolist()})")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.maxima.search import is_searchable
+from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, with_group
 from fmu.numbers import fixed, names_in_words, share, significant
@@ -172,7 +172,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
         If theta is not within the bounds, the model has no finite derivative there, or the problem's errors are
         not those of modes (the modal residual).
     """
-    if not (is_searchable(problem) and problem.likelihood.of_modes):
+    if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ValueError("problem: must be an UpdatingProblem with errors in the modes")
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.posterior.parameters import Parameter, box
+from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import advanced, phase
@@ -215,31 +215,13 @@ class GaussNewton:
         theta = self._scaled.to_theta(u)
         log_likelihood, slope, information = p.likelihood.quadratic(theta)
         value = -log_likelihood - np.asarray(p.log_prior(theta))
-        prior_slope, prior_curvature = self._prior(theta)
-        gradient = -slope * scale - prior_slope
+        gradient = -(slope + p.prior.log_pdf_gradient(theta)) * scale
         hessian = information * np.outer(scale, scale)
         i = np.arange(p.ndim)
-        hessian[:, i, i] += prior_curvature
+        hessian[:, i, i] += p.prior.curvature(theta, scale) * scale**2
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
         hessian[failed] = np.eye(p.ndim)
         return np.where(failed, np.inf, value), np.where(failed[:, None], 0.0, gradient), hessian
-
-    def _prior(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return slope and curvature −∂² of the log-prior in u, each (n, ndim); the parameters are independent."""
-        slope, curvature = np.empty_like(theta), np.empty_like(theta)
-        for k, parameter in enumerate(self.problem.parameters):
-            slope[:, k], curvature[:, k] = _prior_in_one(parameter, theta[:, k], self._scaled.scale[k])
-        return slope, curvature
-
-
-def _prior_in_one(parameter: Parameter, x: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return slope and curvature of one parameter's log-prior, the curvature by differences of the slope."""
-    h = 1e-4 * scale
-    low, high = parameter.prior.support
-    near = np.clip(x, low + 2.0 * h, high - 2.0 * h)
-    ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
-    curvature = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale**2
-    return parameter.prior.log_pdf_gradient(x) * scale, curvature
 
 
 def ascend(

@@ -64,6 +64,7 @@ class UpdatingProblem:
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
         (theta − offset)/scale is of order one: the unit box where there are bounds.
+    prior : JointPrior
     tolerance : Tolerance or None
         Errors allowed to the reduced model; None where there is none, see `reduced`.
     failures : list of Failure
@@ -71,6 +72,9 @@ class UpdatingProblem:
         finite, the first ten thousand.
     n_failures : int
         Number of such evaluations.
+    is_hierarchical : bool
+        Whether parameters have a distribution that is inferred too (`fmu.JointProblem`). The maximum of such a
+        posterior lies far from its mass.
 
     Raises
     ------
@@ -88,6 +92,8 @@ class UpdatingProblem:
     theta is in SI units throughout. ``log_prob`` maps ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; it
     is ``-inf`` outside the bounds, and never an exception for a finite theta.
     """
+
+    is_hierarchical = False
 
     def __init__(
         self,
@@ -142,7 +148,7 @@ class UpdatingProblem:
         self.offset = np.array([offset for offset, _ in scales])
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
-        self._prior = JointPrior(self.parameters)
+        self.prior = JointPrior(self.parameters)
 
     @classmethod
     def reduced(
@@ -273,7 +279,7 @@ class UpdatingProblem:
         points, single = self._points(theta)
         value = np.full(len(points), -np.inf)
         inside = self._within(points).all(axis=1)
-        value[inside] = self._prior.log_pdf(points[inside])
+        value[inside] = self.prior.log_pdf(points[inside])
         return float(value[0]) if single else value
 
     def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
@@ -281,8 +287,8 @@ class UpdatingProblem:
         points, single = self._points(theta)
         value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
         inside = self._within(points).all(axis=1)
-        value[inside] = self._prior.log_pdf(points[inside])
-        gradient[inside] = self._prior.log_pdf_gradient(points[inside])
+        value[inside] = self.prior.log_pdf(points[inside])
+        gradient[inside] = self.prior.log_pdf_gradient(points[inside])
         return (float(value[0]), gradient[0]) if single else (value, gradient)
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
@@ -296,8 +302,7 @@ class UpdatingProblem:
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors from the truncated prior, shape (n, ndim)."""
-        draws = np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
-        return np.clip(draws, self._lowest, self._highest)
+        return np.clip(self.prior.draw(rng, n), self._lowest, self._highest)
 
     def simulate_data(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
@@ -391,12 +396,12 @@ class UpdatingProblem:
 
     def _posterior(self, points: FloatArray) -> FloatArray:
         """Return the log-probability, shape (n,), at points (n, ndim) inside the bounds."""
-        return self._terms(points).sum(axis=1) + self._prior.log_pdf(points)
+        return self._terms(points).sum(axis=1) + self.prior.log_pdf(points)
 
     def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         terms, slopes = self.likelihood.terms_and_gradient(points)
-        value = self._recorded(terms, points).sum(axis=1) + self._prior.log_pdf(points)
-        return value, slopes.sum(axis=1) + self._prior.log_pdf_gradient(points)
+        value = self._recorded(terms, points).sum(axis=1) + self.prior.log_pdf(points)
+        return value, slopes.sum(axis=1) + self.prior.log_pdf_gradient(points)
 
     def _terms(self, points: FloatArray) -> FloatArray:
         return self._recorded(self.likelihood.terms(points), points)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from fmu.fem.pairing.paired_model import ModalModel
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Likelihood
-from fmu.posterior.parameters import Parameter
+from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.types import FloatArray
 
 
@@ -21,6 +21,7 @@ class Problem(Protocol):
     model: ModalModel
     likelihood: Likelihood
     parameters: tuple[Parameter, ...]
+    prior: JointPrior
     ndim: int
     lower: FloatArray
     upper: FloatArray

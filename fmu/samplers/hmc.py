@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -9,13 +10,16 @@ import numpy as np
 
 from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
 from fmu.samplers.kernel import Info, Sampler, State, Tree
+from fmu.samplers.mixture.quadratic import definite
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
 from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric
-from fmu.types import LogDensity
+from fmu.types import FloatArray, LogDensity
 
 GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
 """Where learning begins, in scaled units: short enough for posteriors 1000 times narrower than priors."""
+_LEARNABLE = 50
+"""Parameters whose covariance the draws of a warm-up can tell: it takes some ten draws for each."""
 # Of a trajectory: 2 to 8 steps are enough with a good metric; with a poor one the cost must be bounded.
 _MOST_STEPS = 32
 
@@ -109,6 +113,13 @@ class HamiltonianMonteCarlo(Sampler):
         metric = Metric.of(self.inverse_mass, density.ndim)
         step_size, n_steps = np.asarray(self.step_size or START_STEP_SIZE), self.n_steps or START_STEPS
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
+
+    def starting_from(self, components: Sequence[Any], weights: FloatArray) -> HamiltonianMonteCarlo:
+        """Return the settings with M⁻¹ from the curvature at the largest maximum, if warm-up cannot learn it."""
+        curvature = components[int(np.argmax(weights))].hessian
+        if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
+            return self
+        return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
         """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""

@@ -35,9 +35,14 @@ def default_starts(problem: UpdatingProblem) -> int:
     return STARTS
 
 
-def is_searchable(problem: Any) -> bool:
-    """Say whether `find_map` can search it: an updating problem, or an object with its attributes."""
+def is_updating(problem: Any) -> bool:
+    """Say whether this is an updating problem, or an object with its attributes."""
     return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
+
+
+def is_searchable(problem: Any) -> bool:
+    """Say whether `find_map` can search it: an updating problem whose maxima are where its mass is."""
+    return is_updating(problem) and not getattr(problem, "is_hierarchical", False)
 
 
 def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1) -> Maxima:
@@ -68,8 +73,10 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     ValueError
         If `starts` is not positive, or `problem` is not an updating problem.
     """
-    if not is_searchable(problem):
+    if not is_updating(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
+    if not is_searchable(problem):
+        raise ValueError("problem: must have no population: the maximum of such a posterior is far from its mass")
     starts = default_starts(problem) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
     if (starts, seed) not in known:

@@ -40,7 +40,7 @@ def starts(
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
-        "maxima" means the prior if no maxima are known.
+        "maxima" means the middle of a hierarchical posterior; and the prior if otherwise no maxima are known.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -50,9 +50,23 @@ def starts(
         return positions, positions
     if init != "maxima":
         return init, init
-    if maxima is None:
+    if maxima is not None:
+        return starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
+    if not getattr(density, "is_hierarchical", False):
         return "prior", "prior"
-    return starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
+    scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
+    theta = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers))
+    return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "typical point"}
+
+
+def middle(problem: Any) -> Quadratic:
+    """Return the middle of a hierarchical posterior as a quadratic, in scaled units."""
+    from fmu.posterior.joint.typical import typical_point
+
+    position, hessian = typical_point(problem)
+    scaled = ScaledDensity(problem)
+    log_prob = float(scaled.log_prob(position))
+    return Quadratic(position, log_prob, np.zeros(len(position)), hessian)
 
 
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
@@ -91,12 +105,15 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1)
 
 
-def components(density: LogDensity, maxima: Maxima) -> tuple[list[Quadratic], FloatArray]:
+def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
     """Return the maxima that may matter as quadratics in scaled units, and weights: half shares, half equal.
 
     That is where a sampler may begin to learn the posterior. The first candidates are then enough around each
-    maximum to learn its shape, and a share that was estimated far too low is seen.
+    maximum to learn its shape, and a share that was estimated far too low is seen. Without `maxima`: the middle of
+    a hierarchical posterior.
     """
+    if maxima is None:
+        return [middle(density)], np.ones(1)
     scaled = ScaledDensity(density)
     chosen = sorted((m for m in maxima if m.share > _MAY_MATTER), key=lambda m: -m.share)[:_MOST_COMPONENTS]
     share = np.array([m.share for m in chosen])

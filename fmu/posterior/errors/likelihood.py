@@ -277,16 +277,20 @@ class ModalLikelihood(Likelihood):
         return self.of_used(np.asarray(sum(part.terms for part in parts))), self.of_used(slopes, 1)
 
     def _chained(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
-        """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim)."""
-        gradient = np.zeros((*part.terms.shape, self.n_structural + len(self.noise)))
-        leading = gradient[..., : self.n_structural]
+        """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim).
+
+        Those of the structure are the ones that the model's slopes are by.
+        """
+        n = self.n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
+        gradient = np.zeros((*part.terms.shape, n + len(self.noise)))
+        leading = gradient[..., :n]
         if part.by_frequency is not None and seen.frequency_slopes is not None:
             leading += part.by_frequency[..., None] * seen.frequency_slopes
         if part.by_shape is not None and seen.shape_slopes is not None:
             # a sum in one order, whatever the batch
             leading += np.einsum("nsm,nsmk->nmk", part.by_shape, seen.shape_slopes)
         for k, slope in (part.by_noise or {}).items():
-            gradient[..., self.n_structural + k] += slope
+            gradient[..., n + k] += slope
         return gradient
 
     def _residuals_and_slopes(self, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,88 @@
+"""Known changes of a structure between tests: masses and springs added, and parameters that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.fem.modes.separable import SeparableModel, Term, merge_terms, monomial
+from fmu.types import FloatArray, require_finite
+
+_TRANSLATIONS = ("x", "y", "z")
+
+
+def changed_model(
+    model: SeparableModel,
+    masses: Mapping[Any, float] | None = None,
+    springs: Mapping[tuple[Any, str], float] | None = None,
+    known: Mapping[int, float] | None = None,
+) -> SeparableModel:
+    """Return a structure with masses and springs added, and with some parameters replaced by their known values.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    masses : mapping of place to float, kg
+        Point masses, without inertia of rotation, which move with a node or with one of ``model.arms``. A negative
+        one was taken away.
+    springs : mapping of (place, direction) to float, N/m or N·m/rad
+        Springs to the ground; a negative one was taken away.
+    known : mapping of int to float
+        Values of parameters, by their number from 0; the model returned does not have them.
+
+    Returns
+    -------
+    SeparableModel
+
+    Raises
+    ------
+    ValueError
+        If a place has no free degree of freedom, a value is not finite, or no parameter remains.
+    """
+    K_terms, M_terms = list(model.K_terms), list(model.M_terms)
+    constant = (0.0,) * model.n_parameters
+    for place, mass in (masses or {}).items():
+        require_finite(f"masses.{place}", mass)
+        seen = [(place, d) for d in _TRANSLATIONS if model.sees((place, d))]
+        if not seen:
+            raise ValueError(f"masses.{place}: must be a place that is free to move (got {place!r})")
+        M_terms.append(Term(_along(model.observation(seen), mass), constant))
+    for (place, direction), stiffness in (springs or {}).items():
+        require_finite(f"springs.{place}.{direction}", stiffness)
+        if not model.sees((place, direction)):
+            raise ValueError(
+                f"springs.{place}: must be a place and a direction that are free to move (got {place!r}, "
+                f"{direction!r})"
+            )
+        K_terms.append(Term(_along(model.observation([(place, direction)]), stiffness), constant))
+    kept = [j for j in range(model.n_parameters) if j not in (known or {})]
+    if not kept:
+        raise ValueError(f"known: must leave a parameter that is uncertain (got all {model.n_parameters})")
+    if known:
+        at = np.ones((1, model.n_parameters))
+        at[0, list(known)] = list(known.values())
+        K_terms, M_terms = (_without(terms, at, kept) for terms in (K_terms, M_terms))
+    other = SeparableModel(
+        merge_terms(K_terms), merge_terms(M_terms), model.dofs, model.geometry, model.arms, model.ties
+    )
+    if model.names is not None:
+        other.names = tuple(model.names[j] for j in kept)
+    return other
+
+
+def _along(rows: Any, size: float) -> Any:
+    """Return size · RᵀR, for a mass or a spring that moves as the rows say."""
+    return sp.csr_array(size * (rows.T @ rows))
+
+
+def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
+    """Return terms of the kept parameters alone; the others have the values `at`, (1, n_parameters)."""
+    gone = [j for j in range(at.shape[1]) if j not in kept]
+    found = []
+    for term in terms:
+        coefficient = float(monomial(at[:, gone], [term.powers[j] for j in gone])[0])
+        found.append(Term(term.matrix * coefficient, tuple(term.powers[j] for j in kept)))
+    return found

@@ -1,0 +1,193 @@
+"""The modes of all tests as those of one model: what samplers, diagnostics and reports of a single test need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.black_box import Failure
+from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.joint.layout import Layout
+from fmu.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """Tests that share the matrices and the sensors, and are therefore solved in one batch.
+
+    Attributes
+    ----------
+    model : ModalModel
+        Paired with every mode that one of these tests has measured.
+    tests : ndarray of int, shape (n_here,)
+        Which tests.
+    parameters : ndarray of int, shape (p,)
+        Which parameters of the structure the model takes; the others are known.
+    columns : ndarray of int, shape (m,)
+        Their modes among those of all tests.
+    test, mode : ndarray of int, shape (m,)
+        Of each: the row in `tests`, and the mode of `model`.
+    """
+
+    model: ModalModel
+    tests: IntArray
+    parameters: IntArray
+    columns: IntArray
+    test: IntArray
+    mode: IntArray
+
+    def points(self, values: FloatArray) -> FloatArray:
+        """Return the model's parameters, (n · n_here, p), from those of all tests, (n, n_tests, n_structural)."""
+        own = values[:, self.tests[:, None], self.parameters]
+        return own.reshape(-1, len(self.parameters))
+
+    def picked(self, found: FloatArray) -> FloatArray:
+        """Return the measured modes, shape (n, m, …), from all modes in every test, (n · n_here, modes, …)."""
+        return found.reshape(-1, len(self.tests), *found.shape[1:])[:, self.test, self.mode]
+
+
+class JointModel(ModalModel):
+    """One model that has the modes of every test, as a function of the parameters of all tests.
+
+    An evaluation at one theta is counted as one solve, however many tests there are.
+
+    Parameters
+    ----------
+    layout : Layout
+    configurations : sequence of Configuration
+        Every test is in one of them.
+    n_modes : int
+        Number of measured modes of all tests.
+
+    Attributes
+    ----------
+    test : ndarray of int, shape (n_modes,)
+        The test that each mode is of.
+    """
+
+    name = "JointModel"
+
+    def __init__(self, layout: Layout, configurations: Sequence[Configuration], n_modes: int) -> None:
+        self.layout, self.configurations = layout, tuple(configurations)
+        self.n_parameters, self.n_modes = len(layout.parameters), n_modes
+        models = [part.model for part in self.configurations]
+        self.structure = models[0].structure
+        self.gives_shapes = all(model.gives_shapes for model in models)
+        self.by_shape = any(model.by_shape for model in models)
+        self.solves_per_gradient = max(model.solves_per_gradient for model in models)
+        self.solves_per_shape_gradient = max(model.solves_per_shape_gradient for model in models)
+        self.test = np.empty(n_modes, dtype=np.int64)
+        for part in self.configurations:
+            self.test[part.columns] = part.tests[part.test]
+
+    def __repr__(self) -> str:
+        return f"JointModel({self.layout.n_tests} tests, {len(self.configurations)} configurations)"
+
+    @property
+    def solver(self) -> str:
+        """What factorises the matrices, as `fmu.fem.pairing.paired_model.PairedStructure` has it."""
+        return str(getattr(self.configurations[0].model, "solver", ""))
+
+    @property
+    def full_solves(self) -> int:  # type: ignore[override]
+        """How often a full model had to answer where there is a reduced one."""
+        return sum(part.model.full_solves for part in self.configurations)
+
+    @property
+    def reduced_sizes(self) -> tuple[int, ...]:
+        """Unknowns of each block of the reduced models."""
+        return tuple(size for part in self.configurations for size in part.model.reduced_sizes)
+
+    @property
+    def reasons(self) -> Sequence[Failure]:
+        """The first points at which a user's function failed, and why."""
+        return tuple(reason for part in self.configurations for reason in part.model.reasons)
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
+        return self._frequencies(theta, lambda model: model.frequencies)
+
+    def full_frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return `frequencies` by the full models."""
+        return self._frequencies(theta, lambda model: model.full_frequencies)
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
+        values = self.layout.values(theta)
+        frequencies = np.empty((len(theta), self.n_modes))
+        slopes = np.zeros((len(theta), self.n_modes, values.shape[2]))
+        for part in self.configurations:
+            found, gradient = part.model.frequencies_and_gradient(part.points(values))
+            frequencies[:, part.columns] = part.picked(found)
+            slopes[:, part.columns[:, None], part.parameters] = part.picked(gradient)
+        return frequencies, self._chained(theta, slopes)
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        return self._observed(theta, gradient, lambda model, points: model.observed(points, gradient))
+
+    def full_observed(self, theta: FloatArray) -> ModalPrediction:
+        """Return `observed` by the full models."""
+        return self._observed(theta, False, lambda model, points: model.full_observed(points))
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the model, in plain Python types."""
+        return {
+            "configurations": [
+                {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
+            ],
+        }
+
+    def _frequencies(
+        self, theta: FloatArray, of: Callable[[ModalModel], Callable[[FloatArray], FloatArray]]
+    ) -> FloatArray:
+        values, found = self.layout.values(theta), np.empty((len(theta), self.n_modes))
+        for part in self.configurations:
+            found[:, part.columns] = part.picked(of(part.model)(part.points(values)))
+        return found
+
+    def _observed(
+        self, theta: FloatArray, gradient: bool, observe: Callable[[ModalModel, FloatArray], ModalPrediction]
+    ) -> ModalPrediction:
+        values = self.layout.values(theta)
+        n, m = len(theta), self.n_modes
+        seen = [observe(part.model, part.points(values)) for part in self.configurations]
+        q, p = seen[0].shapes.shape[1], values.shape[2]
+        frequencies, shapes = np.empty((n, m)), np.empty((n, q, m))
+        by_frequency, by_shape = np.zeros((n, m, p)), np.zeros((n, q, m, p))
+        for part, one in zip(self.configurations, seen, strict=True):
+            frequencies[:, part.columns] = part.picked(one.frequencies)
+            shapes[:, :, part.columns] = np.moveaxis(part.picked(np.moveaxis(one.shapes, 1, 2)), 1, 2)
+            if gradient:
+                columns = part.columns[:, None]
+                by_frequency[:, columns, part.parameters] = part.picked(np.asarray(one.frequency_slopes))
+                moved = part.picked(np.moveaxis(np.asarray(one.shape_slopes), 1, 2))
+                by_shape[:, :, columns, part.parameters] = np.moveaxis(moved, 1, 2)
+        if not gradient:
+            return ModalPrediction(frequencies, shapes)
+        chained = [self._chained(theta, by_shape[:, s]) for s in range(q)]
+        return ModalPrediction(frequencies, shapes, self._chained(theta, by_frequency), np.stack(chained, axis=1))
+
+    def _chained(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
+        return self.layout.chained(theta, slopes, self.test)
+
+
+class SlopesByTest(JointModel):
+    """The same model with derivatives by the parameters of the structure in the mode's own test, (n, n_modes, P).
+
+    They are few; by all parameters of all tests most derivatives are zero.
+
+    Parameters
+    ----------
+    model : JointModel
+    """
+
+    def __init__(self, model: JointModel) -> None:
+        vars(self).update(vars(model))
+
+    def _chained(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
+        return slopes

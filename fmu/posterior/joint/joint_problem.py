@@ -1,0 +1,356 @@
+"""Updating with several tests of one structure at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fmu.engines.base import Engine
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.modes.changes import changed_model
+from fmu.fem.modes.separable import SeparableModel
+from fmu.posterior.build import check_names
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.repeated import mean_shapes
+from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
+from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.population import Population
+from fmu.posterior.joint.scored_prior import ScoredPrior
+from fmu.posterior.joint.typical import centred
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Prior, Uniform
+from fmu.posterior.problem import UpdatingProblem
+from fmu.types import FloatArray
+
+
+class TestsError(ValueError):
+    """Tests, and what varies between them, do not fit together.
+
+    Attributes
+    ----------
+    mistakes : tuple of str
+        Each with its place: ``tests.2.name: …``.
+    """
+
+    __test__ = False
+
+    def __init__(self, mistakes: Sequence[str]) -> None:
+        super().__init__("; ".join(mistakes))
+        self.mistakes = tuple(mistakes)
+
+
+class JointProblem(UpdatingProblem):
+    """The posterior of all tests of a structure together.
+
+    It is an `UpdatingProblem` whose modes are those of every test, named ``"test: mode"``. Its parameters are the
+    shared ones and those of each test, group or population (`fmu.posterior.joint.layout`). Everything that
+    takes a problem takes it. One evaluation answers all tests: those that share the matrices are one batch, and
+    one reduced model serves them.
+
+    Parameters
+    ----------
+    model : SeparableModel or BlackBoxModel
+        The structure as it is without the changes of any test.
+    tests : sequence of Test
+    parameters : sequence of Parameter
+        Parameters of the model, in the order of theta for a single test.
+    varies : mapping of str to {"shared", "test", "group"} or Population
+        By the name of the parameter; shared if it is not named. ``"test"`` and ``"group"``: each test, or group of
+        tests, has a value of its own, with the parameter's prior. A `Population`: the values of the tests scatter
+        about a common mean (hierarchical updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech.
+        Syst. Signal Process.* 64–65, 360–376).
+    slopes : mapping of str to mapping of str to Prior
+        By the names of parameter and covariate: the prior of the relative slope b, with which the value in a test
+        is multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
+    pairing, beta, error, reduction, engine, name
+        See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are for
+        single tests.
+
+    Attributes
+    ----------
+    tests : tuple of Test
+    layout : Layout
+
+    Raises
+    ------
+    TestsError
+        Lists what is wrong in the tests, in `varies` and in `slopes`.
+    ValueError
+        As `UpdatingProblem` does.
+    """
+
+    model: JointModel
+
+    def __init__(
+        self,
+        model: SeparableModel | BlackBoxModel,
+        tests: Sequence[Test],
+        parameters: Sequence[Parameter],
+        *,
+        varies: Mapping[str, str | Population] | None = None,
+        slopes: Mapping[str, Mapping[str, Prior]] | None = None,
+        pairing: str = "shape",
+        beta: float | None = None,
+        error: Any = "frequency",
+        reduction: bool | float = True,
+        engine: Engine | None = None,
+        name: str = "problem",
+    ) -> None:
+        self.tests = tuple(tests)
+        varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
+        check_names(parameters)
+        found = mistakes(self.tests, parameters, varies, slopes)
+        if found:
+            raise TestsError(found)
+        if pairing == "soft" or error == "modal-residual":
+            what = "soft pairing" if pairing == "soft" else "the modal residual"
+            raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
+        self.layout = Layout.of(parameters, self.tests, varies, slopes)
+        data = stacked(self.tests)
+        options = {"pairing": pairing, "beta": beta, "error": error, "reduction": reduction, "engine": engine}
+        parts, tolerance = _configurations(model, self.tests, self.layout, options)
+        joint = JointModel(self.layout, parts, data.n_modes)
+        self._pose(joint, data, self.layout.parameters, beta=beta, error=error, name=name)
+        self.tolerance = tolerance
+        if self.is_hierarchical:
+            self._take(centred(self))
+
+    def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-probability and its gradient, put together from the derivatives in every test."""
+        likelihood: Any = copy(self.likelihood)
+        n = self.n_structural
+        likelihood.model = SlopesByTest(self.model)
+        terms, slopes = likelihood.terms_and_gradient(points)
+        P, modes = len(self.layout.structural), likelihood.of_used(np.arange(self.data.n_modes))
+        test = self.model.test[modes]  # ascending
+        first = np.flatnonzero(np.diff(test, prepend=-1))
+        by_test = np.zeros((len(points), self.layout.n_tests, P))
+        by_test[:, test[first]] = np.add.reduceat(slopes[:, :, :P], first, axis=1)
+        gradient = self.prior.log_pdf_gradient(points)
+        gradient[:, :n] += self.layout.pulled(points[:, :n], by_test)
+        gradient[:, n:] += slopes[:, :, P:].sum(axis=1)
+        return self._recorded(terms, points).sum(axis=1) + self.prior.log_pdf(points), gradient
+
+    def _take(self, layout: Layout) -> None:
+        """Let the scores refer to what `layout` says."""
+        self.layout = self.model.layout = layout
+        self.prior = ScoredPrior(self.parameters, layout)
+
+    @property
+    def is_hierarchical(self) -> bool:  # type: ignore[override]
+        """Whether a parameter scatters over the tests."""
+        return bool(self.layout.populations)
+
+    def values(self, theta: Any) -> FloatArray:
+        """Return the parameters of the structure in every test, shape (n_tests, n) or (n_points, n_tests, n).
+
+        Parameters
+        ----------
+        theta : array_like, shape (ndim,) or (n_points, ndim)
+
+        Returns
+        -------
+        ndarray
+            The order is that of the tests, and of ``layout.structural``; NaN where a parameter is known.
+        """
+        points, single = self._points(theta)
+        values = self.layout.values(points[:, : self.n_structural])
+        for t, test in enumerate(self.tests):
+            for j, parameter in enumerate(self.layout.structural):
+                if parameter.name in test.known:
+                    values[:, t, j] = test.known[parameter.name]
+        return values[0] if single else values
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that define the posterior, in plain Python types."""
+        return super().configuration() | {
+            "tests": [test.as_dict() for test in self.tests],
+            "populations": {name: one.as_dict() for name, one in self.layout.populations.items()},
+        }
+
+
+def mistakes(
+    tests: Sequence[Test],
+    parameters: Sequence[Parameter],
+    varies: Mapping[str, str | Population],
+    slopes: Mapping[str, Mapping[str, Prior]],
+) -> list[str]:
+    """Return what is wrong between tests and parameters, each with its place."""
+    names = [p.name for p in parameters]
+    found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []
+    found = found or ([] if tests else ["tests: must be at least 2 (got none)"])
+    taken: dict[str, int] = {}
+    for t, test in enumerate(tests):
+        first = taken.setdefault(test.name, t)
+        if first != t:
+            found.append(f"tests.{t}.name: must not be that of tests.{first} (got {test.name!r})")
+        unknown = [name for name in test.known if name not in names]
+        found += [f"tests.{t}.known: must name parameters among {', '.join(names)} (got {n!r})" for n in unknown]
+        others = {label for other in tests if other is not test for label in other.data.labels}
+        if len(tests) > 1 and not others & set(test.data.labels):
+            labels = ", ".join(test.data.labels)
+            found.append(f"tests.{t}.labels: must have a mode in common with another test (got {labels})")
+    for name, how in varies.items():
+        if name not in names:
+            found.append(f"varies: must name parameters among {', '.join(names)} (got {name!r})")
+            continue
+        here = [test for test in tests if name not in test.known]
+        if isinstance(how, str) and how not in VARIES:
+            found.append(f"varies.{name}: must be one of {', '.join(VARIES)} or a Population (got {how!r})")
+        elif (how == BY_TEST or isinstance(how, Population)) and len(here) < 2:
+            found.append(f"varies.{name}: varies by test, and needs two tests or more (got {len(here)})")
+        elif how == BY_GROUP:
+            for t, test in enumerate(tests):
+                if not test.group:
+                    found.append(f"tests.{t}.group: must be given, as {name} varies by group (got none)")
+            if len({test.group for test in here}) < 2:
+                found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
+    for name, by in slopes.items():
+        if name not in names:
+            found.append(f"slopes: must name parameters among {', '.join(names)} (got {name!r})")
+        for covariate in by:
+            missing = [t for t, test in enumerate(tests) if covariate not in test.covariates]
+            found += [
+                f"tests.{t}.covariates: must have {covariate}, on which {name} depends (got none)" for t in missing
+            ]
+            if not missing and len({test.covariates[covariate] for test in tests}) < 2:
+                found.append(f"slopes.{name}: {covariate} must differ between tests (got one value)")
+    return found
+
+
+def stacked(tests: Sequence[Test]) -> ModalData:
+    """Return the modes of all tests as those of one, with the labels ``"test: mode"``.
+
+    Raises
+    ------
+    ValueError
+        If some tests have an uncertainty of their frequencies or shapes, and others do not.
+    """
+    every = [test.data for test in tests]
+    trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
+    if len(set(trusts)) > 1:
+        lacking = trusts.index(False)
+        raise TestsError(
+            [f"tests.{lacking}: must have sd or covariance, as tests.{trusts.index(True)} has (got none)"]
+        )
+    sd = covariance = None
+    if any(data.covariance_hz2 is not None for data in every):
+        covariance = block_diag(*(_covariance(data) for data in every))
+    elif trusts[0]:
+        sd = np.concatenate([np.asarray(data.sd_hz) for data in every])
+    has_shapes = all(data.shapes is not None and data.sensors == every[0].sensors for data in every)
+    shapes_sd = None
+    if has_shapes and all(data.shapes_sd is not None for data in every):
+        shapes_sd = np.concatenate([np.asarray(data.shapes_sd) for data in every], axis=1)
+    return ModalData(
+        np.concatenate([np.asarray(data.frequencies_hz) for data in every]),
+        numbers=tuple(number for data in every for number in data.numbers),
+        sensors=every[0].sensors if has_shapes else (),
+        labels=tuple(f"{test.name}: {label}" for test in tests for label in test.data.labels),
+        shapes=np.concatenate([np.asarray(data.shapes) for data in every], axis=1) if has_shapes else None,
+        sd_hz=sd,
+        covariance_hz2=covariance,
+        shapes_sd=shapes_sd,
+        use=tuple(used for data in every for used in data.use),
+    )
+
+
+def _covariance(data: ModalData) -> FloatArray:
+    if data.covariance_hz2 is not None:
+        return np.asarray(data.covariance_hz2)
+    return np.diag(np.asarray(data.sd_hz) ** 2)
+
+
+def _configurations(
+    model: SeparableModel | BlackBoxModel, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
+) -> tuple[list[Configuration], Any]:
+    """Return the tests by what they share, each with its trained model, and the tolerance of these."""
+    keys = [test.configuration for test in tests]
+    first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
+    found, tolerance = [], None
+    lower, upper = layout.box()
+    for key in dict.fromkeys(keys):
+        here = [t for t, other in enumerate(keys) if other == key]
+        first = tests[here[0]]
+        number = {p.name: j for j, p in enumerate(layout.structural)}
+        known = {number[name]: value for name, value in first.known.items()}
+        kept = [j for j in range(len(layout.structural)) if j not in known]
+        changed: Any = model
+        if first.masses or first.springs or known:
+            if not isinstance(model, SeparableModel):
+                raise TestsError(
+                    [f"tests.{here[0]}: changes need a model with matrices (got {type(model).__name__})"]
+                )
+            try:
+                changed = changed_model(model, first.masses, first.springs, known)
+            except ValueError as error:
+                raise TestsError([f"tests.{here[0]}.{error}"]) from error
+        parameters = [
+            _over(layout.structural[j], float(lower[here, j].min()), float(upper[here, j].max())) for j in kept
+        ]
+        data, modes = _together([tests[t] for t in here])
+        alone = UpdatingProblem.reduced(changed, data, parameters, **options)
+        tolerance = alone.tolerance
+        found.append(
+            Configuration(
+                model=alone.model,
+                tests=np.array(here),
+                parameters=np.array(kept),
+                columns=np.concatenate([np.arange(first_mode[t], first_mode[t + 1]) for t in here]),
+                test=np.repeat(np.arange(len(here)), [tests[t].data.n_modes for t in here]),
+                mode=np.concatenate(modes),
+            )
+        )
+    return found, tolerance
+
+
+def _over(p: Parameter, lower: float, upper: float) -> Parameter:
+    """Return a parameter for the box in which the values of some tests lie."""
+    if p.lower <= lower and upper <= p.upper:
+        return p
+    return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
+
+
+def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
+    """Return the modes that any of the tests has, and for each test which of them it has.
+
+    Frequencies and shapes are means over the tests, and standard deviations the smallest.
+    """
+    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
+    modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
+    frequencies = np.full((len(tests), len(labels)), np.nan)
+    sd = np.full_like(frequencies, np.nan)
+    numbers: dict[int, int] = {}
+    counterparts: dict[int, int] = {}
+    sensors = tests[0].data.sensors
+    shapes = np.full((len(tests), len(sensors), len(labels)), np.nan)
+    for t, (test, own) in enumerate(zip(tests, modes, strict=True)):
+        data = test.data
+        frequencies[t, own] = data.frequencies_hz
+        if data.sd_hz is not None or data.covariance_hz2 is not None:
+            sd[t, own] = np.sqrt(np.diag(_covariance(data)))
+        if data.shapes is not None:
+            shapes[t][:, own] = data.shapes
+        for known, given in ((numbers, data.numbers), (counterparts, data.counterparts)):
+            for mode, value in zip(own.tolist(), given, strict=False):
+                if known.setdefault(mode, value) != value:
+                    raise TestsError(
+                        [f"tests: mode {labels[mode]!r} must have one number (got {known[mode]} and {value})"]
+                    )
+    seen = ~np.isnan(shapes).all(axis=(0, 1))
+    data = ModalData(
+        np.nanmean(frequencies, axis=0),
+        numbers=tuple(numbers[k] for k in range(len(labels))),
+        sensors=sensors,
+        labels=tuple(labels),
+        shapes=mean_shapes(shapes) if len(sensors) and seen.all() else None,
+        sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
+        counterparts=tuple(counterparts[k] for k in range(len(labels))) if counterparts else (),
+    )
+    return data, modes

@@ -1,0 +1,368 @@
+"""From the parameters of all tests together to the parameters of the structure in each test."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.population import Normals, Population, Slopes
+from fmu.posterior.parameters import Parameter, box
+from fmu.posterior.priors.base import Normal, Prior
+from fmu.types import BoolArray, FloatArray, IntArray
+
+SHARED, BY_TEST, BY_GROUP = "shared", "test", "group"
+VARIES = (SHARED, BY_TEST, BY_GROUP)
+_FAR = 4.0
+"""Standard deviations of a population about its mean within which a reduced model is trained."""
+
+
+class Slope(NamedTuple):
+    """The derivative of a value in every test by one parameter of each.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (n_tests,)
+        The parameter, by its number in theta.
+    values : ndarray, shape (n, n_tests)
+    """
+
+    columns: IntArray
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A parameter of the structure that is one of theta in each test.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (n_tests,)
+    """
+
+    columns: IntArray
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        return lower[self.columns], upper[self.columns]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A parameter of the structure that scatters over the tests.
+
+    Attributes
+    ----------
+    population : Population
+    centre, width : int
+        Numbers in theta of mean and standard deviation.
+    columns : ndarray of int, shape (n_tests,)
+        The scores.
+    scored : ndarray of bool, shape (n_tests,)
+        Which tests have one; in the others the value is known.
+    lower, upper : float
+        Bounds of the values.
+    centring : ndarray, shape (n_tests,)
+        w of `fmu.posterior.joint.population`: 0 for standard normal scores, 1 for the values in other units.
+    reference : tuple of float
+        Centre and width, μ₀ and σ₀.
+    """
+
+    population: Population
+    centre: int
+    width: int
+    columns: IntArray
+    scored: BoolArray
+    lower: float
+    upper: float
+    centring: FloatArray
+    reference: tuple[float, float]
+    _last: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        return self._evaluated(theta)[0]
+
+    def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the log-density of the scores over that of standard normal ones, (n, n_tests), and derivatives.
+
+        It is zero where the centring is: the scores are then standard normal.
+        """
+        return self._evaluated(theta)[1]
+
+    def curvature(self, theta: FloatArray) -> FloatArray:
+        """Return −∂² of the scores' log-density by each of them, shape (n, n_tests), where bounds are far away."""
+        _, (_, width), (_, blend), _ = self._at(theta)
+        return np.asarray((blend / width) ** 2)
+
+    def drawn(self, theta: FloatArray) -> FloatArray:
+        """Return theta whose scores, standard normal draws, are replaced by those of draws from the population."""
+        theta = theta.copy()
+        z, (centre, width), blend, _ = self._parts(theta)
+        value = self.population.values(z, centre, width, self.lower, self.upper)[0]
+        scores = self.population.scores(value, *blend, self.lower, self.upper)
+        theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
+        return theta
+
+    def _evaluated(self, theta: FloatArray) -> Any:
+        """Return what `__call__` and `log_prior` return; for the last theta it is known."""
+        if not np.array_equal(self._last.get("theta", ()), theta):
+            self._last.update(theta=theta.copy(), found=self._computed(theta))
+        return self._last["found"]
+
+    def _computed(self, theta: FloatArray) -> Any:
+        value, (centre, width), blend, (by_z, by_centre, by_width) = self._at(theta)
+        bounds = self.lower, self.upper
+        ratio, one, other = self.population.log_ratio(value, (centre, width), blend, *bounds)
+        of_value, off = one[0] - other[0], 1.0 - self.centring
+        slopes = (
+            of_value * by_z,
+            of_value * by_centre + one[1] - other[1] * self._by_centre(centre, blend[0]),
+            of_value * by_width + one[2] - other[2] * off * blend[1] / width,
+        )
+        is_score = self.scored & (self.centring > 0.0)
+        prior = np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
+        return (value, self._slopes(by_z, by_centre, by_width)), prior
+
+    def scores_of(self, value: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return the scores that give these values in the tests that have any, at one theta (ndim,)."""
+        centre, width = (part[0, self.scored] for part in self._parts(theta[None])[2])
+        return self.population.scores(value, centre, width, self.lower, self.upper)
+
+    def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
+        """Return the scores, the population, what they refer to, and ∂ of its centre by the population's."""
+        n_tests = len(self.columns)
+        centre, width = (theta[:, [k] * n_tests] for k in (self.centre, self.width))
+        w = self.centring
+        if self.population.of_logarithm:
+            of_centre = np.exp(w * np.log(self.reference[0]) + (1.0 - w) * np.log(centre))
+        else:
+            of_centre = w * self.reference[0] + (1.0 - w) * centre
+        of_width = np.exp(w * np.log(self.reference[1]) + (1.0 - w) * np.log(width))
+        return theta[:, self.columns], (centre, width), (of_centre, of_width), self._by_centre(centre, of_centre)
+
+    def _by_centre(self, centre: FloatArray, blend: FloatArray) -> FloatArray:
+        off = 1.0 - self.centring
+        return np.asarray(
+            off * blend / centre if self.population.of_logarithm else np.broadcast_to(off, blend.shape)
+        )
+
+    def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
+        """Return the values, the population, what the scores refer to, and the values' derivatives."""
+        z, population, blend, by = self._parts(theta)
+        value, (by_z, by_centre, by_width) = self.population.values(z, *blend, self.lower, self.upper)
+        by_sd = (1.0 - self.centring) * blend[1] / population[1]
+        return value, population, blend, (by_z, by_centre * by, by_width * by_sd)
+
+    def _slopes(self, by_z: FloatArray, by_centre: FloatArray, by_width: FloatArray) -> list[Slope]:
+        columns = (self.columns, np.full_like(self.columns, self.centre), np.full_like(self.columns, self.width))
+        return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        z, width, ends = np.array([-_FAR, _FAR]), upper[self.width], [lower[self.centre], upper[self.centre]]
+        found = self.population.values(z, np.array(ends), width, self.lower, self.upper)[0]
+        return tuple(np.full(len(self.columns), value) for value in found)  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A parameter of the structure that depends on covariates too: θ = θ₀ Π (1 + b (x − x₀)).
+
+    Attributes
+    ----------
+    base : Taken or Drawn
+        θ₀, the value where every covariate is at its mean over the tests.
+    columns : tuple of int
+        Number in theta of the relative slope b of each covariate.
+    covariates : ndarray, shape (n_covariates, n_tests)
+        x − x₀.
+    """
+
+    base: Taken | Drawn
+    columns: tuple[int, ...]
+    covariates: FloatArray
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        value, slopes = self.base(theta)
+        factors = 1.0 + theta[:, self.columns, None] * self.covariates
+        product = np.prod(factors, axis=1)
+        found = [Slope(slope.columns, slope.values * product) for slope in slopes]
+        for k, column in enumerate(self.columns):
+            others = np.prod(np.delete(factors, k, axis=1), axis=1)
+            columns = np.full(self.covariates.shape[1], column)
+            found.append(Slope(columns, value * self.covariates[k] * others))
+        return value * product, found
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        low, high = self.base.box(lower, upper)
+        for k, x in zip(self.columns, self.covariates, strict=True):
+            factors = 1.0 + np.stack([lower[k] * x, upper[k] * x])
+            corners = np.stack([end * factor for end in (low, high) for factor in factors])
+            low, high = corners.min(axis=0), corners.max(axis=0)
+        return low, high
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which parameters all tests have together, and what they mean for each of them.
+
+    Attributes
+    ----------
+    structural : tuple of Parameter
+        Those of the structure, as in a single test.
+    parameters : tuple of Parameter
+        What is inferred: shared parameters, those of each test or group, means, standard deviations and slopes;
+        then the scores.
+    tests : tuple of str
+        Names.
+    values_of : tuple of Taken, Drawn or Trend
+        One per parameter of the structure.
+    populations : mapping of str to Population
+        By the name of the parameter.
+    """
+
+    structural: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]
+    tests: tuple[str, ...]
+    values_of: tuple[Taken | Drawn | Trend, ...]
+    populations: Mapping[str, Population] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        structural: Sequence[Parameter],
+        tests: Sequence[Test],
+        varies: Mapping[str, str | Population],
+        slopes: Mapping[str, Mapping[str, Prior]],
+    ) -> Layout:
+        """Return the layout; what the arguments mean is told in `fmu.JointProblem`, which has checked them."""
+        main: list[Parameter] = []
+        scores: list[Parameter] = []
+        pending: list[Any] = []
+
+        def add(parameter: Parameter) -> int:
+            main.append(parameter)
+            return len(main) - 1
+
+        for p in structural:
+            how = varies.get(p.name, SHARED)
+            here = [t for t, test in enumerate(tests) if p.name not in test.known]
+            columns = np.zeros(len(tests), dtype=np.int64)
+            base: Any
+            if isinstance(how, Population):
+                centre, width = map(add, how.parameters(p))
+                columns[here] = len(scores) + np.arange(len(here))
+                named = (f"{p.name} score [{tests[t].name}]" for t in here)
+                scores += [Parameter(name, 0.0, prior=Normal(1.0)) for name in named]
+                scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
+                base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)
+            else:
+                names = [_name_of(p.name, how, test) for test in tests]
+                number = {name: add(_renamed(p, name)) for name in dict.fromkeys(names[t] for t in here)}
+                columns[here] = [number[names[t]] for t in here]
+                base = Taken(columns)
+            of_slopes, away = [], []
+            for covariate, prior in slopes.get(p.name, {}).items():
+                x = np.array([test.covariates[covariate] for test in tests])
+                away.append(x - x.mean())
+                at = float(np.clip(0.0, *prior.support))
+                of_slopes.append(add(Parameter(f"{p.name} per {covariate}", at, prior=prior)))
+            pending.append((base, tuple(of_slopes), np.array(away)))
+
+        values_of = []
+        for base, of_slopes, away_from_mean in pending:
+            if isinstance(base, Drawn):  # the scores follow all others
+                base = replace(base, columns=base.columns + len(main))
+            values_of.append(Trend(base, of_slopes, away_from_mean) if of_slopes else base)
+        return cls(
+            tuple(structural),
+            (*main, *scores),
+            tuple(test.name for test in tests),
+            tuple(values_of),
+            {name: how for name, how in varies.items() if isinstance(how, Population)},
+        )
+
+    @property
+    def drawn(self) -> list[Drawn]:
+        """The parameters that scatter over the tests."""
+        bases = (one.base if isinstance(one, Trend) else one for one in self.values_of)
+        return [base for base in bases if isinstance(base, Drawn)]
+
+    @property
+    def n_tests(self) -> int:
+        """Number of tests."""
+        return len(self.tests)
+
+    def values(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters of the structure, shape (n, n_tests, n_structural), at theta (n, n_parameters).
+
+        Without meaning where a parameter is known in a test.
+        """
+        return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
+
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Return limits within which the values lie as a rule, shape (n_tests, n_structural) each."""
+        ends = [value_of.box(*box(self.parameters)) for value_of in self.values_of]
+        return tuple(np.stack(end, axis=1) for end in zip(*ends, strict=True))  # type: ignore[return-value]
+
+    def chained(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
+        """Return derivatives by theta of quantities that each belong to one test.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        slopes : ndarray, shape (n, m, n_structural)
+            By the structure's parameters; zero for those known in the test.
+        test : ndarray of int, shape (m,)
+
+        Returns
+        -------
+        ndarray, shape (n, m, n_parameters)
+        """
+        found = np.zeros((*slopes.shape[:2], theta.shape[1]))
+        rows = np.arange(slopes.shape[1])
+        for j, value_of in enumerate(self.values_of):
+            for columns, values in value_of(theta)[1]:
+                # no parameter is twice in one row here, so that nothing is lost
+                found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test]
+        return found
+
+    def pulled(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return derivatives by theta, (n, n_parameters), of a quantity that depends on all tests.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        slopes : ndarray, shape (n, n_tests, n_structural)
+            By the structure's parameters in each test.
+        """
+        found = np.zeros_like(theta)
+        for j, value_of in enumerate(self.values_of):
+            for columns, values in value_of(theta)[1]:
+                of_tests, (distinct, which) = slopes[:, :, j] * values, np.unique(columns, return_inverse=True)
+                if len(distinct) == len(columns):
+                    found[:, columns] += of_tests
+                    continue
+                for k, column in enumerate(distinct):
+                    found[:, column] += np.einsum("nt->n", of_tests[:, which == k])
+        return found
+
+
+def _name_of(name: str, how: str, test: Test) -> str:
+    if how == SHARED:
+        return name
+    return f"{name} [{test.name if how == BY_TEST else test.group}]"
+
+
+def _renamed(p: Parameter, name: str) -> Parameter:
+    return p if name == p.name else Parameter(name, p.start, p.lower, p.upper, p.prior, p.unit, p.group)

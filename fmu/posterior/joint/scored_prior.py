@@ -1,0 +1,58 @@
+"""The prior of a hierarchical problem: independent parameters, and scores that refer to a population."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.parameters import JointPrior, Parameter
+from fmu.types import FloatArray
+
+
+class ScoredPrior(JointPrior):
+    """The priors of the parameters, where those of the scores depend on a population.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        The scores have standard normal priors, which hold where nothing is centred.
+    layout : Layout
+    """
+
+    def __init__(self, parameters: Sequence[Parameter], layout: Layout) -> None:
+        super().__init__(parameters)
+        self._drawn = layout.drawn
+        self._centred = [one for one in self._drawn if np.any(one.centring > 0.0)]
+
+    def log_pdf(self, theta: FloatArray) -> FloatArray:
+        """Return the log-density, shape (n,), at theta (n, ndim) where every prior has a density."""
+        value = super().log_pdf(theta)
+        for one in self._centred:
+            value = value + np.einsum("nt->n", one.log_prior(theta)[0])
+        return value
+
+    def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
+        """Return its gradient, shape (n, ndim)."""
+        gradient = super().log_pdf_gradient(theta)
+        for one in self._centred:
+            by_score, by_centre, by_width = one.log_prior(theta)[1]
+            gradient[:, by_score.columns[one.scored]] += by_score.values[:, one.scored]
+            for slope in (by_centre, by_width):
+                gradient[:, slope.columns[0]] += np.einsum("nt->n", slope.values)
+        return gradient
+
+    def curvature(self, theta: FloatArray, scale: FloatArray) -> FloatArray:
+        """Return −∂² of the log-density by each parameter, (n, ndim); by scores as where bounds are far away."""
+        found = super().curvature(theta, scale)
+        for one in self._centred:
+            found[:, one.columns[one.scored]] = one.curvature(theta)[:, one.scored]
+        return found
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Draw `n` parameter vectors, shape (n, ndim)."""
+        theta = super().draw(rng, n)
+        for one in self._centred:
+            theta = one.drawn(theta)
+        return theta

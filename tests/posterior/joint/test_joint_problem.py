@@ -1,0 +1,218 @@
+"""Several tests of one structure: one log-probability, put together by hand here."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+from numpy.testing import assert_allclose, assert_array_equal
+
+import fmu
+from fmu.posterior.joint.joint_problem import TestsError
+
+STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
+MASS = np.diag([1000.0, 1000.0])
+K1 = fmu.Parameter("k1", 2e6, 1e6, 3e6, prior=fmu.Normal(3e5, 2e6), unit="N/m")
+K2 = fmu.Parameter("k2", 2e6, 1e6, 3e6, unit="N/m")
+SENSORS = ((0, "x"), (1, "x"))
+
+
+@pytest.fixture(scope="module")
+def building():
+    return fmu.SeparableModel.from_terms(["k1", "k2"], [(STOREYS[0], "k1"), (STOREYS[1], "k2")], [MASS])
+
+
+def frequencies(k, mass=MASS, stiffness=0.0):
+    K = k[0] * STOREYS[0] + k[1] * STOREYS[1] + stiffness
+    return np.sqrt(scipy.linalg.eigh(K, mass, eigvals_only=True)) / (2 * np.pi)
+
+
+def measured(k, shift=0.0, modes=(0, 1), **changes):
+    f = frequencies(k, **changes)[list(modes)] * (1 + shift)
+    labels = tuple(f"mode {m + 1}" for m in modes)
+    return fmu.ModalData(f, sd_hz=0.01 * f, labels=labels, numbers=tuple(m + 1 for m in modes))
+
+
+def log_likelihood(data, f):
+    modes = np.array(data.numbers) - 1
+    return scipy.stats.norm.logpdf(data.frequencies_hz, f[modes], data.sd_hz).sum()
+
+
+def test_shared_and_own_parameters_give_the_sum_of_all_tests(building):
+    data = [measured((2e6, 2e6)), measured((2.2e6, 1.9e6), 0.01, modes=(0,)), measured((1.9e6, 2.1e6))]
+    tests = [fmu.Test(name, one) for name, one in zip("abc", data, strict=True)]
+    problem = fmu.JointProblem(building, tests, [K1, K2], varies={"k2": "test"}, pairing="index", reduction=False)
+    assert problem.names == ("k1", "k2 [a]", "k2 [b]", "k2 [c]")
+    assert problem.data.labels == ("a: mode 1", "a: mode 2", "b: mode 1", "c: mode 1", "c: mode 2")
+    theta = np.array([2.1e6, 1.8e6, 2.3e6, 2.6e6])
+    expected = sum(log_likelihood(d, frequencies((theta[0], k))) for d, k in zip(data, theta[1:], strict=True))
+    assert_allclose(problem.log_likelihood(theta), expected, rtol=1e-11)
+    prior = fmu.UpdatingProblem(building, data[0], [K1, K2], pairing="index").log_prior(theta[:2])
+    assert_allclose(problem.log_prior(theta), prior - 2 * np.log(2e6), rtol=1e-12)
+    assert_allclose(problem.values(theta)[:, 0], theta[0], rtol=0)
+    assert_allclose(problem.values(theta)[:, 1], theta[1:], rtol=0)
+
+
+def test_groups_share_a_value(building):
+    tests = [fmu.Test(f"t{i}", measured((2e6, 2e6), 1e-3 * i), group="old" if i < 2 else "new") for i in range(3)]
+    problem = fmu.JointProblem(building, tests, [K1, K2], varies={"k1": "group"}, pairing="index")
+    assert problem.names == ("k1 [old]", "k1 [new]", "k2")
+    assert_allclose(problem.values([1.5e6, 1.6e6, 2e6])[:, 0], [1.5e6, 1.5e6, 1.6e6], rtol=0)
+
+
+def test_added_masses_and_springs_are_those_of_the_matrices(building):
+    plain, heavy, held = (
+        fmu.Test("plain", measured((2e6, 2e6))),
+        fmu.Test("heavy", measured((2e6, 2e6)), masses={1: 150.0}),
+        fmu.Test("held", measured((2e6, 2e6)), springs={(0, "x"): 4e5}),
+    )
+    problem = fmu.JointProblem(building, [plain, heavy, held], [K1, K2], pairing="index", reduction=False)
+    k = np.array([2.1e6, 1.7e6])
+    computed = problem.frequencies(k)
+    assert_allclose(computed[:2], frequencies(k), rtol=1e-12)
+    assert_allclose(computed[2:4], frequencies(k, MASS + np.diag([0.0, 150.0])), rtol=1e-12)
+    assert_allclose(computed[4:], frequencies(k, stiffness=np.diag([4e5, 0.0])), rtol=1e-12)
+    assert len(problem.model.configurations) == 3
+
+
+def test_a_parameter_known_in_one_test(building):
+    tests = [
+        fmu.Test("as built", measured((2e6, 2e6))),
+        fmu.Test("cut", measured((2e6, 1.2e6)), known={"k2": 1.2e6}),
+    ]
+    problem = fmu.JointProblem(building, tests, [K1, K2], pairing="index", reduction=False)
+    theta = np.array([1.8e6, 2.5e6])
+    assert_allclose(problem.frequencies(theta)[2:], frequencies((1.8e6, 1.2e6)), rtol=1e-12)
+    assert_array_equal(problem.values(theta)[1], [1.8e6, 1.2e6])
+    assert_allclose(problem.log_prob_and_grad(theta)[1], differences(problem, theta), rtol=1e-6)
+
+
+def differences(problem, theta, step=1e-6):
+    """Return the gradient by central differences."""
+    found = np.empty(problem.ndim)
+    for i in range(problem.ndim):
+        h = np.zeros(problem.ndim)
+        h[i] = step * problem.scale[i]
+        found[i] = (problem.log_prob(theta + h) - problem.log_prob(theta - h)) / (2 * h[i])
+    return found
+
+
+@pytest.mark.parametrize("distribution", ["normal", "log-normal"])
+@pytest.mark.parametrize("noise", [0.002, 0.2], ids=["centred", "not centred"])
+def test_gradient_of_everything_at_once(building, distribution, noise):
+    rng = np.random.default_rng(3)
+    tests = []
+    for t in range(6):
+        f = frequencies(2e6 * (1 + 0.1 * rng.standard_normal(2)))
+        changes = {"masses": {1: 50.0}} if t == 5 else {"known": {"k1": 1.9e6}} if t == 4 else {}
+        data = fmu.ModalData(f, sd_hz=noise * f)
+        tests.append(fmu.Test(f"t{t}", data, group="ab"[t % 2], covariates={"temperature": 4.0 * t}, **changes))
+    problem = fmu.JointProblem(
+        building,
+        tests,
+        [K1, K2],
+        varies={"k1": fmu.Population(distribution), "k2": "group"},
+        slopes={"k1": {"temperature": fmu.Normal(0.005)}, "k2": {"temperature": fmu.Normal(0.005)}},
+        pairing="index",
+        reduction=False,
+    )
+    centring = problem.layout.drawn[0].centring
+    assert np.all(centring[[0, 1, 2, 3, 5]] > 0.5) if noise < 0.1 else np.all(centring == 0.0)
+    assert centring[4] == 0.0  # where k1 is known there is no score
+    assert not [name for name in problem.names if name.startswith("k1 score [t4")]
+    theta = problem.sample_prior(np.random.default_rng(1), 4)
+    values, gradients = problem.log_prob_and_grad(theta)
+    assert_allclose(values, problem.log_prob(theta), rtol=1e-12)
+    for point, gradient in zip(theta, gradients, strict=True):
+        exact, by_differences = gradient * problem.scale, differences(problem, point) * problem.scale
+        assert_allclose(exact, by_differences, rtol=1e-5, atol=1e-6 * np.abs(exact).max())
+
+
+def test_log_prob_of_a_batch_is_that_of_each_point(building):
+    tests = [fmu.Test(f"t{t}", measured((2e6 * (1 + 0.03 * t), 2e6))) for t in range(4)]
+    problem = fmu.JointProblem(building, tests, [K1, K2], varies={"k1": fmu.Population()}, pairing="index")
+    theta = problem.sample_prior(np.random.default_rng(0), 5)
+    assert_array_equal(problem.log_prob(theta), [problem.log_prob(point) for point in theta])
+
+
+def test_errors_of_shapes_and_inferred_deviations_over_tests(building):
+    shapes = np.array([[0.6, 1.0], [1.0, -0.6]])
+    f = frequencies((2e6, 2e6))
+    data = fmu.ModalData(f, sensors=SENSORS, shapes=shapes, sd_hz=0.01 * f)
+    tests = [fmu.Test(name, data, masses={} if name == "a" else {1: 80.0}) for name in "ab"]
+    noise = fmu.Parameter("s", 0.05, 0.0, 1.0, prior=fmu.HalfNormal(0.1))
+    errors = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors(noise)]
+    problem = fmu.JointProblem(building, tests, [K1, K2], varies={"k1": "test"}, error=errors, reduction=False)
+    assert problem.names == ("k1 [a]", "k1 [b]", "k2", "s")
+    theta = np.array([1.9e6, 2.2e6, 2.1e6, 0.07])
+    parts = [
+        fmu.UpdatingProblem(
+            building
+            if name == "a"
+            else fmu.SeparableModel.from_terms(
+                ["k1", "k2"], [(STOREYS[0], "k1"), (STOREYS[1], "k2")], [MASS + np.diag([0.0, 80.0])]
+            ),
+            data,
+            [K1, K2],
+            error=errors,
+        ).log_likelihood([k1, 2.1e6, 0.07])
+        for name, k1 in (("a", 1.9e6), ("b", 2.2e6))
+    ]
+    assert_allclose(problem.log_likelihood(theta), sum(parts), rtol=1e-11)
+    assert_allclose(problem.log_prob_and_grad(theta)[1], differences(problem, theta), rtol=1e-5)
+
+
+def test_every_mistake_is_told_with_its_place(building):
+    f = frequencies((2e6, 2e6))
+    tests = [
+        fmu.Test("a", measured((2e6, 2e6)), group="x", covariates={"temperature": 3.0}),
+        fmu.Test("a", measured((2e6, 2e6)), group="x"),
+        fmu.Test("b", fmu.ModalData(f, sd_hz=f, labels=("p", "q")), group="", known={"k9": 1.0}),
+    ]
+    with pytest.raises(TestsError) as told:
+        fmu.JointProblem(
+            building,
+            tests,
+            [K1, K2],
+            varies={"k1": "group", "k2": "tset"},
+            slopes={"k2": {"temperature": fmu.Normal(1.0)}},
+        )
+    assert told.value.mistakes == (
+        "tests.1.name: must not be that of tests.0 (got 'a')",
+        "tests.2.known: must name parameters among k1, k2 (got 'k9')",
+        "tests.2.labels: must have a mode in common with another test (got p, q)",
+        "tests.2.group: must be given, as k1 varies by group (got none)",
+        "varies.k2: must be one of shared, test, group or a Population (got 'tset')",
+        "tests.1.covariates: must have temperature, on which k2 depends (got none)",
+        "tests.2.covariates: must have temperature, on which k2 depends (got none)",
+    )
+    known = fmu.Test("b", measured((2e6, 2e6)), known={"k1": 2e6})
+    with pytest.raises(TestsError, match=r"needs two tests or more \(got 1\)"):
+        fmu.JointProblem(building, [tests[0], known], [K1, K2], varies={"k1": "test"})
+    with pytest.raises(TestsError, match=r"tests\.1\.masses\.7: must be a place that is free to move"):
+        fmu.JointProblem(building, [tests[0], fmu.Test("b", measured((2e6, 2e6)), masses={7: 1.0})], [K1, K2])
+
+
+def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
+    """One test gives the ratio of stiffness and mass alone; with 300 kg added it gives both."""
+    model = fmu.SeparableModel.from_terms(
+        ["k", "m"], [(2e6 * (STOREYS[0] + STOREYS[1]), "k")], [(MASS, "m")], dofs=[("first", "x"), ("roof", "x")]
+    )
+    parameters = [fmu.Parameter(name, 1.0, 0.3, 3.0) for name in ("k", "m")]
+    f, loaded = frequencies((2e6, 2e6)), frequencies((2e6, 2e6), MASS + np.diag([0.0, 300.0]))
+    one, two = (fmu.ModalData(x, sd_hz=0.001 * x) for x in (f, loaded))
+    alone = fmu.UpdatingProblem.reduced(model, one, parameters, pairing="index")
+    both = fmu.JointProblem(
+        model,
+        [fmu.Test("plain", one), fmu.Test("loaded", two, masses={"roof": 300.0})],
+        parameters,
+        pairing="index",
+    )
+    assert alone.ndim == both.ndim == 2
+    contraction = []
+    for problem in (alone, both):
+        trace = fmu.sample(problem, draws=300, warmup=300, seed=4)
+        contraction.append(fmu.summary(trace).loc["m", "sd"] / (2.7 / np.sqrt(12)))
+    # the ridge k/m = 1 across the box, and 1.1 % of m by first-order propagation of 0.1 % of four frequencies
+    assert contraction[0] > 0.5
+    assert contraction[1] < 0.05
+    assert_allclose(fmu.summary(trace).loc["m", "mean"], 1.0, atol=4 * fmu.summary(trace).loc["m", "sd"])

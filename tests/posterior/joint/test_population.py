@@ -1,0 +1,130 @@
+"""Populations: the truncated normal distribution by SciPy, and that the centring changes coordinates alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.posterior.joint.population import (
+    truncated_normal_log_pdf,
+    truncated_normal_scores,
+    truncated_normal_values,
+)
+
+CASES = [(0.0, 1.0, -np.inf, np.inf), (1.0, 0.3, 0.5, 1.5), (0.5, 2.0, 0.5, np.inf), (1.49, 0.05, 0.5, 1.5)]
+
+
+@pytest.mark.parametrize(("mean", "sd", "lower", "upper"), CASES)
+def test_truncated_normal_is_that_of_scipy(mean, sd, lower, upper):
+    z = np.linspace(-6.0, 6.0, 49)
+    exact = scipy.stats.truncnorm((lower - mean) / sd, (upper - mean) / sd, mean, sd)
+    m, s = np.full_like(z, mean), np.full_like(z, sd)
+    x, slopes = truncated_normal_values(z, m, s, lower, upper)
+    by_tail = np.where(z < 0, exact.ppf(scipy.stats.norm.cdf(z)), exact.isf(scipy.stats.norm.sf(z)))
+    assert_allclose(x, by_tail, rtol=1e-7)  # the inverse of SciPy is good to 1e-8
+    assert_allclose(truncated_normal_scores(x, m, s, lower, upper), z, rtol=1e-7, atol=1e-7)
+    value, of_density = truncated_normal_log_pdf(x, m, s, lower, upper)
+    assert_allclose(value, exact.logpdf(x), rtol=1e-10, atol=1e-12)
+
+    h, inner = 1e-6, slice(4, -4)
+    for k, (dz, dm, ds) in enumerate(np.eye(3) * h):
+        ahead, behind = (
+            truncated_normal_values(z + i * dz, m + i * dm, s + i * ds, lower, upper)[0] for i in (1, -1)
+        )
+        assert_allclose(slopes[k][inner], ((ahead - behind) / (2 * h))[inner], rtol=1e-6, atol=1e-8)
+        ahead, behind = (
+            truncated_normal_log_pdf(x + i * dz, m + i * dm, s + i * ds, lower, upper)[0] for i in (1, -1)
+        )
+        assert_allclose(of_density[k][inner], ((ahead - behind) / (2 * h))[inner], rtol=1e-6, atol=1e-6)
+
+
+def springs(distribution="normal", n=8, scatter=0.1, noise=0.01, centring=None):
+    """Return a problem of one spring with a mass, tested `n` times: f² = k/(4π²)."""
+    rng = np.random.default_rng(5)
+    model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
+    k = 1.0 + scatter * rng.standard_normal(n)
+    f = np.sqrt(k) / (2 * np.pi) * (1 + noise * rng.standard_normal(n))
+    tests = [fmu.Test(f"t{i}", fmu.ModalData([one], sd_hz=noise * one)) for i, one in enumerate(f)]
+    parameter = fmu.Parameter("k", 1.0, 0.7, 1.4)
+    problem = fmu.JointProblem(
+        model, tests, [parameter], varies={"k": fmu.Population(distribution)}, pairing="index"
+    )
+    if centring is not None:
+        one = replace(problem.layout.values_of[0], centring=np.full(n, centring))
+        problem._take(replace(problem.layout, values_of=(one,)))
+    return problem
+
+
+@pytest.mark.parametrize("distribution", ["normal", "log-normal"])
+@pytest.mark.parametrize("centring", [0.4, 1.0])
+def test_centring_is_a_change_of_coordinates(distribution, centring):
+    """The density of the values is the same, so that densities of scores differ by the Jacobian alone."""
+    free, centred = springs(distribution, centring=0.0), springs(distribution, centring=centring)
+    theta = free.sample_prior(np.random.default_rng(2), 20)
+    one = centred.layout.drawn[0]
+    values = free.values(theta)[:, :, 0]
+    moved = theta.copy()
+    for i, point in enumerate(theta):
+        moved[i, one.columns] = one.scores_of(values[i], point)
+    assert_allclose(centred.values(moved)[:, :, 0], values, rtol=1e-9)
+
+    def log_jacobian(problem, points):  # log |∂ values / ∂ scores|
+        return np.sum(np.log(problem.layout.values_of[0](points)[1][0].values), axis=1)
+
+    densities = [p.log_prob(x) - log_jacobian(p, x) for p, x in ((free, theta), (centred, moved))]
+    assert_allclose(densities[1], densities[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize("centring", [0.0, 0.7])
+def test_draws_of_the_prior_are_draws_of_the_population(centring):
+    problem = springs(centring=centring)
+    theta = problem.sample_prior(np.random.default_rng(1), 4000)
+    mean, sd = theta[:, 0], theta[:, 1]
+    a, b = (0.7 - mean) / sd, (1.4 - mean) / sd
+    unit = scipy.stats.truncnorm.cdf(problem.values(theta)[:, 3, 0], a, b, mean, sd)
+    assert scipy.stats.kstest(unit, "uniform").pvalue > 1e-3
+    assert scipy.stats.kstest(mean, scipy.stats.uniform(0.7, 0.7).cdf).pvalue > 1e-3
+    assert scipy.stats.kstest(sd, scipy.stats.halfnorm(0, 0.2).cdf).pvalue > 1e-3
+
+
+@pytest.fixture(scope="module")
+def by_quadrature():
+    """Return mean and sd of the population's mean and sd, and of the first value, integrated on a grid."""
+    problem = springs()
+    data = np.asarray(problem.data.frequencies_hz)
+    k = np.linspace(0.7, 1.4, 701)
+    mean, sd = np.linspace(0.7, 1.4, 141), np.linspace(2.5e-3, 0.8, 320)
+    m, s = (x[..., None] for x in np.meshgrid(mean, sd, indexing="ij"))
+    likelihood = scipy.stats.norm.pdf(
+        data[:, None], np.sqrt(k) / (2 * np.pi), np.asarray(problem.data.sd_hz)[:, None]
+    )
+    density = np.exp(-0.5 * ((k - m) / s) ** 2)
+    density /= density.sum(axis=-1, keepdims=True)
+    each = density @ likelihood.T
+    weight = np.prod(each, axis=-1) * scipy.stats.halfnorm.pdf(s[..., 0], 0, 0.2)
+    weight /= weight.sum()
+    first = np.sum(weight * ((density * k) @ likelihood[0]) / each[..., 0])
+    return (
+        [np.sum(weight * (m[..., 0] < x)) for x in MEANS],
+        [np.sum(weight * (s[..., 0] < x)) for x in SPREADS],
+        first,
+    )
+
+
+MEANS, SPREADS = (0.9475, 0.9725, 0.9975), (0.061, 0.081, 0.121)
+
+
+@pytest.mark.parametrize("centring", [None, 0.3])
+def test_posterior_of_mean_and_spread_by_quadrature(by_quadrature, centring):
+    problem = springs(centring=centring)
+    trace = fmu.sample(problem, draws=800, warmup=400, seed=2)
+    ess = fmu.summary(trace)["ess_bulk"].min()
+    draws = np.stack([trace["posterior"][name].values.ravel() for name in problem.names], axis=1)
+    for column, thresholds, exact in ((0, MEANS, by_quadrature[0]), (1, SPREADS, by_quadrature[1])):
+        for threshold, p in zip(thresholds, exact, strict=True):
+            assert_allclose(np.mean(draws[:, column] < threshold), p, atol=4.5 * np.sqrt(p * (1 - p) / ess))
+    values = problem.values(draws)[:, 0, 0]
+    assert_allclose(values.mean(), by_quadrature[2], atol=4.5 * values.std() / np.sqrt(ess))
