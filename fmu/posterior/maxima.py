@@ -215,10 +215,11 @@ class GaussNewton:
         theta = self._scaled.to_theta(u)
         log_likelihood, slope, information = p.likelihood.quadratic(theta)
         value = -log_likelihood - np.asarray(p.log_prior(theta))
-        gradient = -(slope + p.prior.log_pdf_gradient(theta)) * scale
+        prior_slope, prior_curvature = p.prior.quadratic(theta, scale)
+        gradient = -slope * scale - prior_slope
         hessian = information * np.outer(scale, scale)
         i = np.arange(p.ndim)
-        hessian[:, i, i] += p.prior.curvature(theta, scale) * scale**2
+        hessian[:, i, i] += prior_curvature
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
         hessian[failed] = np.eye(p.ndim)
         return np.where(failed, np.inf, value), np.where(failed[:, None], 0.0, gradient), hessian

@@ -200,16 +200,20 @@ class JointPrior:
             gradient[:, j] = prior.log_pdf_gradient(theta[:, j])
         return gradient
 
-    def curvature(self, theta: FloatArray, scale: FloatArray) -> FloatArray:
-        """Return −∂² of the log-density by each parameter, (n, ndim), by differences over 1e-4 of the scale."""
-        found = np.empty_like(theta)
+    def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slope and curvature −∂² of the log-density by each parameter in units of `scale`, (n, ndim) each.
+
+        The curvature is a difference of slopes over 1e-4, and not negative.
+        """
+        slope, curvature = np.empty_like(theta), np.empty_like(theta)
         for k, parameter in enumerate(self.parameters):
             h = 1e-4 * scale[k]
             low, high = parameter.prior.support
             near = np.clip(theta[:, k], low + 2.0 * h, high - 2.0 * h)
             ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
-            found[:, k] = np.maximum((behind - ahead) / (2.0 * h), 0.0)
-        return found
+            curvature[:, k] = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
+            slope[:, k] = parameter.prior.log_pdf_gradient(theta[:, k]) * scale[k]
+        return slope, curvature
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors, shape (n, ndim)."""

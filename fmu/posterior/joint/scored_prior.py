@@ -43,12 +43,13 @@ class ScoredPrior(JointPrior):
                 gradient[:, slope.columns[0]] += np.einsum("nt->n", slope.values)
         return gradient
 
-    def curvature(self, theta: FloatArray, scale: FloatArray) -> FloatArray:
-        """Return −∂² of the log-density by each parameter, (n, ndim); by scores as where bounds are far away."""
-        found = super().curvature(theta, scale)
+    def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slope and curvature by each parameter in units of `scale`; by scores as if bounds were far away."""
+        curvature = super().quadratic(theta, scale)[1]
         for one in self._centred:
-            found[:, one.columns[one.scored]] = one.curvature(theta)[:, one.scored]
-        return found
+            columns = one.columns[one.scored]
+            curvature[:, columns] = one.curvature(theta)[:, one.scored] * scale[columns] ** 2
+        return self.log_pdf_gradient(theta) * scale, curvature
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors, shape (n, ndim)."""
