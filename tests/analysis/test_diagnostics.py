@@ -1,7 +1,10 @@
+import json
+
 import numpy as np
 import pytest
 
 from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.diagnosis import draws_missing
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
@@ -131,6 +134,49 @@ def test_tail_counts_by_itself(make_trace):
         "x1: tail ESS is 399; at least 400 are needed; about 660 draws are needed: leave out --draws, "
         "or --draws 660 (Python: until_ess=400 or draws=660)"
     ]
+
+
+@pytest.fixture
+def with_mixture(make_trace):
+    """A trace of 4 chains with a candidate of a mixture in every other step, and the weights of its components."""
+
+    def make(draws, *weights):
+        position = np.random.default_rng(28).standard_normal((4, draws, 2))
+        trace = make_trace(position, candidate_log_weight=np.where(np.arange(draws) % 2, 0.0, np.nan))
+        trace.attrs["learnt"] = json.dumps({"weights": weights[0] if len(weights) == 1 else weights})
+        return trace
+
+    return make
+
+
+def test_each_component_of_a_mixture_needs_candidates(with_mixture):
+    """Chains that none of the few candidates has taken to a maximum agree on their share of it."""
+    assert convergence_failures(with_mixture(500, [0.98, 0.02])) == []
+    assert convergence_failures(with_mixture(498, [0.98, 0.02])) == [
+        "of 996 candidates, 20 are expected at the component with 2 % of the mixture, and all chains may have "
+        "missed it; at least 1 000 candidates are needed; about 650 draws are needed: leave out --draws, or "
+        "--draws 650 (Python: until_ess=400 or draws=650)"
+    ]
+    assert draws_missing(with_mixture(498, [0.98, 0.02]), 400, None) == 10
+    assert draws_missing(with_mixture(500, [0.98, 0.02]), 400, None) == 0
+
+
+@pytest.mark.parametrize(("share", "draws"), [(0.3, 34), (0.01, 1000), (0.002, 1000), (9e-4, 21)])
+def test_a_component_of_hardly_any_weight_does_not_matter(with_mixture, share, draws):
+    """Between 0.1 % and 1 % it counts as 1 %, since its share may have been underestimated."""
+
+    def failures(draws, *weights):
+        return [
+            failure for failure in convergence_failures(with_mixture(draws, *weights)) if "candidate" in failure
+        ]
+
+    for weights in (
+        [[1.0 - share, share]],
+        [[0.5, 0.5], [1.0 - share, share]],
+    ):  # of one group of chains, and of two
+        assert failures(draws, *weights) == []
+        if share > 1e-3:
+            assert len(failures(draws - 2, *weights)) == 1
 
 
 @pytest.mark.parametrize("column", ["rhat", "ess_bulk", "ess_tail"])

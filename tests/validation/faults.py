@@ -559,6 +559,13 @@ IN_THE_VERDICT = (
         DIAGNOSTICS,
     ),
     Fault(
+        "verdict: few candidates of a mixture are enough",
+        "fmu/analysis/convergence/candidates.py",
+        "TIMES = 20",
+        "TIMES = 2",
+        DIAGNOSTICS,
+    ),
+    Fault(
         "ensembles: walkers that do not mix are not asked about",
         "fmu/analysis/convergence/diagnostics.py",
         "unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT,",

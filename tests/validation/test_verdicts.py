@@ -18,6 +18,7 @@ from tests.validation.verdicts import (
     ONE_PLACE,
     USUAL,
     WITH_CANDIDATES,
+    WRONG,
     Job,
     Outcome,
     Study,
@@ -172,3 +173,18 @@ def test_the_page_shows_every_posterior(tmp_path):
     assert "| truncated Gaussian | bounded | 2 | 50 of 51: " in page
     assert "| two maxima, far | no | anywhere in the box | 1 of 1, 1 wrong | - |" in page
     assert "| mixture | importance | 450 | 450 | - | - | 0 |" in page
+
+
+def test_a_maximum_that_warm_up_found_is_visited_before_a_run_is_called_converged():
+    """With 129 draws of each chain no draw was at the maximum of 5 %, and R-hat and ESS were good."""
+    job = Job(BY_NAME["two maxima, one of 5 %"], "hmc" + JUMPS, "until good", USUAL, 1)
+    few = LENGTHS["until good"]._replace(draws=129, until_ess=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(LENGTHS, "until good", few)
+        short = outcome(job)
+    assert short.worst > WRONG
+    assert not short.converged
+    assert "all chains may have missed it" in short.reason
+    enough = outcome(job)
+    assert enough.converged
+    assert enough.worst < WRONG

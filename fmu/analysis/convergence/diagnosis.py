@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from fmu.analysis.convergence.candidates import growth_for_candidates
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
@@ -254,6 +255,7 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
             return draws_to_come(draws, growth)
     table = summary(trace)
     growth = growth_needed(table, max(until_ess, required_ess(trace["posterior"].sizes["chain"])))
+    growth = max(growth, growth_for_candidates(trace))
     if not growth > 1 and not _reasons(trace, maxima, {}, table)[0]:
         return 0
     return draws_to_come(draws, growth, fewest(table) >= RELIABLE_ESS, rhat_excess(table))

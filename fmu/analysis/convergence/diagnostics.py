@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.convergence import effective
+from fmu.analysis.convergence.candidates import candidates_of
 from fmu.analysis.convergence.effective import energy_fraction, longest_stands
 from fmu.analysis.convergence.remedies import ESS_LIMIT as ESS_LIMIT
 from fmu.analysis.convergence.remedies import (
@@ -30,7 +31,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
-from fmu.numbers import apart, given
+from fmu.numbers import apart, given, share, significant, whole
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -151,7 +152,8 @@ def convergence_failures(
     The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
     below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
     standard errors of the means below a tenth of the posterior sd. At most one Hamiltonian trajectory in a
-    thousand diverges, and E-BFMI of every chain is at least 0.3. For an ensemble sampler, whose ensembles are
+    thousand diverges, and E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its
+    components (`fmu.analysis.convergence.candidates`). For an ensemble sampler, whose ensembles are
     the chains: at least four ensembles; a run of at least 50 autocorrelation times; and R-hat over walkers below
     1.05. In so long a run it is above only if walkers stay in separate places (`rhat_over_walkers`); of a shorter
     one it is reported only then. A quantity that is NaN fails its test.
@@ -190,6 +192,7 @@ def convergence_failures(
         short += _below(table[column].to_numpy(), required, names, label + " is {}; at least {} are needed")
     mcse = (table["mcse_mean"] / table["sd"]).to_numpy()
     short += _above(mcse, MCSE_LIMIT, names, "MCSE over sd is {}; it must be below {}")
+    short += _seldom_proposed(trace)
     lengths, are_apart = None, False
     if is_ensemble:
         lengths = autocorrelation_times_run(trace)
@@ -207,6 +210,18 @@ def convergence_failures(
     if short and not standing and places != "missed":
         short[0] += for_too_few_draws(trace, table, required, lengths, are_apart, places)
     return failures + short + _trajectories(trace)
+
+
+def _seldom_proposed(trace: xr.DataTree) -> list[str]:
+    """Return a sentence on the component of a mixture with the fewest candidates, if those are too few."""
+    found = candidates_of(trace)
+    if found is None or found.count >= found.needed:
+        return []
+    return [
+        f"of {whole(found.count)} candidates, {significant(found.share * found.count, 2)} are expected at the "
+        f"component with {share(found.share)} of the mixture, and all chains may have missed it; at least "
+        f"{whole(found.needed)} candidates are needed"
+    ]
 
 
 def _standing(trace: xr.DataTree) -> list[str]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from fmu.analysis.convergence.candidates import growth_for_candidates
 from fmu.analysis.trace.reading import has
 from fmu.numbers import typed
 from fmu.types import FloatArray
@@ -155,7 +156,7 @@ def for_too_few_draws(
         return ""  # another message already asks for more chains
     if are_apart or (places != "one" and np.max(table["rhat"].to_numpy()) > APART):
         return for_missed_maximum(trace)
-    growth = max(growth_needed(table, required, lengths), rhat_excess(table))
+    growth = max(growth_needed(table, required, lengths), rhat_excess(table), growth_for_candidates(trace))
     if not np.isfinite(growth):
         return ""
     margin = _MARGIN if lengths is None else _MARGIN_OF_STEPS
