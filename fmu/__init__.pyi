@@ -33,6 +33,7 @@ from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
 from .posterior.errors.mac import MACErrors as MACErrors
 from .posterior.errors.shape import ShapeErrors as ShapeErrors
+from .posterior.errors.student import StudentErrors as StudentErrors
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
 from .posterior.joint.population import Population as Population

@@ -108,6 +108,10 @@ def _errors(
         kind = str(one.get("error", "unknown"))
         what = _OF.get(kind, f"Errors of the kind {kind!r}")
         shape = "half-Gaussian" if kind == "MAC" else "Gaussian"
+        if "freedom" in one:
+            shape = f"Student's with {significant(one['freedom'])} degrees of freedom"
+        elif "freedom_inferred" in one:
+            shape = f"Student's with inferred degrees of freedom, {list(noise)[int(one['freedom_inferred'])]},"
         if "covariance_hz2" in one:
             said.append(f"{what}: Gaussian and correlated between the modes, with {_source(data)}.")
             continue

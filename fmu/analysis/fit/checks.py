@@ -15,6 +15,7 @@ however they depend on each other.
   Statist.* 22, 1142–1160; Rüschendorf 1982, *Adv. Appl. Probab.* 14, 623–632), so it is compared with α/2. The
   bound is wide: with k parameters fitted to n data, Σ r² is about χ²(n − k) plus k, and false alarms are rarer.
   Where a few tests gave the size of an error, it has Student's distribution, and r is its normal score.
+- One of several tests: the same of its own residuals.
 - Inferred standard deviations: by the same argument the probability that the prior gives to larger values is
   uniform at one posterior draw, and its mean is compared with α/2. Noise that had to grow to absorb what the model
   does not explain fails, if the prior says what was expected of it; with a wide prior it cannot.
@@ -50,8 +51,8 @@ if TYPE_CHECKING:
 
 LEVEL = 0.01
 """The probability that a right model fails any check, at most."""
-PREDICTED, HELD_OUT, RESIDUALS, NOISE, SHAPE = (
-    "from the other modes", "not used in updating", "residuals", "inferred noise", "shape",
+PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE = (
+    "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
 )  # fmt: skip
 _FEW = 500
 """Draws that are enough to see how much larger residuals would have failed."""
@@ -65,7 +66,7 @@ class Check:
     Attributes
     ----------
     kind : str
-        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `NOISE` or `SHAPE`.
+        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE` or `SHAPE`.
     of : str
         What is checked.
     found, limit : str
@@ -105,6 +106,8 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
     if not has(trace, GROUP):
         return []
     kinds: list[Callable[[float], list[Check]]] = []
+    if has(trace, "observed_data", "of_test") and trace[GROUP].sizes.get("quantity", 0):
+        kinds.append(partial(_tests, trace))
     table = _predictions(trace)
     if table is not None:
         used = table["used"].astype(bool)
@@ -224,6 +227,35 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
             f"all used data together: with the residuals r in standard deviations, {said} ({probability(p)})",
         )
     ]
+
+
+def _tests(trace: xr.DataTree, level: float) -> list[Check]:
+    """Return a check of each of several tests: whether the others contradict it."""
+    group, every = trace[GROUP].to_dataset(), trace["observed_data"].to_dataset()["of_test"]
+    squares = group["squares"].sum("quantity")
+    of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())
+    names, found = list(dict.fromkeys(of_test.tolist())), []
+    limit = level / (2 * len(names))
+    for name in names:
+        here = squares.isel(mode=of_test == name)
+        total, n = here.sum("mode").to_numpy().ravel(), each * here.sizes["mode"]
+        p, mean = float(chdtrc(n, total).mean()), float(total.mean())
+        said = f"Σ r² = {significant(mean)}, {n} expected"
+        larger = _larger(total, n, limit)
+        found.append(
+            Check(
+                TEST,
+                f"test {name}",
+                said,
+                f"p {significant(limit, 2)}",
+                p,
+                bool(p < limit),
+                f"residuals {significant(larger, 2)} times as large",
+                f"test {name}: what it measured is not what the tests together say of the structure: with the "
+                f"residuals r in standard deviations, {said} ({probability(p)})",
+            )
+        )
+    return found
 
 
 def _larger(squares: FloatArray, freedom: int, limit: float) -> float:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
-PRIOR_STREAM, NOISE_STREAM, START_STREAM = 0, 1, 2
+PRIOR_STREAM, NOISE_STREAM, START_STREAM, NEXT_TEST_STREAM = 0, 1, 2, 3
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
 
 
@@ -72,7 +72,10 @@ def to_trace(
         from the prior inside the bounds), ``observed_data`` (``frequency``; ``tests``, a row per test, where it is
         their mean; ``used``, where not all modes are used in updating) and ``constant_data`` (``lower``,
         ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel tempering
-        ``tempering`` (`tempering_group`). The attributes say how the draws came about.
+        ``tempering`` (`tempering_group`). Of several tests (`fmu.JointProblem`): ``tests``, the structure's
+        parameters in every test (chain, draw, test); and of a hierarchical posterior ``next_test``, the
+        frequencies of one more test like the first, ``frequency`` with measurement noise and
+        ``model_frequency`` without. The attributes say how the draws came about.
     """
     import xarray as xr
 
@@ -90,6 +93,8 @@ def to_trace(
         groups["prior"] = _variables(prior[np.newaxis], names, units)
     if LOG_LIKELIHOOD in result.posterior.stats:
         groups["tempering"] = tempering_group(result)
+    if hasattr(density, "tests"):
+        groups |= _groups_of_tests(result, density, predictions)
     if predictions and hasattr(density, "frequencies"):
         groups |= _frequency_groups(result, density)
     trace = xr.DataTree.from_dict(groups)
@@ -263,6 +268,9 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
     observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
     if problem.data.tests is not None:
         observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
+    if hasattr(problem, "tests"):
+        names = [test.name for test in problem.tests]
+        observed["of_test"] = ("mode", np.array([names[t] for t in problem.model.test]))
     if likelihood.used is not None:
         observed["used"] = ("mode", np.array(problem.data.use))
     used = {"mode": likelihood.of_used(np.array(coordinates["mode"]))}
@@ -271,6 +279,32 @@ def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
         "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
         "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
     } | misfit_group(problem, squares, coordinates | used)
+
+
+def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict[str, xr.Dataset]:
+    """Return what the draws say of each test, and of the next one."""
+    import xarray as xr
+
+    position = result.posterior.position
+    coordinates = _sample_coordinates(position)
+    theta = position.reshape(-1, position.shape[-1])
+    values = problem.values(theta).reshape(*position.shape[:2], len(problem.tests), -1)
+    variables = {
+        p.name: (("chain", "draw", "test"), values[..., j], {"units": p.unit})
+        for j, p in enumerate(problem.layout.structural)
+    }
+    names = [test.name for test in problem.tests]
+    found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
+    if predictions and problem.is_hierarchical and problem.likelihood.simulates:
+        computed, measured = problem.simulate_next_test(generator(result.seed, NEXT_TEST_STREAM), theta)
+        dims, shape = ("chain", "draw", "mode"), (*position.shape[:2], computed.shape[1])
+        predicted = {
+            "frequency": (dims, measured.reshape(shape), {"units": "Hz"}),
+            "model_frequency": (dims, computed.reshape(shape), {"units": "Hz"}),
+        }
+        modes = {"mode": list(problem.tests[0].data.labels)}
+        found["next_test"] = xr.Dataset(predicted, coords=coordinates | modes)
+    return found
 
 
 def _stacked(terms: FloatArray, squares: FloatArray) -> FloatArray:

@@ -1,15 +1,17 @@
 """Error models: how far measured and computed modes may differ. One file an error model, settings and formulas.
 
-Reading order: base, noise; frequency, shape, mac; likelihood, mixture; residual.
+Reading order: base, noise; frequency, student, shape, mac; likelihood, mixture; residual.
 """
 
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.frequency import FrequencyErrors
 from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
+from fmu.posterior.errors.student import StudentErrors
 
 ERROR_MODELS: dict[str, type[ErrorModel]] = {
     "frequencies": FrequencyErrors,
+    "robust-frequencies": StudentErrors,
     "shapes": ShapeErrors,
     "mac": MACErrors,
 }

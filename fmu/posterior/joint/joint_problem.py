@@ -167,6 +167,52 @@ class JointProblem(UpdatingProblem):
                     values[:, t, j] = test.known[parameter.name]
         return values[0] if single else values
 
+    def simulate_next_test(
+        self,
+        rng: np.random.Generator,
+        theta: FloatArray,
+        like: str | None = None,
+        covariates: Mapping[str, float] | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the frequencies of one more test of the structure, Hz: computed, and with the errors of a test.
+
+        Parameters
+        ----------
+        rng : Generator
+        theta : ndarray, shape (n, ndim)
+            Draws: values that scatter over the tests are drawn anew from the population of each.
+        like : str, optional
+            Name of the test that it resembles in configuration, group, modes and errors; the first by default.
+        covariates : mapping of str to float, optional
+            Those not named are at their means over the tests.
+
+        Returns
+        -------
+        computed, measured : ndarray, shape (n, n_modes of that test)
+
+        Raises
+        ------
+        ValueError
+            If there is no such test or covariate, or the error models give no distribution of the frequencies.
+        """
+        names = [test.name for test in self.tests]
+        if like is not None and like not in names:
+            raise ValueError(f"like: must be one of {', '.join(names)} (got {like!r})")
+        t = 0 if like is None else names.index(like)
+        unknown = [name for name in covariates or {} if name not in self.tests[t].covariates]
+        if unknown:
+            raise ValueError(
+                f"covariates: must be among {', '.join(self.tests[t].covariates)} (got {unknown[0]!r})"
+            )
+        values = self.layout.of_next_test(theta[:, : self.n_structural], rng, t, covariates or {})
+        part = next(one for one in self.model.configurations if t in one.tests)
+        here = part.tests[part.test] == t
+        columns = part.columns[here]
+        computed = part.model.frequencies(values[:, part.parameters])[:, part.mode[here]]
+        every = np.tile(np.asarray(self.data.frequencies_hz), (len(theta), 1))
+        every[:, columns] = computed
+        return computed, self.simulate_data(rng, every, theta)[:, columns]
+
     def configuration(self) -> dict[str, Any]:
         """Return the data that define the posterior, in plain Python types."""
         return super().configuration() | {

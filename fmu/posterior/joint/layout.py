@@ -184,11 +184,16 @@ class Trend:
         Number in theta of the relative slope b of each covariate.
     covariates : ndarray, shape (n_covariates, n_tests)
         x − x₀.
+    names : tuple of str
+    means : tuple of float
+        x₀ of each.
     """
 
     base: Taken | Drawn
     columns: tuple[int, ...]
     covariates: FloatArray
+    names: tuple[str, ...]
+    means: tuple[float, ...]
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
@@ -229,6 +234,8 @@ class Layout:
         One per parameter of the structure.
     populations : mapping of str to Population
         By the name of the parameter.
+    by_test : tuple of str
+        Parameters that have a value of their own in each test, without a population.
     """
 
     structural: tuple[Parameter, ...]
@@ -236,6 +243,7 @@ class Layout:
     tests: tuple[str, ...]
     values_of: tuple[Taken | Drawn | Trend, ...]
     populations: Mapping[str, Population] = field(default_factory=dict)
+    by_test: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -271,25 +279,28 @@ class Layout:
                 number = {name: add(_renamed(p, name)) for name in dict.fromkeys(names[t] for t in here)}
                 columns[here] = [number[names[t]] for t in here]
                 base = Taken(columns)
-            of_slopes, away = [], []
+            of_slopes, away, means = [], [], []
             for covariate, prior in slopes.get(p.name, {}).items():
                 x = np.array([test.covariates[covariate] for test in tests])
                 away.append(x - x.mean())
+                means.append(float(x.mean()))
                 at = float(np.clip(0.0, *prior.support))
                 of_slopes.append(add(Parameter(f"{p.name} per {covariate}", at, prior=prior)))
-            pending.append((base, tuple(of_slopes), np.array(away)))
+            trend = (tuple(of_slopes), np.array(away), tuple(slopes.get(p.name, {})), tuple(means))
+            pending.append((base, trend))
 
         values_of = []
-        for base, of_slopes, away_from_mean in pending:
+        for base, trend in pending:
             if isinstance(base, Drawn):  # the scores follow all others
                 base = replace(base, columns=base.columns + len(main))
-            values_of.append(Trend(base, of_slopes, away_from_mean) if of_slopes else base)
+            values_of.append(Trend(base, *trend) if trend[0] else base)
         return cls(
             tuple(structural),
             (*main, *scores),
             tuple(test.name for test in tests),
             tuple(values_of),
             {name: how for name, how in varies.items() if isinstance(how, Population)},
+            tuple(name for name, how in varies.items() if how == BY_TEST),
         )
 
     @property
@@ -309,6 +320,37 @@ class Layout:
         Without meaning where a parameter is known in a test.
         """
         return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
+
+    def of_next_test(
+        self, theta: FloatArray, rng: np.random.Generator, like: int, covariates: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the structure's parameters in one more test, drawn from what varies, shape (n, n_structural).
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        rng : Generator
+        like : int
+            The test whose group it belongs to.
+        covariates : mapping of str to float
+            Where they are not at their means over the tests.
+        """
+        found = []
+        for parameter, value_of in zip(self.structural, self.values_of, strict=True):
+            base = value_of.base if isinstance(value_of, Trend) else value_of
+            if isinstance(base, Drawn):
+                z = rng.standard_normal(len(theta))
+                ends = theta[:, base.centre], theta[:, base.width]
+                value = base.population.values(z, *ends, base.lower, base.upper)[0]
+            elif parameter.name in self.by_test:
+                value = parameter.prior.draw(rng, len(theta), parameter.lower, parameter.upper)
+            else:
+                value = theta[:, base.columns[like]]
+            if isinstance(value_of, Trend):
+                for name, mean, column in zip(value_of.names, value_of.means, value_of.columns, strict=True):
+                    value = value * (1.0 + theta[:, column] * (covariates.get(name, mean) - mean))
+            found.append(value)
+        return np.stack(found, axis=1)
 
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Return limits within which the values lie as a rule, shape (n_tests, n_structural) each."""

@@ -44,7 +44,7 @@ class ScoredPrior(JointPrior):
         return gradient
 
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return slope and curvature by each parameter in units of `scale`; by scores as if bounds were far away."""
+        """Return slope and curvature by each parameter in units of `scale`; by scores as without bounds."""
         curvature = super().quadratic(theta, scale)[1]
         for one in self._centred:
             columns = one.columns[one.scored]

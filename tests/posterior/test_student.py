@@ -1,0 +1,106 @@
+"""Student's errors of frequencies: the density by SciPy, and a test that the others contradict."""
+
+import numpy as np
+import pytest
+import scipy.stats
+from numpy.testing import assert_allclose
+
+import fmu
+
+STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
+PARAMETERS = [fmu.Parameter(name, 1.0, 0.7, 1.5) for name in ("k1", "k2")]
+NU = fmu.Parameter("nu", 5.0, 1.0, 60.0, prior=fmu.ScipyPrior(scipy.stats.gamma(2.0, scale=10.0)))
+SCALE = fmu.Parameter("s", 0.01, 0.0, 0.5, prior=fmu.HalfNormal(0.02))
+
+
+@pytest.fixture(scope="module")
+def building():
+    terms = [(2e6 * K, name) for K, name in zip(STOREYS, ("k1", "k2"), strict=True)]
+    return fmu.SeparableModel.from_terms(["k1", "k2"], terms, [1000.0 * np.eye(2)])
+
+
+def measured(building, theta=(1.0, 1.0)):
+    K, M = building.K(theta).toarray(), building.M(theta).toarray()
+    return np.sqrt(np.linalg.eigvalsh(K @ np.linalg.inv(M))) / (2 * np.pi)
+
+
+@pytest.mark.parametrize("kind", ["absolute", "relative", "eigenvalue"])
+def test_density_is_that_of_student(building, kind):
+    f = measured(building)
+    errors = fmu.StudentErrors(kind, sd=0.02, freedom=3.0)
+    problem = fmu.UpdatingProblem.reduced(building, fmu.ModalData(f), PARAMETERS, pairing="index", error=errors)
+    theta = np.array([1.1, 0.95])
+    g = problem.frequencies(theta)
+    expected = {
+        "absolute": scipy.stats.t.logpdf(f, 3.0, g, 0.02),
+        "relative": scipy.stats.t.logpdf(f, 3.0, g, 0.02 * f),
+        "eigenvalue": scipy.stats.t.logpdf((g / f) ** 2 - 1, 3.0, 0, 0.02),
+    }[kind]
+    assert_allclose(problem.log_likelihood_terms(theta), expected, rtol=1e-10)
+
+
+def test_gradient_with_inferred_scale_and_freedom(building):
+    errors = fmu.StudentErrors("relative", sd=SCALE, freedom=NU)
+    data = fmu.ModalData(measured(building, (1.1, 0.9)))
+    problem = fmu.UpdatingProblem(building, data, PARAMETERS, pairing="index", error=errors)
+    assert problem.names == ("k1", "k2", "s", "nu")
+    for theta in ([1.0, 1.0, 0.02, 2.0], [1.2, 0.8, 0.05, 30.0]):
+        theta = np.array(theta)
+        gradient = problem.log_prob_and_grad(theta)[1]
+        for i in range(4):
+            h = 1e-6 * np.eye(4)[i] * theta
+            slope = (problem.log_prob(theta + h) - problem.log_prob(theta - h)) / (2 * h[i])
+            assert_allclose(gradient[i], slope, rtol=1e-6)
+
+
+def test_simulated_errors_have_the_density(building):
+    errors = fmu.StudentErrors("relative", sd=0.01, freedom=2.5)
+    f = measured(building)
+    problem = fmu.UpdatingProblem.reduced(building, fmu.ModalData(f), PARAMETERS, pairing="index", error=errors)
+    noisy = problem.simulate_data(np.random.default_rng(1), np.tile(f, (4000, 1)))
+    scores = (noisy[:, 0] - f[0]) / (0.01 * f[0])
+    assert scipy.stats.kstest(scores, scipy.stats.t(2.5).cdf).pvalue > 1e-3
+    normal = problem.likelihood.terms_of[0].normal_scores(scores)
+    assert scipy.stats.kstest(normal, "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "rule"),
+    [({"freedom": 0.5}, "freedom: must be at least 1"), ({"covariance": True}, "the data have a covariance")],
+)
+def test_what_is_refused(building, settings, rule):
+    covariance = np.diag([0.01, 0.02]) if settings.pop("covariance", False) else None
+    data = fmu.ModalData(measured(building), covariance_hz2=covariance)
+    errors = fmu.StudentErrors("absolute", sd=None if covariance is not None else 0.1, **settings)
+    with pytest.raises(ValueError, match=rule):
+        fmu.UpdatingProblem(building, data, PARAMETERS, pairing="index", error=errors)
+
+
+def twenty_tests(building, wrong):
+    """Return 20 tests of one building, the seventh with its second mode `wrong` (relative)."""
+    rng, f = np.random.default_rng(8), measured(building, (1.1, 0.9))
+    tests = []
+    for t in range(20):
+        g = f * (1 + 0.01 * rng.standard_normal(2))
+        if t == 6:
+            g[1] *= 1 + wrong
+        tests.append(fmu.Test(f"t{t + 1}", fmu.ModalData(g, sd_hz=0.01 * f)))
+    return tests
+
+
+@pytest.mark.parametrize("errors", [fmu.FrequencyErrors("absolute"), fmu.StudentErrors("absolute")])
+def test_a_contradictory_test_is_named(building, errors):
+    def run(wrong):
+        problem = fmu.JointProblem(
+            building, twenty_tests(building, wrong), PARAMETERS, pairing="index", error=errors
+        )
+        return fmu.sample(problem, draws=300, warmup=300, seed=3)
+
+    right, wrong = run(0.0), run(0.25)
+    assert "test t" not in str(fmu.diagnose(right))
+    said = str(fmu.diagnose(wrong))
+    assert "test t7: what it measured is not" in said
+    assert said.count("what it measured is not") == 1
+    before, after = fmu.summary(right), fmu.summary(wrong)
+    moved = np.abs(after["mean"] - before["mean"]) / before["sd"]
+    assert moved.max() < 0.3 if isinstance(errors, fmu.StudentErrors) else moved.max() > 1.0
