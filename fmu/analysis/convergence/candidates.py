@@ -27,13 +27,13 @@ class Candidates(NamedTuple):
 
     Attributes
     ----------
-    count, needed : int
+    drawn, needed : int
         How many there were, and how many are needed.
     share : float
         The smallest weight of a component that counts.
     """
 
-    count: int
+    drawn: int
     needed: int
     share: float
 
@@ -52,17 +52,17 @@ def candidates_of(trace: xr.DataTree) -> Candidates | None:
     """
     if not has(trace, "sample_stats", CANDIDATE):
         return None
-    count = int(np.sum(~np.isnan(array_of(trace, "sample_stats", CANDIDATE))))
-    if not count:
+    drawn = int(np.sum(~np.isnan(array_of(trace, "sample_stats", CANDIDATE))))
+    if not drawn:
         return None
     weights = (json.loads(trace.attrs["learnt"]) or json.loads(trace.attrs["settings"]))["weights"]
     of_groups = weights if isinstance(weights[0], list) else [weights]
     shares = np.concatenate([np.array(one) / np.sum(one) for one in of_groups])
     share = float(np.min(shares[shares >= _IN_DOUBT * NEGLIGIBLE]))
-    return Candidates(count, math.ceil(TIMES / max(share, NEGLIGIBLE)), share)
+    return Candidates(drawn, math.ceil(TIMES / max(share, NEGLIGIBLE)), share)
 
 
 def growth_for_candidates(trace: xr.DataTree) -> float:
     """Return the factor by which the draws must grow until candidates suffice; at most 1 if they do."""
     found = candidates_of(trace)
-    return 0.0 if found is None else found.needed / found.count
+    return 0.0 if found is None else found.needed / found.drawn

@@ -215,10 +215,10 @@ def convergence_failures(
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:
     """Return a sentence on the component of a mixture with the fewest candidates, if those are too few."""
     found = candidates_of(trace)
-    if found is None or found.count >= found.needed:
+    if found is None or found.drawn >= found.needed:
         return []
     return [
-        f"of {whole(found.count)} candidates, {significant(found.share * found.count, 2)} are expected at the "
+        f"of {whole(found.drawn)} candidates, {significant(found.share * found.drawn, 2)} are expected at the "
         f"component with {share(found.share)} of the mixture, and all chains may have missed it; at least "
         f"{whole(found.needed)} candidates are needed"
     ]
