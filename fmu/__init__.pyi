@@ -5,6 +5,7 @@ from .analysis.check import check as check
 from .analysis.convergence.diagnosis import compare as compare
 from .analysis.convergence.diagnosis import diagnose as diagnose
 from .analysis.convergence.diagnostics import summary as summary
+from .analysis.damage import damage as damage
 from .analysis.evidence import evidence as evidence
 from .analysis.held_out.modes import leave_one_out as leave_one_out
 from .analysis.identifiability import identifiability as identifiability
@@ -34,6 +35,7 @@ from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
 from .posterior.errors.mac import MACErrors as MACErrors
 from .posterior.errors.shape import ShapeErrors as ShapeErrors
 from .posterior.errors.student import StudentErrors as StudentErrors
+from .posterior.joint.damage import Damage as Damage
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
 from .posterior.joint.population import Population as Population

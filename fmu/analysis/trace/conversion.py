@@ -295,6 +295,11 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
     }
     names = [test.name for test in problem.tests]
     found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
+    if problem.states:
+        losses = problem.losses(theta).reshape(*position.shape[:2], len(problem.states), -1)
+        lost = {n: (("chain", "draw", "state"), losses[..., j]) for j, n in enumerate(problem.layout.by_state)}
+        attributes = {"reference": problem.reference}
+        found["loss"] = xr.Dataset(lost, coords=coordinates | {"state": list(problem.states)}, attrs=attributes)
     if predictions and problem.is_hierarchical and problem.likelihood.simulates:
         computed, measured = problem.simulate_next_test(generator(result.seed, NEXT_TEST_STREAM), theta)
         dims, shape = ("chain", "draw", "mode"), (*position.shape[:2], computed.shape[1])

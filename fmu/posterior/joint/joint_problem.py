@@ -17,6 +17,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior.build import check_names
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import mean_shapes
+from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
 from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout
 from fmu.posterior.joint.modal_test import Test
@@ -60,14 +61,16 @@ class JointProblem(UpdatingProblem):
     tests : sequence of Test
     parameters : sequence of Parameter
         Parameters of the model, in the order of theta for a single test.
-    varies : mapping of str to {"shared", "test", "group"} or Population
+    varies : mapping of str to {"shared", "test", "group"}, Population or Damage
         By the name of the parameter; shared if it is not named. ``"test"`` and ``"group"``: each test, or group of
         tests, has a value of its own, with the parameter's prior. A `Population`: the values of the tests scatter
         about a common mean (hierarchical updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech.
-        Syst. Signal Process.* 64–65, 360–376).
+        Syst. Signal Process.* 64–65, 360–376). `Damage`: groups other than the reference have lost a share of it.
     slopes : mapping of str to mapping of str to Prior
         By the names of parameter and covariate: the prior of the relative slope b, with which the value in a test
         is multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
+    reference : str, optional
+        The group of tests that losses refer to (`losses`); that of the first test by default.
     pairing, beta, error, reduction, engine, name
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are for
         single tests.
@@ -93,8 +96,9 @@ class JointProblem(UpdatingProblem):
         tests: Sequence[Test],
         parameters: Sequence[Parameter],
         *,
-        varies: Mapping[str, str | Population] | None = None,
+        varies: Mapping[str, str | Population | Damage] | None = None,
         slopes: Mapping[str, Mapping[str, Prior]] | None = None,
+        reference: str | None = None,
         pairing: str = "shape",
         beta: float | None = None,
         error: Any = "frequency",
@@ -105,13 +109,14 @@ class JointProblem(UpdatingProblem):
         self.tests = tuple(tests)
         varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
         check_names(parameters)
-        found = mistakes(self.tests, parameters, varies, slopes)
+        self.reference = (self.tests[0].group if self.tests else "") if reference is None else reference
+        found = mistakes(self.tests, parameters, varies, slopes, self.reference)
         if found:
             raise TestsError(found)
         if pairing == "soft" or error == "modal-residual":
             what = "soft pairing" if pairing == "soft" else "the modal residual"
             raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
-        self.layout = Layout.of(parameters, self.tests, varies, slopes)
+        self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference)
         data = stacked(self.tests)
         options = {"pairing": pairing, "beta": beta, "error": error, "reduction": reduction, "engine": engine}
         parts, tolerance = _configurations(model, self.tests, self.layout, options)
@@ -167,6 +172,31 @@ class JointProblem(UpdatingProblem):
                     values[:, t, j] = test.known[parameter.name]
         return values[0] if single else values
 
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The groups of tests other than the reference, where a parameter varies between groups; else none."""
+        groups = dict.fromkeys(test.group for test in self.tests if test.group != self.reference)
+        return tuple(groups) if self.layout.by_state else ()
+
+    def losses(self, theta: FloatArray) -> FloatArray:
+        """Return the losses 1 − θ/θ_reference, shape (n, n_states, n_parameters that vary between groups).
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, ndim)
+
+        Raises
+        ------
+        ValueError
+            If no parameter varies between groups.
+        """
+        if not self.states:
+            raise ValueError("varies: a parameter must vary between groups of tests to have losses (got none)")
+        groups = [test.group for test in self.tests]
+        later = np.array([groups.index(state) for state in self.states])
+        reference = np.full(len(later), groups.index(self.reference))
+        return self.layout.losses(theta[:, : self.n_structural], reference, later)
+
     def simulate_next_test(
         self,
         rng: np.random.Generator,
@@ -218,14 +248,16 @@ class JointProblem(UpdatingProblem):
         return super().configuration() | {
             "tests": [test.as_dict() for test in self.tests],
             "populations": {name: one.as_dict() for name, one in self.layout.populations.items()},
+            "reference": self.reference,
         }
 
 
 def mistakes(
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
-    varies: Mapping[str, str | Population],
+    varies: Mapping[str, str | Population | Damage],
     slopes: Mapping[str, Mapping[str, Prior]],
+    reference: str,
 ) -> list[str]:
     """Return what is wrong between tests and parameters, each with its place."""
     names = [p.name for p in parameters]
@@ -248,15 +280,20 @@ def mistakes(
             continue
         here = [test for test in tests if name not in test.known]
         if isinstance(how, str) and how not in VARIES:
-            found.append(f"varies.{name}: must be one of {', '.join(VARIES)} or a Population (got {how!r})")
+            found.append(
+                f"varies.{name}: must be one of {', '.join(VARIES)}, a Population or Damage (got {how!r})"
+            )
         elif (how == BY_TEST or isinstance(how, Population)) and len(here) < 2:
             found.append(f"varies.{name}: varies by test, and needs two tests or more (got {len(here)})")
-        elif how == BY_GROUP:
+        elif how == BY_GROUP or isinstance(how, Damage):
             for t, test in enumerate(tests):
                 if not test.group:
                     found.append(f"tests.{t}.group: must be given, as {name} varies by group (got none)")
             if len({test.group for test in here}) < 2:
                 found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
+    groups = {test.group for test in tests}
+    if any(isinstance(how, Damage) for how in varies.values()) and reference not in groups:
+        found.append(f"reference: must be the group of a test (got {reference!r})")
     for name, by in slopes.items():
         if name not in names:
             found.append(f"slopes: must name parameters among {', '.join(names)} (got {name!r})")
@@ -376,6 +413,7 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
     counterparts: dict[int, int] = {}
     sensors = tests[0].data.sensors
     shapes = np.full((len(tests), len(sensors), len(labels)), np.nan)
+    shapes_sd = np.full_like(shapes, np.nan)
     for t, (test, own) in enumerate(zip(tests, modes, strict=True)):
         data = test.data
         frequencies[t, own] = data.frequencies_hz
@@ -383,6 +421,8 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
             sd[t, own] = np.sqrt(np.diag(_covariance(data)))
         if data.shapes is not None:
             shapes[t][:, own] = data.shapes
+        if data.shapes_sd is not None:
+            shapes_sd[t][:, own] = data.shapes_sd
         for known, given in ((numbers, data.numbers), (counterparts, data.counterparts)):
             for mode, value in zip(own.tolist(), given, strict=False):
                 if known.setdefault(mode, value) != value:
@@ -390,12 +430,15 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
                         [f"tests: mode {labels[mode]!r} must have one number (got {known[mode]} and {value})"]
                     )
     seen = ~np.isnan(shapes).all(axis=(0, 1))
+    has_shapes = bool(len(sensors)) and bool(seen.all())
+    has_sd = has_shapes and not np.isnan(shapes_sd).all(axis=0).any()
     data = ModalData(
         np.nanmean(frequencies, axis=0),
         numbers=tuple(numbers[k] for k in range(len(labels))),
         sensors=sensors,
         labels=tuple(labels),
-        shapes=mean_shapes(shapes) if len(sensors) and seen.all() else None,
+        shapes=mean_shapes(shapes) if has_shapes else None,
+        shapes_sd=np.nanmin(shapes_sd, axis=0) if has_sd else None,
         sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
         counterparts=tuple(counterparts[k] for k in range(len(labels))) if counterparts else (),
     )

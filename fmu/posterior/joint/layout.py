@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmu.posterior.joint.damage import SPARSE_RANGE, Damage, Loss, common_coordinate, coordinates
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Normals, Population, Slopes
 from fmu.posterior.parameters import Parameter, box
@@ -173,12 +174,46 @@ class Drawn:
 
 
 @dataclass(frozen=True)
+class Lost:
+    """A parameter of the structure that later states have lost a share of: θ = θ₀ (1 − d).
+
+    Attributes
+    ----------
+    column : int
+        Number in theta of θ₀, the value in the reference.
+    loss : Loss
+        d in every test.
+    """
+
+    column: int
+    loss: Loss
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        loss, by = self.loss(theta)
+        base = theta[:, [self.column] * loss.shape[1]]
+        found = [Slope(np.full(loss.shape[1], self.column), 1.0 - loss)]
+        return base * (1.0 - loss), found + [Slope(columns, -base * slope) for columns, slope in by]
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        ends = np.array([lower[self.column], upper[self.column]])
+        if self.loss.columns.shape[1] == 1:
+            low, high = lower[self.loss.columns[:, 0]], upper[self.loss.columns[:, 0]]
+        else:
+            low, high = (np.full(len(self.loss.columns), end) for end in SPARSE_RANGE)
+        kept = np.where(self.loss.is_lost, 1.0 - np.stack([low, high]), 1.0)
+        corners = ends[:, None, None] * kept
+        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+
+
+@dataclass(frozen=True)
 class Trend:
     """A parameter of the structure that depends on covariates too: θ = θ₀ Π (1 + b (x − x₀)).
 
     Attributes
     ----------
-    base : Taken or Drawn
+    base : Taken, Drawn or Lost
         θ₀, the value where every covariate is at its mean over the tests.
     columns : tuple of int
         Number in theta of the relative slope b of each covariate.
@@ -189,7 +224,7 @@ class Trend:
         x₀ of each.
     """
 
-    base: Taken | Drawn
+    base: Taken | Drawn | Lost
     columns: tuple[int, ...]
     covariates: FloatArray
     names: tuple[str, ...]
@@ -230,33 +265,38 @@ class Layout:
         then the scores.
     tests : tuple of str
         Names.
-    values_of : tuple of Taken, Drawn or Trend
+    values_of : tuple of Taken, Drawn, Lost or Trend
         One per parameter of the structure.
     populations : mapping of str to Population
         By the name of the parameter.
     by_test : tuple of str
         Parameters that have a value of their own in each test, without a population.
+    by_state : tuple of str
+        Parameters that have a value of their own in each group of tests.
     """
 
     structural: tuple[Parameter, ...]
     parameters: tuple[Parameter, ...]
     tests: tuple[str, ...]
-    values_of: tuple[Taken | Drawn | Trend, ...]
+    values_of: tuple[Taken | Drawn | Lost | Trend, ...]
     populations: Mapping[str, Population] = field(default_factory=dict)
     by_test: tuple[str, ...] = ()
+    by_state: tuple[str, ...] = ()
 
     @classmethod
     def of(
         cls,
         structural: Sequence[Parameter],
         tests: Sequence[Test],
-        varies: Mapping[str, str | Population],
+        varies: Mapping[str, str | Population | Damage],
         slopes: Mapping[str, Mapping[str, Prior]],
+        reference: str = "",
     ) -> Layout:
         """Return the layout; what the arguments mean is told in `fmu.JointProblem`, which has checked them."""
         main: list[Parameter] = []
         scores: list[Parameter] = []
         pending: list[Any] = []
+        common: dict[str, int] = {}
 
         def add(parameter: Parameter) -> int:
             main.append(parameter)
@@ -274,6 +314,8 @@ class Layout:
                 scores += [Parameter(name, 0.0, prior=Normal(1.0)) for name in named]
                 scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
                 base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)
+            elif isinstance(how, Damage):
+                base = _lost(p, how, tests, reference, main, scores, common)
             else:
                 names = [_name_of(p.name, how, test) for test in tests]
                 number = {name: add(_renamed(p, name)) for name in dict.fromkeys(names[t] for t in here)}
@@ -293,6 +335,9 @@ class Layout:
         for base, trend in pending:
             if isinstance(base, Drawn):  # the scores follow all others
                 base = replace(base, columns=base.columns + len(main))
+            elif isinstance(base, Lost) and base.loss.columns.shape[1] == 3:
+                columns = base.loss.columns + np.array([len(main), len(main), 0])
+                base = replace(base, loss=replace(base.loss, columns=columns))
             values_of.append(Trend(base, *trend) if trend[0] else base)
         return cls(
             tuple(structural),
@@ -301,7 +346,30 @@ class Layout:
             tuple(values_of),
             {name: how for name, how in varies.items() if isinstance(how, Population)},
             tuple(name for name, how in varies.items() if how == BY_TEST),
+            tuple(
+                p.name
+                for p in structural
+                if varies.get(p.name) == BY_GROUP or isinstance(varies.get(p.name), Damage)
+            ),
         )
+
+    def losses(self, theta: FloatArray, reference: IntArray, later: IntArray) -> FloatArray:
+        """Return 1 − θ/θ_reference of the parameters of `by_state`, shape (n, n_later, n_by_state).
+
+        Without what covariates do.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        reference, later : ndarray of int, shape (n_later,)
+            A test of either state.
+        """
+        found = []
+        for parameter, value_of in zip(self.structural, self.values_of, strict=True):
+            if parameter.name in self.by_state:
+                value = (value_of.base if isinstance(value_of, Trend) else value_of)(theta)[0]
+                found.append(1.0 - value[:, later] / value[:, reference])
+        return np.stack(found, axis=2)
 
     @property
     def drawn(self) -> list[Drawn]:
@@ -345,7 +413,7 @@ class Layout:
             elif parameter.name in self.by_test:
                 value = parameter.prior.draw(rng, len(theta), parameter.lower, parameter.upper)
             else:
-                value = theta[:, base.columns[like]]
+                value = base(theta)[0][:, like]
             if isinstance(value_of, Trend):
                 for name, mean, column in zip(value_of.names, value_of.means, value_of.columns, strict=True):
                     value = value * (1.0 + theta[:, column] * (covariates.get(name, mean) - mean))
@@ -398,6 +466,34 @@ class Layout:
                 for k, column in enumerate(distinct):
                     found[:, column] += np.einsum("nt->n", of_tests[:, which == k])
         return found
+
+
+def _lost(
+    p: Parameter,
+    how: Damage,
+    tests: Sequence[Test],
+    reference: str,
+    main: list[Parameter],
+    scores: list[Parameter],
+    common: dict[str, int],
+) -> Lost:
+    """Return a parameter with losses, after adding their parameters to the lists; `common` has each τ."""
+    states = list(dict.fromkeys(test.group for test in tests if test.group != reference))
+    main.append(p)
+    column = len(main) - 1
+    numbers = {reference: [0, 0, 0] if how.sparse else [0]}
+    for state in states:
+        if not how.sparse:
+            main.append(how.loss(p, state))
+            numbers[state] = [len(main) - 1]
+            continue
+        if state not in common:
+            main.append(common_coordinate(state))
+            common[state] = len(main) - 1
+        scores += coordinates(p, state)
+        numbers[state] = [len(scores) - 2, len(scores) - 1, common[state]]
+    is_lost = np.array([test.group != reference for test in tests])
+    return Lost(column, Loss(np.array([numbers[test.group] for test in tests]), is_lost))
 
 
 def _name_of(name: str, how: str, test: Test) -> str:

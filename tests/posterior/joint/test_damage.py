@@ -1,0 +1,108 @@
+"""Losses between a reference state and later ones."""
+
+import numpy as np
+import pytest
+import scipy.stats
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.posterior.joint.damage import Horseshoe
+
+STOREYS = 4
+NAMES = tuple(f"k{i + 1}" for i in range(STOREYS))
+
+
+def stiffness(i):
+    K = np.zeros((STOREYS, STOREYS))
+    K[i, i] = 1.0
+    if i:
+        K[i - 1, i - 1] = 1.0
+        K[i, i - 1] = K[i - 1, i] = -1.0
+    return 2e6 * K
+
+
+@pytest.fixture(scope="module")
+def building():
+    terms = [(stiffness(i), name) for i, name in enumerate(NAMES)]
+    dofs = [(f"floor {i + 1}", "x") for i in range(STOREYS)]
+    return fmu.SeparableModel.from_terms(NAMES, terms, [1000.0 * np.eye(STOREYS)], dofs=dofs)
+
+
+def modes(building, theta):
+    K, M = building.K(theta).toarray(), building.M(theta).toarray()
+    values, vectors = np.linalg.eigh(K / 1000.0)
+    assert_allclose(M, 1000.0 * np.eye(STOREYS))
+    return np.sqrt(values) / (2 * np.pi), vectors
+
+
+def measured_states(building, losses, noise=0.002, seed=1):
+    """Return a test of the undamaged building, and one of each state: frequencies and shapes with errors."""
+    rng, found = np.random.default_rng(seed), []
+    for state, loss in {"reference": np.zeros(STOREYS), **losses}.items():
+        f, shapes = modes(building, 1.0 - np.asarray(loss))
+        f = f * (1 + noise * rng.standard_normal(STOREYS))
+        shapes = shapes + 0.01 * rng.standard_normal(shapes.shape)
+        data = fmu.ModalData(f, sensors=building.dofs, shapes=shapes, sd_hz=noise * f, shapes_sd=0.01)
+        found.append(fmu.Test(state, data, group=state))
+    return found
+
+
+def posed(building, losses, damage, **options):
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    errors = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors()]
+    varies = dict.fromkeys(NAMES, damage)
+    return fmu.JointProblem(
+        building, measured_states(building, losses), parameters, varies=varies, error=errors, **options
+    )
+
+
+def test_horseshoe_is_what_its_source_says():
+    rng = np.random.default_rng(4)
+    z, u, v = rng.standard_normal(20), rng.uniform(0.01, 0.99, 20), rng.uniform(0.01, 0.99, 20)
+    horseshoe = Horseshoe(0.02, 0.4)
+    d, slopes = horseshoe(z, u, v)
+    lam, tau = scipy.stats.halfcauchy.ppf(u), scipy.stats.halfcauchy.ppf(v, scale=0.02)
+    assert_allclose(d, z * tau * np.sqrt(0.16 * lam**2 / (0.16 + tau**2 * lam**2)), rtol=1e-12)  # eq. (2.8)
+    h = 1e-7
+    for k in range(3):
+        ahead, behind = (horseshoe(*(x + s * h * (i == k) for i, x in enumerate((z, u, v))))[0] for s in (1, -1))
+        assert_allclose(slopes[k], (ahead - behind) / (2 * h), rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "damage", [fmu.Damage(), fmu.Damage(sparse=True), "group"], ids=["plain", "sparse", "group"]
+)
+def test_gradient_and_losses(building, damage):
+    problem = posed(building, {"later": [0.2, 0.0, 0.0, 0.0], "last": [0.2, 0.0, 0.1, 0.0]}, damage)
+    assert problem.states == ("later", "last")
+    theta = problem.sample_prior(np.random.default_rng(1), 5)
+    theta[:, :4] = np.clip(theta[:, :4], 0.6, 1.4)
+    values = problem.values(theta)
+    assert_allclose(problem.losses(theta), 1 - values[:, 1:] / values[:, :1], rtol=1e-12, atol=1e-14)
+    points = 0.9 * problem.start + 0.1 * theta
+    for point, gradient in zip(points, problem.log_prob_and_grad(points)[1], strict=True):
+        steps = 1e-6 * problem.scale * np.eye(problem.ndim)
+        slopes = [(problem.log_prob(point + h) - problem.log_prob(point - h)) / (2 * h.sum()) for h in steps]
+        exact, by_differences = gradient * problem.scale, np.array(slopes) * problem.scale
+        assert_allclose(exact, by_differences, rtol=1e-4, atol=1e-5 * np.abs(exact).max())
+
+
+def test_the_damaged_storey_is_found_and_no_other(building):
+    problem = posed(building, {"later": [0.0, 0.15, 0.0, 0.0]}, fmu.Damage())
+    trace = fmu.sample(problem, draws=300, warmup=300, seed=2)
+    table = fmu.damage(trace, beyond=(0.05, 0.1))
+    assert list(table.index) == [("later", name) for name in NAMES] + [("later", "any")]
+    assert table.loc[("later", "k2"), "P(loss > 5 %)"] > 0.99
+    assert abs(table.loc[("later", "k2"), "mean"] - 0.15) < 4 * table.loc[("later", "k2"), "sd"]
+    others = table.loc[[("later", name) for name in ("k1", "k3", "k4")]]
+    assert others["P(loss > 5 %)"].max() < 0.2
+    assert table.loc[("later", "any"), "P(loss > 10 %)"] >= table.loc[("later", "k2"), "P(loss > 10 %)"]
+    with pytest.raises(ValueError, match="beyond: must be between 0 and 1"):
+        fmu.damage(trace, beyond=(5.0,))
+    with pytest.raises(ValueError, match="no parameter that varies between groups"):
+        fmu.damage(trace.filter(lambda node: node.name != "loss"))
+
+
+def test_a_reference_that_is_no_group(building):
+    with pytest.raises(ValueError, match="reference: must be the group of a test"):
+        posed(building, {"later": np.zeros(4)}, fmu.Damage(), reference="none")
