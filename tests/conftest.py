@@ -7,6 +7,9 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import fmu
+from fmu.analysis.held_out import modes
+
+FREE_S = modes._FREE_S
 
 
 def pytest_collection_finish():
@@ -52,6 +55,20 @@ def _fresh_basis_cache(shared_folder):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FMU_CACHE_DIR", os.fspath(shared_folder / "bases"))
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_time_for_refits():
+    """Leave no mode out after a run: that takes longer than most runs, and the tests of it ask for `refits`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(modes, "_FREE_S", 0.0)
+        yield
+
+
+@pytest.fixture
+def refits(monkeypatch):
+    """Give a run the time that a user's has, for updating without single modes."""
+    monkeypatch.setattr(modes, "_FREE_S", FREE_S)
 
 
 @pytest.fixture(scope="session")

@@ -26,15 +26,14 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: Any) -> None:
 
 def kept_maxima(directory: str | os.PathLike[str], problem: Any = None) -> Maxima | None:
     """Return the saved maxima; None if they are missing, damaged, or not of the problem, if one is given."""
-    import xarray as xr
-
     from fmu.analysis.convergence.diagnosis import maxima_of
+    from fmu.analysis.trace.netcdf import from_netcdf
 
     path = Path(directory, FILE)
     if not path.is_file():
         return None
     try:
-        tree = xr.load_datatree(path, engine="h5netcdf")
+        tree = from_netcdf(path)
         is_other = problem is not None and tree.attrs["posterior"] != _posterior(problem)
         return None if is_other else maxima_of(tree)
     except (OSError, ValueError, KeyError):  # damaged

@@ -64,7 +64,7 @@ def test_chains_that_agree_in_one_of_several_modes_are_found_out(section, in_b, 
 
 
 def test_chains_in_the_mode_that_holds_the_probability_may_converge(section, around, section_maxima):
-    trace = fmu.sample(section, "mh", draws=2000, warmup=400, init=around(0, 4), seed=2)
+    trace = fmu.sample(section, "mh", draws=600, warmup=200, init=around(0, 4), seed=2)
     found = judge(trace, [section_maxima])
     assert list(found.reasons) == convergence_failures(trace)
     assert not any("maximum" in reason for reason in found.reasons)
@@ -90,7 +90,7 @@ def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, sectio
         ("mh", 100, 200),
         pytest.param("slice", 100, 100, marks=pytest.mark.validate),
         pytest.param(fmu.HamiltonianMonteCarlo(0.003, 10), 60, 30, marks=pytest.mark.validate),
-        (fmu.Ensemble(walkers=16), 150, 50),
+        (fmu.Ensemble(walkers=16), 60, 20),
     ],
     ids=["mh", "slice", "hmc", "emcee"],
 )
@@ -133,7 +133,7 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
 def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, section_maxima, around, modes):
     """The false calm: in equal proportion in every ensemble, so that the ensembles agree."""
     init = np.concatenate([around(k, 4, 8) for k in modes], axis=1)
-    trace = fmu.sample(section, fmu.Ensemble(walkers=16), draws=500, warmup=0, init=init, seed=1)
+    trace = fmu.sample(section, fmu.Ensemble(walkers=16), draws=400, warmup=0, init=init, seed=1)
     assert summary(trace)["rhat"].max() < 1.02
     failures = convergence_failures(trace)
     assert any(": R-hat over walkers is " in f for f in failures)

@@ -15,6 +15,8 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
 from tests.two_storeys import left_out as by_quadrature
 
+pytestmark = pytest.mark.usefixtures("refits")
+
 # The model of conftest.py: f = 100 + SLOPES @ theta, with independent priors.
 SLOPES, PRIOR_SD = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]]), np.array([1.0, 2.0])
 MEASURED, BETA = np.array([101.0, 99.5, 102.0]), np.array([0.5, 1.0, 2.0])

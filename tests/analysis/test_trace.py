@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 from fmu.analysis.trace.conversion import PRIOR_DRAWS, load_trace, save_trace, to_trace
+from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
 
 GROUPS = {
     "posterior",
@@ -141,6 +142,32 @@ def test_round_trip_is_exact(trace, tmp_path):
         for name, variable in trace[group].data_vars.items():
             assert loaded[group][name].dtype == variable.dtype
     assert [p.name for p in tmp_path.iterdir()] == ["hmc.nc"]
+
+
+def test_xarray_and_fmu_read_each_others_files(tmp_path):
+    """Numbers of all kinds, truth values, text, nothing at all, and dimensions without coordinates."""
+    first = xr.Dataset(
+        {
+            "b": (("mode", "other"), np.arange(6.0).reshape(2, 3), {"units": "Hz"}),
+            "a": (("mode",), np.array([True, False])),
+            "count": ((), np.int64(7)),
+            "text": (("other",), np.array(["Young’s", "", "b"]), {"two": np.array([1, 2]), "one": 3}),
+            "none": (("mode", "draw"), np.empty((2, 0))),
+        },
+        coords={"mode": ["1", "θ"], "unit": ("mode", ["Pa", ""]), "draw": np.arange(0)},
+        attrs={"name": "π", "empty": "", "wall_s": 0.5, "complete": 1},
+    )
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"sampler": "mh"}), "/z": first, "/z/below": first})
+    (tmp_path / "fmu.nc").write_bytes(to_netcdf(tree))
+    tree.to_netcdf(tmp_path / "xarray.nc", engine="h5netcdf")
+    by_xarray = xr.load_datatree(tmp_path / "fmu.nc", engine="h5netcdf")
+    for found in (by_xarray, from_netcdf(tmp_path / "fmu.nc"), from_netcdf(tmp_path / "xarray.nc")):
+        xr.testing.assert_identical(found, tree)
+        for path in ("z", "z/below"):
+            assert list(found[path].data_vars) == list(first.data_vars)
+            assert {name: v.dtype.kind for name, v in found[path].variables.items()} == {
+                name: v.dtype.kind for name, v in first.variables.items()
+            }
 
 
 def test_file_holds_no_python_objects(trace, tmp_path):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.trace.misfit import misfit_group
+from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
 from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.reading import check_trace
 from fmu.durable_files import write_durably
@@ -124,7 +125,7 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """
     path = Path(path)
     with shielded():
-        content = trace.to_netcdf(engine="h5netcdf")
+        content = to_netcdf(trace)
         try:
             write_durably(path, content)
         except OSError as error:
@@ -150,13 +151,11 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
     ValueError
         If the file is not a netCDF file, or does not hold a trace written by fmu.
     """
-    import xarray as xr
-
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"path: must be a trace written by fmu (no such file: {path})")
     try:
-        trace = xr.load_datatree(path, engine="h5netcdf")
+        trace = from_netcdf(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"path: must be a trace written by fmu (not a readable netCDF file: {path})") from error
     check_trace(trace, str(path))

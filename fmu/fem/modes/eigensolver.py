@@ -19,6 +19,7 @@ and generalised inverses of free structures).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -158,10 +159,15 @@ def _safely_factored(S: Any) -> Factor | None:
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
     """Say whether a definite A is so by more than rounding, from its factors and D with D A D of unit diagonal."""
     # four steps of inverse iteration: the estimate of the lowest eigenvalue is never below it
-    x = np.random.default_rng(0).standard_normal(len(scale))
+    x = _start(len(scale))
     for _ in range(4):
         x = factor.solve(x / np.linalg.norm(x) / scale) / scale
     return bool(np.linalg.norm(x) * _CAUTION * ZERO < 1.0)
+
+
+@lru_cache
+def _start(n: int) -> FloatArray:
+    return np.random.default_rng(0).standard_normal(n)
 
 
 def _shifted(S: Any, M: Any) -> Factor:

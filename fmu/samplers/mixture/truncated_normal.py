@@ -57,8 +57,11 @@ class SequentialNormal:
         z = np.linalg.solve(self.L, (u[:, self.order] - self.mean).T).T
         log_q = np.full(len(u), -np.sum(np.log(np.diag(self.L))) - len(self.mean) * _LOG_ROOT_2PI)
         for i, tilt in enumerate(self.tilt):
-            a, b = self._limits(i, z)
-            log_q -= 0.5 * (z[:, i] - tilt) ** 2 + log_mass(a - tilt, b - tilt)
+            less = 0.5 * (z[:, i] - tilt) ** 2
+            if self.lower[i] > -np.inf or self.upper[i] < np.inf:
+                a, b = self._limits(i, z)
+                less += log_mass(a - tilt, b - tilt)
+            log_q -= less
         return log_q
 
     def _limits(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
