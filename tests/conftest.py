@@ -4,6 +4,7 @@ import gc
 import os
 
 import pytest
+from markupsafe import Markup
 from threadpoolctl import threadpool_limits
 
 import fmu
@@ -90,4 +91,12 @@ def quick_figures():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, figure: {})
+        yield
+
+
+@pytest.fixture(scope="module")
+def no_pictures():
+    """Leave the pictures of pages empty."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fmu.report.document.inline_svg", lambda *_: Markup("<svg></svg>"))
         yield

@@ -60,7 +60,7 @@ def short_run(case, directory):
     """Write the page of a short run on a case, with the full model, and return the directory."""
     path = fmu.cases.path(case)
     problem = read(path).model_copy(update={"reduction": False}).build(case, path.parent, None)
-    runs = runs_of({"mh": fmu.sample(problem, "mh", draws=30, warmup=10, chains=2, init="prior")})
+    runs = runs_of({"mh": fmu.sample(problem, "mh", draws=12, warmup=4, chains=2, init="prior")})
     page = sampler_page(runs["mh"], {"mh": "mh.html"}, runs)
     (directory / "mh.html").write_text(render(page), encoding="utf-8")
     return directory

@@ -16,11 +16,14 @@ from fmu.report.files import MANIFEST
 
 
 @pytest.fixture(scope="module")
-def out(plan, quick_figures, tmp_path_factory):
+def out(plan, result, quick_figures, no_pictures, tmp_path_factory):
+    """The files on the experiment that the other tests compute; pictures on pages are of other tests."""
     directory = tmp_path_factory.mktemp("paper") / "results"
     directory.mkdir()
     (directory / "notes.md").write_text("mine")
-    run_paper(directory, plan=plan, workers=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fmu.paper.run.compute", lambda *experiment: result)
+        run_paper(directory, plan=plan, workers=1)
     return directory
 
 

@@ -137,6 +137,13 @@ def test_arrays_keep_components_with_a_covariance_beside_one_without():
     assert again.quadratics[1].covariance is None
 
 
+def test_arrays_keep_weights_bit_for_bit():
+    """Weights that add up to 1 but for rounding change when they are normalised again."""
+    for weights in np.random.default_rng(9).random((20, 4)):
+        q = Mixture([FLAT] * 4, weights, Warp(LOWER, UPPER, np.array([False, False])))
+        np.testing.assert_array_equal(Mixture.of_arrays(q.arrays(), LOWER, UPPER).weights, q.weights)
+
+
 def test_a_banana_is_split_and_a_gaussian_is_not():
     rng, box = np.random.default_rng(5), np.full(2, np.inf)
     x = rng.standard_normal((4000, 2))

@@ -117,7 +117,8 @@ class Mixture:
 
     def __init__(self, quadratics: Sequence[Quadratic], weights: FloatArray, warp: Warp) -> None:
         self.quadratics, self.warp = tuple(quadratics), warp
-        self.weights = np.asarray(weights, dtype=float) / np.sum(weights)
+        self._given = np.asarray(weights, dtype=float)
+        self.weights = self._given / np.sum(self._given)
         lower, upper = warp.to_x(warp.lower), warp.to_x(warp.upper)
         proposals = [q.proposals(lower, upper) for q in self.quadratics]
         self._parts = [part for parts in proposals for part in parts]
@@ -142,7 +143,8 @@ class Mixture:
         found = {name: np.array([getattr(q, name) for q in self.quadratics]) for name in _FIELDS}
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
         found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
-        return found | {"weights": self.weights, "bent": self.warp.bent.astype(float)}
+        # normalised a second time, the weights would differ in their last bits
+        return found | {"weights": self._given, "bent": self.warp.bent.astype(float)}
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Return `n` independent draws, shape (n, ndim)."""
