@@ -17,6 +17,7 @@ from fmu.samplers import (
 )
 from fmu.samplers.loop.group import Chunk, GroupState, RunContext, _GroupRunner, advance
 from fmu.samplers.loop.starts import starting_points
+from fmu.samplers.mixture.quadratic import Quadratic
 from tests.samplers.targets import CorrelatedGaussian
 from tests.samplers.tempered_targets import LinearGaussian
 
@@ -62,6 +63,12 @@ class OwnSampler(MetropolisHastings):
         return Shortening(density)
 
 
+def a_mixture(*weights):
+    """A mixture of components that overlap, with weights that do not add up to 1 exactly."""
+    around = [Quadratic(np.full(5, at), 0.0, np.zeros(5), np.eye(5)) for at in np.linspace(-1, 1, len(weights))]
+    return MixtureSampler(around, weights, jumps=3)
+
+
 SAMPLERS = {
     "mh": MetropolisHastings(),
     "independence": MetropolisHastings(Independence(np.zeros(5), np.eye(5))),
@@ -72,6 +79,7 @@ SAMPLERS = {
     "hmc, given mass": HamiltonianMonteCarlo(inverse_mass=np.eye(5)),
     "mixture": MixtureSampler(jumps=3),
     "mixture, slice": MixtureSampler(local=Slice()),
+    "mixture, given": a_mixture(0.1, 0.2, 0.3, 0.1, 0.1, 0.1),
     "emcee": Ensemble(walkers=12),
     "emcee, two moves": Ensemble(walkers=12, moves={"de": 0.5, "snooker": 0.5}),
     "tempering, slice": Tempering(),
