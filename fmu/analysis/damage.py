@@ -21,6 +21,11 @@ ANY = "any"
 """The row of the largest loss in a state."""
 
 
+def probably(p: float) -> str:
+    """Return a probability estimated from draws in per cent: ``"32 %"``, and ``"< 1 %"`` or ``"> 99 %"``."""
+    return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{100.0 * p:.0f} %"
+
+
 def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.DataFrame:
     """Return the losses d = 1 − θ/θ_reference of the parameters that vary between groups of tests.
 

@@ -103,7 +103,7 @@ def export(
     directory = Path(run_directory)
     if at not in AT:
         raise ValueError(f"at: must be one of {AT} (got {at!r})")
-    name, trace, diagnosis = _chosen(directory, sampler)
+    name, trace, diagnosis = chosen(directory, sampler)
     theta = _theta(trace, at)
     source = kept(directory, None if model is None else Path(model))
     described, problem = _problem_again(source.file, source.folder, source.pairing)
@@ -129,7 +129,7 @@ def export(
     return Exported(output.root, files, name, tuple(remarks))
 
 
-def _chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
+def chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
     """Return the trace of the given sampler, else of the first that converged, else the first."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:

@@ -15,6 +15,8 @@ OF_A_SAMPLER = (
     "updating.frequencies",
     "updating.maxima",
     "updating.evidence",
+    "tests.losses",
+    "tests.population",
     "structure.identifiability",
     "structure.mac",
     "structure.pairing",
