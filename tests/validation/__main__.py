@@ -1,7 +1,10 @@
-"""Validate every sampler, long: python -m tests.validation OUT_DIRECTORY [--workers N] [--only WORD].
+"""Validate every sampler, long.
+
+    python -m tests.validation OUT_DIRECTORY [--workers N] [--only WORD] [--kept FILE]
 
 Exit code 1 where a gate fails. The numbers do not depend on the workers. With a word, only the samplers whose
-title has it are tried, and their numbers are printed instead of written.
+title has it are tried, and their numbers are printed instead of written. With a file, samplers that it holds are
+not tried again.
 """
 
 from __future__ import annotations
@@ -10,15 +13,19 @@ import argparse
 import os
 import sys
 import tempfile
-import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fmu.engines import engine
-from tests.validation.calibration import calibrate
+from tests.validation.calibration import Calibration, calibrate
 from tests.validation.contenders import CONTENDERS
-from tests.validation.effective_size import TARGETS, error_ratios
+from tests.validation.effective_size import TARGETS, Ratio, error_ratios
+from tests.validation.kept import completed, kept_lines
 from tests.validation.page import Study, calibration_table, ratio_table, write
 
 REPLICATES = 200
@@ -27,29 +34,55 @@ RUNS, ENSEMBLE_RUNS = 256, 100
 """Runs whose errors are compared with their ESS. Ensembles cost more, and run on the first target alone."""
 
 
-def main(directory: Path, workers: int, only: str = "") -> int:
+@dataclass(frozen=True)
+class Tried:
+    """What was found of one sampler."""
+
+    title: str
+    calibration: Calibration
+    ratios: Sequence[Ratio]
+    processor_s: float
+
+    @classmethod
+    def of_line(cls, title: str, calibration: Any, ratios: Any, processor_s: float) -> Tried:
+        """Return it from the fields of a line that `keep` wrote."""
+        arrays = {name: np.array(values) for name, values in calibration.items()}
+        return cls(title, Calibration(**arrays), [Ratio(**fields) for fields in ratios], processor_s)
+
+
+def tried(number: int, workers: int) -> Tried:
+    """Try a sampler, given its number among the contenders, from which its seeds follow."""
+    contender, began = CONTENDERS[number], _processor_s()
+    with engine(workers) as at_work:
+        calibration = calibrate(contender, REPLICATES, number, at_work)
+    single = contender.sampler.walkers == 1
+    ratios = [
+        ratio
+        for target in (TARGETS if single else TARGETS[:1])
+        for ratio in error_ratios(contender, target(), RUNS if single else ENSEMBLE_RUNS, seed=number)
+    ]
+    found = Tried(contender.title, calibration, ratios, _processor_s() - began)
+    print(f"{found.title}: tried in {found.processor_s:.0f} s of processor time", flush=True)
+    return found
+
+
+def _processor_s() -> float:
+    """Return the time of this process and of the workers that have ended."""
+    return sum(os.times()[:4])
+
+
+def main(directory: Path, workers: int, only: str = "", kept: Path | None = None) -> int:
     """Run both studies, write ``validation.md`` and its figure, and return the exit code."""
-    calibrations, ratios, began = {}, {}, time.perf_counter()
-    chosen = [(i, contender) for i, contender in enumerate(CONTENDERS) if only in contender.title]
+    known = {found.title: found for found in (Tried.of_line(**fields) for fields in kept_lines(kept))}
+    chosen = [(contender.title, i) for i, contender in enumerate(CONTENDERS) if only in contender.title]
     with threadpool_limits(1), tempfile.TemporaryDirectory() as cache:
         os.environ["FMU_CACHE_DIR"] = cache  # a reduced model of an earlier version must not answer for this one
-        with engine(workers) as at_work:
-            for i, contender in chosen:
-                calibrations[contender.title] = calibrate(contender, REPLICATES, i, at_work)
-                print(f"{contender.title}: calibrated after {time.perf_counter() - began:.0f} s", flush=True)
-        for i, contender in chosen:
-            single = contender.sampler.walkers == 1
-            ratios[contender.title] = [
-                ratio
-                for target in (TARGETS if single else TARGETS[:1])
-                for ratio in error_ratios(contender, target(), RUNS if single else ENSEMBLE_RUNS, seed=i)
-            ]
-            print(f"{contender.title}: ESS checked after {time.perf_counter() - began:.0f} s", flush=True)
-    study = Study(calibrations, ratios)
+        runs = completed(chosen, known, lambda i: tried(i, workers), kept)
+    study = Study({one.title: one.calibration for one in runs}, {one.title: one.ratios for one in runs})
     if only:
         print(calibration_table(study), ratio_table(study), sep="\n")
     else:
-        write(study, directory, sum(os.times()[:4]))  # of this process and of the workers, which have ended
+        write(study, directory, sum(one.processor_s for one in runs))
     for failure in study.failures:
         print(failure)
     return 1 if study.failures else 0
@@ -62,4 +95,5 @@ if __name__ == "__main__":
     parser.add_argument(
         "--only", default="", help="part of the titles of the samplers to be tried; nothing is written"
     )
+    parser.add_argument("--kept", type=Path, help="file of the samplers tried so far; it is continued")
     sys.exit(main(**vars(parser.parse_args())))
