@@ -149,8 +149,8 @@ class JointProblem(UpdatingProblem):
 
     @property
     def is_hierarchical(self) -> bool:  # type: ignore[override]
-        """Whether a parameter scatters over the tests."""
-        return bool(self.layout.populations)
+        """Whether parameters have a distribution that is inferred: a population, or sparse losses."""
+        return bool(self.layout.scales)
 
     def values(self, theta: Any) -> FloatArray:
         """Return the parameters of the structure in every test, shape (n_tests, n) or (n_points, n_tests, n).

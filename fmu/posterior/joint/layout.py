@@ -378,6 +378,14 @@ class Layout:
         return [base for base in bases if isinstance(base, Drawn)]
 
     @property
+    def scales(self) -> list[int]:
+        """Numbers in theta of what the others scatter about and how widely: of populations and sparse losses."""
+        found = [k for one in self.drawn for k in (one.centre, one.width)]
+        bases = (one.base if isinstance(one, Trend) else one for one in self.values_of)
+        sparse = [base.loss for base in bases if isinstance(base, Lost) and base.loss.columns.shape[1] == 3]
+        return sorted({*found, *(int(k) for one in sparse for k in np.ravel(one.columns[one.is_lost, 1:]))})
+
+    @property
     def n_tests(self) -> int:
         """Number of tests."""
         return len(self.tests)

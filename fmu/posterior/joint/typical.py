@@ -33,7 +33,7 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     problem : JointProblem
-        With at least one population.
+        With a population or sparse losses, whose scales remain in the middle of their priors.
 
     Returns
     -------
@@ -41,10 +41,10 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
     hessian : ndarray, shape (ndim, ndim)
         By Gauss–Newton; by differences of the gradient for means and standard deviations.
     """
-    u, _ = _searched(problem, problem.layout.drawn)
+    u, _ = _searched(problem)
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]
-    for k in _held(problem.layout.drawn):
+    for k in problem.layout.scales:
         h = np.zeros(problem.ndim)
         h[k] = _STEP * min(1.0, u[k] - scaled.lower[k], scaled.upper[k] - u[k])
         behind, ahead = scaled.log_prob_and_grad(np.stack([u - h, u + h]))[1]
@@ -65,7 +65,7 @@ def centred(problem: Any) -> Layout:
     problem : JointProblem
         Its scores are not centred yet.
     """
-    u, variance = _searched(problem, problem.layout.drawn)
+    u, variance = _searched(problem)
     theta = ScaledDensity(problem).to_theta(u)
     weights = {}
     for one in problem.layout.drawn:
@@ -88,10 +88,10 @@ def centred(problem: Any) -> Layout:
     return replace(problem.layout, values_of=tuple(map(changed, problem.layout.values_of)))
 
 
-def _searched(problem: Any, populations: list[Drawn]) -> tuple[FloatArray, FloatArray]:
+def _searched(problem: Any) -> tuple[FloatArray, FloatArray]:
     """Return the typical point, scaled, and what the tests leave of the scores' variances, (ndim,)."""
     quadratic, scaled = GaussNewton(problem), ScaledDensity(problem)
-    held = _held(populations)
+    held = np.array(problem.layout.scales)
     theta = problem.start.copy()
     variance = np.ones(problem.ndim)
     for _ in range(_MOST_ROUNDS):
@@ -104,14 +104,10 @@ def _searched(problem: Any, populations: list[Drawn]) -> tuple[FloatArray, Float
         )
         theta = scaled.to_theta(end.position[0])
         variance = np.diag(np.linalg.inv(end.hessian[0])) * scaled.scale**2
-        if max([_most_probable(problem, one, theta, variance) for one in populations]) < _SETTLED:
+        moved = [_most_probable(problem, one, theta, variance) for one in problem.layout.drawn]
+        if max(moved, default=0.0) < _SETTLED:
             break
     return scaled.to_scaled(theta), variance
-
-
-def _held(populations: list[Drawn]) -> IntArray:
-    """Return the numbers in theta of the populations' centres and widths."""
-    return np.array([k for one in populations for k in (one.centre, one.width)])
 
 
 def _holding(
