@@ -97,6 +97,7 @@ validate: $(READY) $(READY_FAST)  ## Calibrate samplers, verdicts, intervals and
 	.venv/bin/python -m tests.validation.starts results
 	.venv/bin/python -m tests.validation.left_out results
 	.venv/bin/python -m tests.validation.fit results
+	.venv/bin/python -m tests.validation.several_tests results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m pytest --quiet -m validate

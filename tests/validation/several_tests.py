@@ -257,8 +257,8 @@ def page(runs: Sequence[Mapping[str, Any]]) -> tuple[str, bool]:
         ),
         "warmed": (
             "Temperature",
-            f"{len(by_study['warmed'])} undamaged buildings, three tests between 0 and 10 °C and three between 20 and "
-            "30 °C, stiffness −0.3 % per °C. An alarm is P(loss > 5 %) above one half in any storey.",
+            f"{len(by_study['warmed'])} undamaged buildings, three tests between 0 and 10 °C and three between 20 "
+            "and 30 °C, stiffness −0.3 % per °C. An alarm is P(loss > 5 %) above one half in any storey.",
             alarms,
         ),
     }

@@ -106,3 +106,25 @@ def test_the_damaged_storey_is_found_and_no_other(building):
 def test_a_reference_that_is_no_group(building):
     with pytest.raises(ValueError, match="reference: must be the group of a test"):
         posed(building, {"later": np.zeros(4)}, fmu.Damage(), reference="none")
+
+
+def test_sparse_losses_are_drawn_by_hmc_from_the_middle(building):
+    from fmu.analysis.maxima.starts import middle
+    from fmu.sampling import default_sampler
+
+    problem = posed(building, {"later": [0.0, 0.15, 0.0, 0.0]}, fmu.Damage(sparse=True))
+    assert problem.is_hierarchical
+    assert default_sampler(problem) == "hmc"
+    with pytest.raises(ValueError, match="the maximum of such a posterior is far from its mass"):
+        fmu.find_map(problem)
+    at = middle(problem)
+    assert np.isfinite(at.log_prob)
+    theta = problem.offset + problem.scale * at.position
+    scales = problem.layout.scales
+    assert [problem.names[k] for k in scales] == [
+        "loss scale [later]",
+        *(f"{n} loss scale [later]" for n in NAMES),
+    ]
+    assert_allclose(theta[scales], 0.5)
+    losses = problem.losses(theta[None])[0, 0]
+    assert losses[1] > 0.05 > 0.02 > np.abs(losses[[0, 2, 3]]).max()
