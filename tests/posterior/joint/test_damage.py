@@ -127,4 +127,5 @@ def test_sparse_losses_are_drawn_by_hmc_from_the_middle(building):
     ]
     assert_allclose(theta[scales], 0.5)
     losses = problem.losses(theta[None])[0, 0]
-    assert losses[1] > 0.05 > 0.02 > np.abs(losses[[0, 2, 3]]).max()
+    assert losses[1] > 0.05
+    assert np.argmax(losses) == 1
