@@ -66,10 +66,12 @@ def _no_time_for_refits():
         yield
 
 
-@pytest.fixture
-def refits(monkeypatch):
-    """Give a run the time that a user's has, for updating without single modes."""
-    monkeypatch.setattr(modes, "_FREE_S", FREE_S)
+@pytest.fixture(scope="module")
+def refits():
+    """Give runs the time that a user's have, for updating without single modes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(modes, "_FREE_S", FREE_S)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -107,7 +107,7 @@ def test_dispersed_starts_do_not_converge(section, section_maxima, sampler, warm
 @pytest.mark.parametrize(("sampler", "maximum"), [("slice", 1), ("emcee", 2)], ids=["slice in B", "emcee in C"])
 def test_whoever_stays_in_a_local_mode_is_told_where(section, section_maxima, around, sampler, maximum):
     settings, shape = (fmu.Slice(width=0.05), (4,)) if sampler == "slice" else (fmu.Ensemble(walkers=16), (4, 16))
-    trace = fmu.sample(section, settings, draws=40, warmup=0, init=around(maximum, *shape), seed=1)
+    trace = fmu.sample(section, settings, draws=20, warmup=0, init=around(maximum, *shape), seed=1)
     first, second = judge(trace, [section_maxima]).reasons[:2]
     assert first.startswith("maximum 1 at Ix1 = 3904 mm⁴")
     assert second.startswith("the draws were elsewhere: ")

@@ -1,11 +1,14 @@
 """fmu run, broken off and resumed: what is drawn is bit for bit what it would have been."""
 
+from contextlib import contextmanager
+
 import pytest
 
 import fmu
 from fmu.runs.run_directory import RunDirectory
 from fmu.samplers.mixture.mixture import MixtureSampler
-from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, cut, of, resume, run
+from tests.cli.conftest import searched_once
+from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, cut, of, problem_in, resume, run
 from tests.runs.keeping import at_keep
 
 
@@ -49,37 +52,51 @@ OPEN = ("--sampler", "mixture", "--chains", 2, "--starts", 2)
 SELDOM = ("--keep-draws", 1000)
 
 
-@pytest.fixture
-def judged_soon(monkeypatch):
+@contextmanager
+def judged_soon():
     """Runs are first judged after few draws, and no mode is left out, which takes longer than they do."""
-    monkeypatch.setattr(MixtureSampler, "first", (60, 20))
-    monkeypatch.setattr("fmu.analysis.held_out.modes.with_left_out", lambda trace, problem: trace)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MixtureSampler, "first", (60, 20))
+        patch.setattr("fmu.analysis.held_out.modes.with_left_out", lambda trace, problem: trace)
+        yield
 
 
-@pytest.mark.usefixtures("judged_soon")
-def test_until_it_has_converged(folder, at_keep):
+@pytest.fixture
+def _judged_soon():
+    with judged_soon():
+        yield
+
+
+@pytest.fixture(scope="module")
+def converged(tmp_path_factory):
+    """A run until it has converged that nothing happened to."""
+    folder = problem_in(tmp_path_factory.mktemp("converged"))
+    with pytest.MonkeyPatch.context() as patch, searched_once(), judged_soon():
+        patch.chdir(folder)
+        assert run(*SELDOM, length=OPEN).exit_code == 0
+    return folder / "out"
+
+
+@pytest.mark.usefixtures("_judged_soon")
+def test_until_it_has_converged(folder, converged, at_keep):
     """Broken off in the extension: how many draws are enough is decided from the draws alone."""
-    assert run(*SELDOM, length=OPEN).exit_code == 0
-    assert fmu.load_trace("out/mixture.nc")["posterior"].sizes["draw"] > 160
-    (folder / "out").rename(folder / "one")
+    assert fmu.load_trace(converged / "mixture.nc")["posterior"].sizes["draw"] > 160
     at_keep(5, cut)  # the first are of warm-up, and of 20, 40, 80 and 160 draws
     with pytest.raises(Cut):
         run(*SELDOM, length=OPEN)
     assert resume().exit_code == 0
-    assert_same("mixture", folder / "out", folder / "one")
+    assert_same("mixture", folder / "out", converged)
 
 
-@pytest.mark.usefixtures("judged_soon")
-def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder):
-    assert run(*SELDOM, length=OPEN).exit_code == 0
-    (folder / "out").rename(folder / "one")
+@pytest.mark.usefixtures("_judged_soon")
+def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder, converged):
     assert run(*SELDOM, "--max-solves", 500, length=OPEN).exit_code == 1
     assert fmu.load_trace("out/mixture.nc").attrs["limit"] == "500 solves"
     again = resume()
     assert again.exit_code == 1
     assert "To go on: fmu run --resume out --max-solves 5000" in again.stdout
     assert resume("--max-solves", 100000).exit_code == 0
-    assert_same("mixture", folder / "out", folder / "one")
+    assert_same("mixture", folder / "out", converged)
     assert not (folder / "out" / "checkpoints").exists()
 
 

@@ -202,6 +202,7 @@ def test_identifiability_is_the_information_of_the_covariance(linear):
     assert_allclose(found.remaining_sd * PRIOR_SD, np.sqrt(np.diag(covariance)), rtol=1e-3)
 
 
+@pytest.mark.usefixtures("refits")
 def test_draws_have_the_moments_of_closed_form(linear):
     from fmu import sample
     from fmu.analysis.convergence.diagnostics import summary

@@ -49,7 +49,7 @@ def problem():
 
 
 @pytest.fixture(scope="module")
-def traces(problem):
+def traces(problem, refits):
     return {"hmc": fmu.sample(problem, "hmc", draws=500, warmup=200, chains=4)}
 
 
