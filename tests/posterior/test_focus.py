@@ -40,9 +40,9 @@ def problem(request, load_case):
 
 @pytest.fixture(scope="module")
 def over_the_box(problem):
-    """Return every corner of the box and 400 random points, with the modes of both models there."""
+    """Return every corner of the box and 200 random points, with the modes of both models there."""
     corners = np.array(list(product(*zip(problem.lower, problem.upper, strict=True))))
-    unit = np.random.default_rng(2026).uniform(size=(400, problem.ndim))
+    unit = np.random.default_rng(2026).uniform(size=(200, problem.ndim))
     theta = np.concatenate([corners, problem.lower + unit * (problem.upper - problem.lower)])
     structure = problem.model
     solves = structure.full_solves
@@ -77,7 +77,7 @@ def test_gradients_are_within_a_hundred_thousandth_over_the_box(problem, over_th
 
 
 def test_log_prob_is_within_its_tolerance_at_plausible_points(problem):
-    theta = plausible_points(problem, 250, np.random.default_rng(314))
+    theta = plausible_points(problem, 100, np.random.default_rng(314))
     full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)

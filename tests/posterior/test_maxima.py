@@ -160,5 +160,5 @@ def test_modal_residual_is_climbed_too(chain):
     problem = UpdatingProblem.reduced(chain, data, parameters, error="modal-residual", beta=30.0)
     maxima = local_maxima(problem, starts=8)
     assert sum(m.starts for m in maxima) == 8
-    grid = np.stack(np.meshgrid(*2 * [np.linspace(0.1, 4.0, 60)]), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(0.1, 4.0, 30)]), axis=-1).reshape(-1, 2)
     assert maxima[0].log_prob >= np.max(problem.log_prob(grid))
