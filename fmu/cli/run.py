@@ -22,7 +22,7 @@ from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.phases import told_to
 from fmu.runs import Checkpoint
-from fmu.sampling import DEFAULT_SAMPLER, DEFAULTS, INITS, SAMPLERS, StoppedRun
+from fmu.sampling import DEFAULT_SAMPLER, DEFAULTS, INITS, SAMPLERS, StoppedRun, default_sampler
 
 if TYPE_CHECKING:
     from fmu.engines.base import Engine
@@ -48,8 +48,8 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("case", required=False)
-@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), default=(DEFAULT_SAMPLER,),
-              show_default=True, help="Sampler. Repeat the option for several.")  # fmt: skip
+@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), help="Sampler. Repeat the "
+              "option for several.  [default: mixture; hmc where parameters scatter over tests]")  # fmt: skip
 @pairing_option
 @click.option("--draws", type=_FROM_1, help="Draws kept per chain, whether that is enough or not. Without it, "
               "every sampler draws until it has converged.")  # fmt: skip
@@ -129,6 +129,8 @@ def run(
         try:
             with _reporting(progress, running) as report:
                 problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)
+                samplers = asked.orders["samplers"] or (default_sampler(problem),)
+                asked = replace(asked, orders={**asked.orders, "samplers": samplers})
                 if resume is None and speaks:
                     _echo_estimate(problem, asked.orders, at_work.workers)
                 outcome = sampled(problem, asked, running, at_work, report, speaks)
@@ -171,7 +173,7 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
         from fmu.samplers.loop.run import n_groups
         from fmu.samplers.registry import named
 
-        for sampler in map(named, orders["samplers"]):
+        for sampler in map(named, orders["samplers"] or (DEFAULT_SAMPLER,)):
             if sampler.walkers == 1:  # each ensemble is a group
                 n_groups(orders["groups"], orders["chains"], sampler)
     return replace(problem, orders=orders)

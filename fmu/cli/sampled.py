@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 class Sampled(NamedTuple):
     """The results of a run: the maxima and, for each sampler, its trace and the summary of the trace."""
 
-    maxima: Maxima
+    maxima: Maxima | None
     traces: dict[str, xr.DataTree]
     summaries: dict[str, pd.DataFrame]
 
@@ -63,14 +63,14 @@ def sampled(
         If Ctrl-C or SIGTERM stopped a sampler; what it had drawn is written too.
     """
     from fmu.analysis.convergence.diagnostics import summary
-    from fmu.analysis.maxima.search import STARTS, default_starts, find_map
+    from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
     from fmu.analysis.trace.conversion import load_trace
     from fmu.runs.maxima import keep_maxima, kept_maxima
     from fmu.samplers.registry import planned
 
     with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
         maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
-        if maxima is None:
+        if maxima is None and is_searchable(problem):
             starts = asked.orders["starts"] or default_starts(problem)
             if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long
                 click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
@@ -96,7 +96,8 @@ def sampled(
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
                     running.finished(name, asked)
-    _write_csv(maxima.table(), running.path / "map.csv")
+    if maxima is not None:
+        _write_csv(maxima.table(), running.path / "map.csv")
     return outcome
 
 
@@ -159,7 +160,8 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     from fmu.analysis.evidence import found_evidences
 
     _, traces, summaries = outcome
-    click.echo(f"Posterior maxima\n{outcome.maxima}\n")
+    if outcome.maxima is not None:
+        click.echo(f"Posterior maxima\n{outcome.maxima}\n")
     for name, trace in traces.items():
         echo_summary(name, trace, summaries[name])
         _echo_failed_points(name, trace, directory, problem)

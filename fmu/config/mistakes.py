@@ -124,7 +124,13 @@ def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
     """Return a location without the kinds of values and tables that pydantic inserts after a key."""
     parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
     number = parts[1:2]
-    several = (["model"], ["parameters", *number, "prior"], ["noise", *number, "prior"], ["error", *number])
+    of_parameter = (["prior"], ["loss"], ["population", "sd"], ["slopes", *parts[3:4]])
+    several = (
+        ["model"],
+        *(["parameters", *number, *keys] for keys in of_parameter),
+        ["noise", *number, "prior"],
+        ["error", *number],
+    )
     for parent in several:
         kind = len(parent)
         if parts[:kind] == parent:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fmu.config.mistakes import Mistake, got
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
@@ -79,8 +79,40 @@ class Uncertain(TomlTable):
         return parameter
 
 
+PriorTable = Annotated[Declared, OneOf("distribution", PRIORS)]
+
+
+class PopulationTable(TomlTable):
+    """The distribution of a parameter over several tests, which is inferred."""
+
+    distribution: Literal["normal", "log-normal"] = "normal"
+    """Of the values, truncated to the bounds."""
+    sd: PriorTable | None = None
+    """Prior of its standard deviation, or of the logarithm's; half-normal if not given."""
+
+
 class ParameterTable(Uncertain, Target):
     """A parameter; of a frame, with the quantities that it updates."""
+
+    varies: Literal["shared", "test", "group", "population", "damage"] | None = None
+    """With [[tests]]: one value for all, one per test or group, values that scatter, or losses of later groups."""
+    population: PopulationTable | None = None
+    """With varies = "population"."""
+    slopes: dict[Name, PriorTable] = {}
+    """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C."""
+    loss: PriorTable | None = None
+    """With varies = "damage": prior of each loss; normal about 0, sd 0.3, if not given."""
+    sparse: bool = False
+    """With varies = "damage": few parameters are damaged, and all losses share the regularised horseshoe."""
+
+    @model_validator(mode="after")
+    def _what_varies(self) -> Self:
+        for key, kind in (("population", "population"), ("loss", "damage"), ("sparse", "damage")):
+            if key in self.model_fields_set and self.varies != kind:
+                raise ValueError(f'{key}: must be given with varies = "{kind}" (got {self.varies})')
+        if self.sparse and self.loss is not None:
+            raise ValueError("loss: must not be given with sparse, which is a prior")
+        return self
 
     def is_positive(self) -> bool:
         """Say whether bounds or prior keep the parameter positive."""
@@ -122,6 +154,16 @@ def built(
         except ValueError as error:
             found.append(Mistake.of(f"{key}.{i}", str(error).removeprefix(f"{table.name}.")))
     return parameters, found
+
+
+def of_several_tests(tables: Sequence[ParameterTable]) -> list[Mistake]:
+    """Return a mistake for each key that needs several tests."""
+    return [
+        Mistake(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
+        for i, table in enumerate(tables)
+        for key in ("varies", "population", "slopes", "loss", "sparse")
+        if key in table.model_fields_set
+    ]
 
 
 def without_targets(tables: Sequence[ParameterTable]) -> list[Mistake]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,12 +14,15 @@ from fmu.config.frame import FrameTable
 from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
-from fmu.config.parameters import NoiseTable, ParameterTable, built
+from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
 from fmu.config.python import PythonTable
 from fmu.config.tables import Built, Name, Positive, TomlTable, by_kind
+from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, moved, variations
 from fmu.engines.base import Engine
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.joint.joint_problem import JointProblem, TestsError
+from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.train_reduced import LOOSEST_FREQUENCY
 
@@ -57,8 +61,12 @@ class ProblemFile(TomlTable):
     that this would not pay, it is kept where the posterior has its mass, and 1e-3 elsewhere."""
     model: Annotated[FrameTable | MatricesTable | PythonTable, Field(discriminator="type")]
     """The structure: type "frame", "matrices" or "python"."""
-    measurement: MeasurementTable
+    measurement: MeasurementTable | None = None
     """The modes of a test."""
+    tests: Annotated[list[TestTable], Field(min_length=2, max_length=MOST_TESTS)] | None = None
+    """Several tests of the structure, instead of one measurement."""
+    reference: str | None = None
+    """The group of tests that losses refer to; that of the first one if not given."""
     parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
     """What is uncertain, in the order of theta."""
 
@@ -93,16 +101,18 @@ class ProblemFile(TomlTable):
         noise, wrong = built("noise", self.noise, [table.name for table in self.parameters])
         tables = [] if isinstance(self.error, str) else self.error
         errors, unnamed = built_errors(tables, noise, [table.name for table in self.noise])
-        found += wrong + unnamed + self.measurement.mistakes(needs_trust=not errors)
+        found += wrong + unnamed + self._of_measurements(needs_trust=not errors)
         if found:
             raise ConfigurationError(source, found)
         try:
             structure = self.model.build(folder, self.parameters)
+            if self.tests is not None:
+                return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             data = self._data(folder, structure, beta)
             wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(wrong)
-            trust = self.measurement.beta if beta is None else beta
+            trust = self.measured.beta if beta is None else beta
             return UpdatingProblem.reduced(
                 structure.model,
                 data,
@@ -120,12 +130,67 @@ class ProblemFile(TomlTable):
         except ValueError as error:
             raise ConfigurationError(source, [Mistake("", str(error))]) from error
 
+    def _of_measurements(self, needs_trust: bool) -> list[Mistake]:
+        """Return the mistakes in what was measured that its tables alone show."""
+        if (self.measurement is None) == (self.tests is None):
+            given = "none" if self.tests is None else "both"
+            return [Mistake("measurement", f"must be given, or several [[tests]] instead (got {given})")]
+        if self.tests is None:
+            of_one = (
+                [] if self.reference is None else [Mistake("reference", "is allowed with several [[tests]] only")]
+            )
+            return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
+        return [
+            moved(mistake, "measurement", f"tests.{i}")
+            for i, table in enumerate(self.tests)
+            for mistake in table.mistakes(needs_trust)
+        ]
+
+    @property
+    def measured(self) -> MeasurementTable:
+        """The measurement, of a file with one."""
+        if self.measurement is None:
+            raise ValueError("measurement: a file with several tests has none")
+        return self.measurement
+
+    def _joint(
+        self,
+        folder: Path,
+        structure: Built,
+        parameters: Mapping[str, Parameter],
+        errors: Any,
+        pairing: str | None,
+        beta: Any,
+        engine: Engine | None,
+    ) -> JointProblem:
+        """Return the problem of several tests."""
+        if beta is not None:
+            raise ValueError(f"beta: must not be given for several tests (got {beta})")
+        tests, found = built_tests(self.tests or [], folder, structure, isinstance(self.error, str))
+        if found:
+            raise BrokenError(found)
+        try:
+            return JointProblem(
+                structure.model,
+                tests,
+                list(parameters.values()),
+                **variations(self.parameters),
+                reference=self.reference,
+                pairing=pairing or self.pairing,
+                error=errors or self.error,
+                reduction=self.reduction,
+                engine=engine,
+                name=f"{self.name}, by {pairing or self.pairing}",
+            )
+        except TestsError as error:
+            raise BrokenError(in_the_file(error, self.parameters)) from None
+
     def _data(self, folder: Path, built: Built, beta: Any) -> ModalData:
         """Return the measured data, without their own uncertainty where `beta` replaces it."""
-        data = self.measurement.build(folder, built, needs_trust=isinstance(self.error, str))
+        data = self.measured.build(folder, built, needs_trust=isinstance(self.error, str))
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)
-        if self.error == "modal-residual" and self.measurement.beta is None:
+        if self.error == "modal-residual" and self.measured.beta is None:
             raise BrokenError([Mistake("measurement.beta", "must be given for the modal residual, as a number")])
         return data
 

@@ -1,0 +1,133 @@
+"""``[[tests]]``: several tests of one structure, and what varies between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from fmu.config.measurement import MeasurementTable
+from fmu.config.mistakes import BrokenError, Mistake
+from fmu.config.parameters import ParameterTable
+from fmu.config.tables import Built, Name, ParameterName, TomlTable
+from fmu.posterior.joint.damage import Damage
+from fmu.posterior.joint.joint_problem import TestsError
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.population import Population
+from fmu.types import Direction
+
+MOST_TESTS = 2000
+
+
+class AddedMass(TomlTable):
+    """A point mass that was added for a test; a negative one was taken away."""
+
+    place: int | str
+    """Node or named place."""
+    mass: float
+    """kg"""
+
+
+class AddedSpring(TomlTable):
+    """A spring to the ground that was added for a test; a negative one was taken away."""
+
+    place: int | str
+    """Node or named place."""
+    direction: Direction
+    stiffness: float
+    """N/m or N·m/rad"""
+
+
+class TestTable(MeasurementTable):
+    """One of several tests: its modes, as in ``[measurement]``, and what is known to differ in it."""
+
+    __test__ = False
+
+    name: ParameterName
+    """For tables and figures."""
+    group: Annotated[str, Field(max_length=100)] = ""
+    """State, place or season that several tests share."""
+    covariates: dict[Name, float] = {}
+    """What may have changed the structure, such as the temperature."""
+    masses: list[AddedMass] = []
+    springs: list[AddedSpring] = []
+    known: dict[Name, float] = {}
+    """Parameters whose values are known in this test."""
+
+    def test(self, number: int, folder: Path, built: Built, needs_trust: bool) -> Test:
+        """Return the test; BrokenError, with places in the file, if its modes cannot be built."""
+        where = f"tests.{number}"
+        try:
+            data = self.build(folder, built, needs_trust)
+        except BrokenError as error:
+            raise BrokenError([moved(mistake, "measurement", where) for mistake in error.mistakes]) from None
+        if self.beta is not None:
+            data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
+        place = {str(name): node for name, node in built.places.items()}
+        try:
+            return Test(
+                self.name,
+                data,
+                self.group,
+                dict(self.covariates),
+                {place.get(str(one.place), one.place): one.mass for one in self.masses},
+                {(place.get(str(one.place), one.place), one.direction): one.stiffness for one in self.springs},
+                dict(self.known),
+            )
+        except ValueError as error:
+            raise BrokenError([Mistake.of(where, error)]) from None
+
+
+def moved(mistake: Mistake, old: str, new: str) -> Mistake:
+    """Return a mistake at another place."""
+    where = mistake.where
+    return Mistake(new + where.removeprefix(old), mistake.rule) if where.startswith(old) else mistake
+
+
+def built_tests(
+    tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
+) -> tuple[list[Test], list[Mistake]]:
+    """Return the tests, and the mistakes in their tables."""
+    tests: list[Test] = []
+    found: list[Mistake] = []
+    for number, table in enumerate(tables):
+        try:
+            tests.append(table.test(number, folder, built, needs_trust))
+        except BrokenError as error:
+            found += error.mistakes
+    return tests, found
+
+
+def variations(tables: Sequence[ParameterTable]) -> dict[str, Any]:
+    """Return the arguments `varies` and `slopes` of `fmu.JointProblem`."""
+    varies: dict[str, Any] = {}
+    for table in tables:
+        if table.varies == "population":
+            given = table.population
+            varies[table.name] = (
+                Population()
+                if given is None
+                else Population(given.distribution, None if given.sd is None else given.sd.build())
+            )
+        elif table.varies == "damage":
+            varies[table.name] = Damage(None if table.loss is None else table.loss.build(), table.sparse)
+        elif table.varies is not None:
+            varies[table.name] = table.varies
+    slopes = {t.name: {name: prior.build() for name, prior in t.slopes.items()} for t in tables if t.slopes}
+    return {"varies": varies, "slopes": slopes}
+
+
+def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[Mistake]:
+    """Return the mistakes of tests that do not fit together, where they are in the file."""
+    number = {table.name: i for i, table in enumerate(tables)}
+    found = []
+    for said in error.mistakes:
+        mistake = Mistake.of("", said)
+        key, _, name = mistake.where.partition(".")
+        if key in ("varies", "slopes") and name in number:
+            mistake = Mistake(f"parameters.{number[name]}.{key}", mistake.rule)
+        found.append(mistake)
+    return found
