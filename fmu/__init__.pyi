@@ -5,7 +5,6 @@ from .analysis.check import check as check
 from .analysis.convergence.diagnosis import compare as compare
 from .analysis.convergence.diagnosis import diagnose as diagnose
 from .analysis.convergence.diagnostics import summary as summary
-from .analysis.damage import damage as damage
 from .analysis.evidence import evidence as evidence
 from .analysis.held_out.modes import leave_one_out as leave_one_out
 from .analysis.identifiability import identifiability as identifiability
@@ -15,6 +14,7 @@ from .analysis.pairing_changes import pairing_changes as pairing_changes
 from .analysis.prediction import expectation as expectation
 from .analysis.trace.conversion import load_trace as load_trace
 from .analysis.trace.conversion import save_trace as save_trace
+from .analysis.trace.damage import damage as damage
 from .config import load as load
 from .engines import engine as engine
 from .fem.black_box import BlackBoxModel as BlackBoxModel

@@ -22,6 +22,7 @@ from fmu.fem.frame.drawing import changed_elements, drawn, parameter_colours, sk
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
+from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import prior_doubts
 from fmu.tables import data_frame, text_table, wrapped
@@ -41,6 +42,11 @@ _TRANSLATIONS = ("x", "y", "z")
 def model_in_words(problem: UpdatingProblem) -> list[str]:
     """Describe the model of a problem: its size, decoupled blocks, mass and reduced model."""
     model = problem.model.as_structure()
+    if isinstance(problem, JointProblem):
+        n, unknowns = len(problem.model.configurations), " + ".join(map(str, problem.model.reduced_sizes))
+        many = "" if n == 1 else f" in {n} configurations, each with matrices of its own"
+        reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
+        return [f"{len(problem.tests)} tests of one structure{many}.{reduced}"]
     if model is None:
         return [f"The model is the function {problem.model.name}, treated as a black box."]
     structure = model.structure

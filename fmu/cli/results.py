@@ -51,7 +51,7 @@ def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> N
 
     For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
     """
-    from fmu.analysis.damage import damage, probably
+    from fmu.analysis.trace.damage import damage, probably
     from fmu.report.export import chosen
     from fmu.report.plots import DPI, plot_losses
 

@@ -29,7 +29,11 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     A last column says what each value comes from, if that is known; those that the data did not inform are dim.
     """
     from fmu.analysis.information import information
+    from fmu.analysis.trace.reading import told_names
 
+    n_all, attributes = len(table), table.attrs
+    table = table.loc[list(told_names(trace))]
+    table.attrs = attributes
     columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
     for column in map(str, table.columns):
         scales = (1.0 if column in _DECIMALS else unit.factor for unit in units)
@@ -39,11 +43,13 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     found = information(trace)
     dim = () if found is None else found.not_informed
     if found is not None:
-        columns["from"] = list(found.basis)
+        columns["from"] = [found.basis[found.names.index(name)] for name in table.index]
     rows = list(zip(*columns.values(), strict=True))
     text = text_table(list(columns), rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
     width = max(map(len, table.index))
     lines = [click.style(line, dim=True) if line[:width].strip() in dim else line for line in text.splitlines()]
+    if len(table) < n_all:
+        lines.append(f"and {n_all - len(table)} scores of single tests, in summary-{name}.csv")
     click.echo("\n".join([name, *lines, ""]))
 
 

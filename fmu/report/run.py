@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fmu.analysis.convergence.diagnosis import Diagnosis, judged, maxima_of
 from fmu.analysis.prediction import predict_frequencies
-from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of
+from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, without_scores
 from fmu.numbers import Unit
 from fmu.posterior.parameters import prior_in_words
 from fmu.report.document import breaking_at_commas
@@ -114,7 +114,13 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
     costs = comparison.T
     return {
         name: ReportedRun(
-            name, trace, summaries[name], verdicts[name], costs[name], maxima_of(trace), _predicted(trace)
+            name,
+            without_scores(trace),
+            summaries[name],
+            verdicts[name],
+            costs[name],
+            maxima_of(trace),
+            _predicted(trace),
         )
         for name, trace in traces.items()
     }

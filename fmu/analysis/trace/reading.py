@@ -10,10 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.posterior.joint.layout import SCORE
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+MANY = 30
+"""Parameters of which a table or a figure can show no more."""
 
 
 def check_trace(trace: Any, origin: str = "trace") -> None:
@@ -52,6 +57,28 @@ def with_group(trace: xr.DataTree, group: str, dataset: xr.Dataset) -> xr.DataTr
 def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the names of the sampled parameters, in the order of theta."""
     return tuple(str(name) for name in trace["posterior"].data_vars)
+
+
+def told_names(trace: xr.DataTree) -> tuple[str, ...]:
+    """Return the parameters that tables and figures show: of many, those that are no scores of single tests."""
+    names = parameter_names(trace)
+    chosen = tuple(name for name in names if SCORE not in name)
+    return chosen if len(names) > MANY and chosen else names
+
+
+def without_scores(trace: xr.DataTree) -> xr.DataTree:
+    """Return a trace with the parameters of `told_names` alone; its group ``tests`` has what the others say."""
+    chosen = list(told_names(trace))
+    if len(chosen) == len(parameter_names(trace)):
+        return trace
+    groups = {name: node.to_dataset() for name, node in trace.children.items()}
+    for name in ("posterior", "warmup_posterior", "prior"):
+        if name in groups:
+            groups[name] = groups[name][chosen]
+    groups["constant_data"] = groups["constant_data"].sel(parameter=chosen)
+    found = type(trace).from_dict(groups)
+    found.attrs = trace.attrs
+    return found
 
 
 def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:

@@ -16,6 +16,8 @@ from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import BoolArray, FloatArray, IntArray
 
 SHARED, BY_TEST, BY_GROUP = "shared", "test", "group"
+SCORE = " score ["
+"""In the name of a score, between those of the parameter and the test."""
 VARIES = (SHARED, BY_TEST, BY_GROUP)
 _FAR = 4.0
 """Standard deviations of a population about its mean within which a reduced model is trained."""
@@ -310,7 +312,7 @@ class Layout:
             if isinstance(how, Population):
                 centre, width = map(add, how.parameters(p))
                 columns[here] = len(scores) + np.arange(len(here))
-                named = (f"{p.name} score [{tests[t].name}]" for t in here)
+                named = (f"{p.name}{SCORE}{tests[t].name}]" for t in here)
                 scores += [Parameter(name, 0.0, prior=Normal(1.0)) for name in named]
                 scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
                 base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.damage import ANY, GROUP, damage, probably
+from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
 from fmu.numbers import share
 from fmu.report.plots.style import (
     BLACK,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.damage import ANY, GROUP, damage, probably
+from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
 from fmu.analysis.trace.reading import has
 from fmu.numbers import decimals, interval, share, shown, with_sd
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Pictures, Text, picture

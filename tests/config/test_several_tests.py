@@ -1,0 +1,160 @@
+"""``[[tests]]``: problem files with several tests of one structure, from the file to the run."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.cli import main
+from fmu.config.mistakes import ConfigurationError
+
+HEAD = """
+name = "two storeys"
+pairing = "index"
+
+[model]
+type = "matrices"
+dofs = [["floor 1", "x"], ["roof", "x"]]
+"""
+MATRICES = """
+[[model.stiffness]]
+matrix = [[2e6, 0.0], [0.0, 0.0]]
+powers = { k1 = 1 }
+
+[[model.stiffness]]
+matrix = [[2e6, -2e6], [-2e6, 2e6]]
+powers = { k2 = 1 }
+
+[[model.mass]]
+matrix = [[1000.0, 0.0], [0.0, 1000.0]]
+"""
+K1 = '[[parameters]]\nname = "k1"\nstart = 1.0\nlower = 0.5\nupper = 1.5\n'
+K2 = '[[parameters]]\nname = "k2"\nstart = 1.0\nlower = 0.5\nupper = 1.5\n'
+PLAIN = '[[tests]]\nname = "plain"\ngroup = "old"\nfrequencies = [4.4, 11.5]\nsd = 0.02\n'
+LOADED = (
+    '[[tests]]\nname = "loaded"\ngroup = "new"\nfrequencies = [4.0, 11.2]\nbeta = 1250.0\n'
+    'masses = [{ place = "roof", mass = 300.0 }]\n'
+    'springs = [{ place = "floor 1", direction = "x", stiffness = 1e4 }]\n'
+)
+
+
+def written(tmp_path, *parts, head=HEAD):
+    path = tmp_path / "building.toml"
+    path.write_text("\n".join([head, MATRICES, *parts]))
+    return path
+
+
+def mistakes(path):
+    with pytest.raises(ConfigurationError) as told:
+        fmu.load(path)
+    return [str(mistake) for mistake in told.value.mistakes]
+
+
+def test_two_configurations(tmp_path):
+    problem = fmu.load(written(tmp_path, K1, K2 + 'varies = "group"\n', PLAIN, LOADED))
+    assert isinstance(problem, fmu.JointProblem)
+    assert problem.names == ("k1", "k2 [old]", "k2 [new]")
+    loaded = problem.tests[1]
+    assert dict(loaded.masses) == {"roof": 300.0}
+    assert dict(loaded.springs) == {("floor 1", "x"): 1e4}
+    assert_allclose(loaded.data.sd_hz, 0.02)
+    K = np.array([[4e6 + 1e4, -2e6], [-2e6, 2e6]])
+    exact = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(np.diag([1000.0, 1300.0]), K)))) / (2 * np.pi)
+    assert_allclose(problem.frequencies([1.0, 1.0, 1.0])[2:], exact, rtol=1e-8)
+
+
+def test_populations_slopes_and_losses(tmp_path):
+    temperature = "covariates = { temperature = 5.0 }\n"
+    sd = '{ distribution = "half-normal", sd = 0.1 }'
+    of_k1 = f'varies = "population"\npopulation = {{ distribution = "log-normal", sd = {sd} }}\n'
+    of_k2 = 'varies = "damage"\nloss = { distribution = "uniform" }\n'
+    slope = 'slopes = { temperature = { distribution = "normal", sd = 0.005 } }\n'
+    third = (
+        LOADED.replace("loaded", "again").replace("beta = 1250.0", "sd = 0.02")
+        + "covariates = { temperature = 20.0 }\n"
+    )
+    path = written(tmp_path, K1 + of_k1 + slope, K2 + of_k2, PLAIN + temperature, LOADED + temperature, third)
+    problem = fmu.load(path)
+    assert problem.names[:4] == ("k1 median", "k1 log sd", "k1 per temperature", "k2")
+    assert problem.names[4:] == ("k2 loss [new]", *(f"k1 score [{name}]" for name in ("plain", "loaded", "again")))
+    assert problem.parameters[1].prior == fmu.HalfNormal(0.1)
+    assert problem.parameters[4].prior == fmu.Uniform()
+
+
+def test_every_mistake_at_its_place(tmp_path):
+    wrong = PLAIN.replace("[4.4, 11.5]", "[4.4, 11.5, -1.0]")
+    assert mistakes(written(tmp_path, K1, K2, wrong, LOADED)) == [
+        "tests.0.frequencies.2: must be greater than 0 (got -1.0)"
+    ]
+    assert mistakes(written(tmp_path, K1, K2, PLAIN.replace("sd = 0.02", ""), LOADED)) == [
+        "tests.0: must have either sd or beta or covariance (got [])"
+    ]
+    same = LOADED.replace('name = "loaded"', 'name = "plain"')
+    slope = 'slopes = { temperature = { distribution = "normal", sd = 0.005 } }\n'
+    assert mistakes(written(tmp_path, K1 + slope, K2, PLAIN, same)) == [
+        "tests.1.name: must not be that of tests.0 (got 'plain')",
+        "tests.0.covariates: must have temperature, on which k1 depends (got none)",
+        "tests.1.covariates: must have temperature, on which k1 depends (got none)",
+    ]
+    known = PLAIN + "known = { k1 = 1.0 }\n"
+    assert mistakes(written(tmp_path, K1 + 'varies = "test"\n', K2, known, LOADED)) == [
+        "parameters.0.varies: varies by test, and needs two tests or more (got 1)"
+    ]
+    nowhere = LOADED.replace('place = "roof"', 'place = "cellar"')
+    assert mistakes(written(tmp_path, K1, K2, PLAIN, nowhere)) == [
+        "tests.1.masses.cellar: must be a place that is free to move (got 'cellar')"
+    ]
+    assert mistakes(written(tmp_path, K1, K2, PLAIN, LOADED.replace("300.0", "nan"))) == [
+        "tests.1.masses.0.mass: must be a finite number (got nan)"
+    ]
+    other = LOADED.replace("beta = 1250.0", 'sd = 0.02\nlabels = ["p", "q"]')
+    assert len(mistakes(written(tmp_path, K1, K2, PLAIN, other))) == 2
+    assert mistakes(written(tmp_path, K1 + "sparse = true\n", K2, PLAIN, LOADED)) == [
+        'parameters.0.sparse: must be given with varies = "damage" (got None)'
+    ]
+
+
+def test_one_measurement_or_several_tests(tmp_path):
+    measurement = "[measurement]\nfrequencies = [4.4, 11.5]\nsd = 0.02\n"
+    assert mistakes(written(tmp_path, K1, K2)) == [
+        "measurement: must be given, or several [[tests]] instead (got none)"
+    ]
+    assert mistakes(written(tmp_path, K1, K2, measurement, PLAIN, LOADED)) == [
+        "measurement: must be given, or several [[tests]] instead (got both)"
+    ]
+    assert mistakes(written(tmp_path, K1 + 'varies = "test"\n', K2, measurement)) == [
+        "parameters.0.varies: is allowed with several [[tests]] only"
+    ]
+
+
+def test_check_run_and_damage(tmp_path):
+    """From the file to the losses, by the commands; a population has no maxima to search for."""
+    losses = written(tmp_path, K1 + 'varies = "damage"\n', K2, PLAIN, LOADED)
+    runner = CliRunner()
+    checked = runner.invoke(main, ["check", str(losses), "--out", str(tmp_path / "check")])
+    assert checked.exit_code == 0, checked.output
+    assert "2 tests of one structure in 2 configurations" in checked.output
+    out = tmp_path / "run"
+    short = ["--draws", "60", "--warmup", "60", "--starts", "4", "--no-report", "--out", str(out)]
+    ran = runner.invoke(main, ["run", str(losses), *short])
+    assert ran.exit_code == 0, ran.output
+    told = runner.invoke(main, ["damage", str(out), "--beyond", "0.05"])
+    assert told.exit_code == 0, told.output
+    assert "P(loss > 5 %)" in told.output
+    assert (out / "damage.png").is_file()
+
+    of_both = 'varies = "population"\n'
+    again = LOADED.replace("loaded", "again")
+    scattered = written(tmp_path, K1 + of_both, K2 + of_both, PLAIN, LOADED, again)
+    out = tmp_path / "scattered"
+    ran = runner.invoke(
+        main, ["run", str(scattered), "--draws", "40", "--warmup", "40", "--no-report", "--out", str(out)]
+    )
+    assert ran.exit_code == 0, ran.output
+    assert (out / "hmc.nc").is_file()
+    assert not (out / "map.csv").exists()
+    assert set(fmu.load_trace(out / "hmc.nc").children) >= {"tests", "next_test"}
+    assert tomllib.loads((out / "problem.toml").read_text())["tests"][2]["name"] == "again"
