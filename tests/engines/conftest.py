@@ -28,8 +28,8 @@ def local_cluster():
     return start
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def dask_processes(local_cluster):
-    """Two idle processes take some per cent of a core: they end with the tests of this folder."""
+    """Two idle processes take some per cent of a core: they end with the tests of a file."""
     with local_cluster(2) as cluster:
         yield cluster
