@@ -52,6 +52,7 @@ def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> N
     For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
     """
     from fmu.analysis.trace.damage import damage, probably
+    from fmu.numbers import fixed
     from fmu.report.export import chosen
     from fmu.report.plots import DPI, plot_losses
 
@@ -61,7 +62,7 @@ def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> N
     for (state, name), (mean, _, low, high, *exceeded) in zip(
         table.index.tolist(), table.to_numpy().tolist(), strict=True
     ):
-        loss = (f"{100.0 * x:.1f} %" for x in (mean, low, high))
+        loss = (f"{fixed(100.0 * x, 1)} %" for x in (mean, low, high))
         rows.append([state, name, *loss, *map(probably, exceeded)])
     header = ["state", "parameter", "loss", "5 %", "95 %", *map(str, table.columns[4:])]
     click.echo(text_table(header, rows, words=[0, 1]))

@@ -205,7 +205,8 @@ def schema() -> dict[str, Any]:
         section exists, only `fmu.load` checks.
     """
     found = _for_toml(ProblemFile.model_json_schema())
-    return {"$schema": DIALECT, "title": TITLE} | found
+    one = [{"required": [key]} for key in ("measurement", "tests")]
+    return {"$schema": DIALECT, "title": TITLE} | found | {"oneOf": one}
 
 
 def _for_toml(part: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.trace.reading import has
-from fmu.numbers import share
+from fmu.numbers import share, whole
 from fmu.tables import data_frame
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ ANY = "any"
 
 def probably(p: float) -> str:
     """Return a probability estimated from draws in per cent: ``"32 %"``, and ``"< 1 %"`` or ``"> 99 %"``."""
-    return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{100.0 * p:.0f} %"
+    return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{whole(round(100.0 * p))} %"
 
 
 def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.DataFrame:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike as ArrayLike  # the inherited annotations are
 from scipy.special import digamma, gammaln, ndtri, polygamma, stdtr
 
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.numbers import given
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.frequency import FrequencyErrors, FrequencyTerm
@@ -50,7 +51,7 @@ class StudentErrors(FrequencyErrors):
         """
         least = self.freedom.lower if isinstance(self.freedom, Parameter) else self.freedom
         if not least >= LEAST_FREEDOM:
-            raise ValueError(f"freedom: must be at least {LEAST_FREEDOM:g} (got {least})")
+            raise ValueError(f"freedom: must be at least {given(LEAST_FREEDOM)} (got {least})")
         gaussian = super().bind(data, index)
         if not isinstance(gaussian, FrequencyTerm):
             raise ValueError("freedom: Student's errors are independent, and the data have a covariance")

@@ -6,7 +6,7 @@ import numpy as np
 
 from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
 from fmu.analysis.trace.reading import has
-from fmu.numbers import decimals, interval, share, shown, with_sd
+from fmu.numbers import decimals, fixed, interval, share, shown, with_sd
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.tests import plot_losses, plot_values
 from fmu.report.run import ReportedRun
@@ -68,7 +68,7 @@ def _next_test(run: ReportedRun) -> PageTable:
         low, lower, middle, upper, high = np.quantile(draws, (0.05, 0.25, 0.5, 0.75, 0.95)).tolist()
         places = decimals(float(draws.std()))
         rows.append(
-            (str(mode), f"{middle:.{places}f}", interval(lower, upper, places), interval(low, high, places))
+            (str(mode), fixed(middle, places), interval(lower, upper, places), interval(low, high, places))
         )
     return PageTable(
         "The next test like the first one, Hz: variability, uncertainty and measurement error together",
@@ -90,7 +90,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     ):
         what, places = "the largest of all" if name == ANY else name, decimals(100.0 * sd)
         ends = interval(100.0 * low, 100.0 * high, places)
-        rows.append((state, what, f"{100.0 * mean:.{places}f} %", f"{ends} %", *map(probably, exceeded)))
+        rows.append((state, what, f"{fixed(100.0 * mean, places)} %", f"{ends} %", *map(probably, exceeded)))
     columns = ("state", "parameter", "loss", "90 %", *(f"P(loss > {share(x)})" for x in _BEYOND))
     words = Text(
         f"The share of each parameter that was lost since the reference, {reference!r}, from all tests together. "

@@ -1,0 +1,89 @@
+"""What the plots and sections of several tests show: values, populations, the next test, losses."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.report.document import Omitted, PageTable
+from fmu.report.plots import plot_losses, plot_values
+from fmu.report.run import runs_of
+from fmu.report.sections import tests
+
+
+def measured(k, noise=0.01, seed=3):
+    """Return a test of one mass on a spring for each stiffness k, f² = k/(4π²)."""
+    rng = np.random.default_rng(seed)
+    f = np.sqrt(k) / (2 * np.pi) * (1 + noise * rng.standard_normal(len(k)))
+    data = [fmu.ModalData([one], sd_hz=noise * one) for one in f]
+    return [fmu.Test(f"t{i}", one, group="old" if i < 2 else "new") for i, one in enumerate(data)]
+
+
+def drawn(k, varies):
+    model = fmu.SeparableModel.from_terms(["k"], [(np.eye(1), "k")], [np.eye(1)])
+    problem = fmu.JointProblem(
+        model,
+        measured(np.asarray(k)),
+        [fmu.Parameter("k", 1.0, 0.5, 1.5, unit="N/m")],
+        varies={"k": varies},
+        pairing="index",
+    )
+    return fmu.sample(problem, "hmc", draws=150, warmup=100, chains=2, seed=1)
+
+
+@pytest.fixture(scope="module")
+def scattered():
+    return drawn([0.9, 1.0, 1.05, 1.1, 0.95], fmu.Population())
+
+
+@pytest.fixture(scope="module")
+def weakened():
+    return drawn([1.0, 1.0, 0.7, 0.7], "group")
+
+
+def test_every_value_stands_in_its_test(scattered):
+    (axis,) = plot_values(scattered)
+    values = scattered["tests"]["k"].to_numpy().reshape(-1, 5)
+    (bars,) = axis.containers
+    assert_allclose(bars.lines[0].get_ydata(), values.mean(axis=0) / 1e3, rtol=1e-12)
+    assert axis.get_ylabel() == "k / kN/m"
+    assert [label.get_text() for label in axis.get_xticklabels()] == [f"t{i}" for i in range(5)]
+
+
+def test_the_section_tells_variability_from_uncertainty(scattered):
+    (run,) = runs_of({"hmc": scattered}).values()
+    parts = tests.population(run).parts
+    scatter, following = (part for part in parts if isinstance(part, PageTable))
+    assert scatter.header == ("parameter", "mean", "unit", "sd over the tests", "of the mean")
+    assert scatter.rows[0][0] == "k"
+    mean, sd = (number.split(" ± ") for number in (scatter.rows[0][1], scatter.rows[0][3]))
+    posterior = scattered["posterior"]
+    for (middle, error), name in ((mean, "k mean"), (sd, "k sd")):
+        of = posterior[name].to_numpy() / 1e3
+        assert float(middle.split()[0]) == pytest.approx(of.mean(), abs=0.1 * of.std())
+        assert float(error.split()[0]) == pytest.approx(of.std(), rel=0.1)
+    draws = scattered["next_test"]["frequency"].to_numpy().ravel()
+    ((_, median, half, most),) = following.rows
+    assert float(median) == pytest.approx(np.median(draws), abs=0.01 * draws.std())
+    lower, upper = map(float, half.split(" to "))
+    low, high = map(float, most.split(" to "))
+    assert low < lower < float(median) < upper < high
+    assert isinstance(tests.losses(run), Omitted)
+
+
+def test_losses_are_drawn_with_their_probability(weakened):
+    (axis,) = plot_losses(weakened, 0.2)
+    losses = weakened["loss"]["k"].sel(state="new").to_numpy().ravel()
+    assert axis.get_title(loc="left") == "new"
+    assert axis.texts[0].get_text() == "> 99 %"
+    assert_allclose(axis.lines[2].get_ydata(), 100.0 * np.quantile(losses, (0.05, 0.95)), rtol=1e-9)
+    (unlikely,) = plot_losses(weakened, 0.6)
+    assert unlikely.texts[0].get_text() == "< 1 %"
+
+
+def test_the_section_names_what_was_lost(weakened):
+    (run,) = runs_of({"hmc": weakened}).values()
+    (table,) = (part for part in tests.losses(run).parts if isinstance(part, PageTable))
+    assert [row[:2] for row in table.rows] == [("new", "k"), ("new", "the largest of all")]
+    assert float(table.rows[0][2].removesuffix(" %")) == pytest.approx(30.0, abs=4.0)
+    assert isinstance(tests.population(run), Omitted)
