@@ -2,8 +2,10 @@
 
     python -m tests.validation.several_tests OUT_DIRECTORY [--replicates N] [--seed N] [--kept FILE] [--only STUDY]
 
-Three studies of simulated shear buildings, written to several-tests.md. Exit code 1 where a gate fails.
+Four studies of simulated shear buildings, written to several-tests.md. Exit code 1 where a gate fails.
 
+- Scatter: as the tests grow from 5 to 100, the error of the population's mean falls as 1/√n, and the population's
+  standard deviation is found and does not shrink. The mean of the tests ± s/√n, updated with alone, is beside it.
 - Coverage: truths from the prior, hyperparameters among them; ten tests of each, and one more. As many 90 %
   intervals hold mean, sd and the frequencies of the next test as a binomial distribution allows, and the ranks of
   the truth among the draws are uniform (simulation-based calibration).
@@ -18,33 +20,28 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, truncnorm
+from scipy.stats import truncnorm
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.numbers import share, significant
-from fmu.tables import markdown_table
 from fmu.types import FloatArray
-from tests.validation.bands import UniformRanks
 from tests.validation.kept import kept_lines
+from tests.validation.several_tests_page import BEYOND, INTERVAL, RANKED, page
 
 REPLICATES, SEED = 200, 20_281
+SCATTERED = 20
 N_TESTS, NOISE = 10, 0.005
-INTERVAL, ALARM = 0.9, 0.5
-LEVEL = 1e-3
-BEYOND = 0.05
+GROWING, SCATTER, NEXT = (5, 10, 20, 50, 100), 0.08, 200
 LOSSES = (0.0, 0.05, 0.1, 0.2)
-RANKED = 63
-EDGES = (0.0, 0.1, 0.3, 0.7, 0.9, 1.0)
 DEGREES, PER_DEGREE, HOTTEST = 0.003, "temperature", 30.0
 MASS, STIFFNESS = 1000.0, 2e6
+
+
+ERRORS = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors()]
 
 
 def building(storeys: int) -> fmu.SeparableModel:
@@ -67,6 +64,61 @@ def modes(model: fmu.SeparableModel, theta: Any) -> tuple[FloatArray, FloatArray
     return np.sqrt(values) / (2 * np.pi), shapes
 
 
+def _measured(
+    rng: np.random.Generator, model: fmu.SeparableModel, values: FloatArray, sigma: FloatArray
+) -> list[fmu.Test]:
+    """Return a test at each row of values: frequencies with errors of sd sigma, and shapes."""
+    found = []
+    for t, theta in enumerate(values):
+        f, shapes = modes(model, theta)
+        shapes = shapes + 0.02 * rng.standard_normal(shapes.shape)
+        f = f + sigma * rng.standard_normal(f.shape)
+        data = fmu.ModalData(f, sensors=model.dofs, shapes=shapes, sd_hz=sigma, shapes_sd=0.02)
+        found.append(fmu.Test(f"t{t}", data))
+    return found
+
+
+def _scattered(rng: np.random.Generator) -> dict[str, Any]:
+    """Return what 5, 10, … of 100 tests tell of a population, and what their mean does."""
+    model, names = building(2), ("k1", "k2")
+    values = 1.0 + SCATTER * rng.standard_normal((GROWING[-1] + NEXT, 2))
+    sigma = NOISE * modes(model, np.ones(2))[0]
+    tests = _measured(rng, model, values[: GROWING[-1]], sigma)
+    following = np.array([modes(model, theta)[0] for theta in values[GROWING[-1] :]])
+    following = following + sigma * rng.standard_normal(following.shape)
+    parameters = [fmu.Parameter(name, 1.0, 0.3, 2.5) for name in names]
+    population = fmu.Population(sd=fmu.HalfNormal(0.2))
+    found: dict[str, Any] = {"tests": list(GROWING), "truth": SCATTER}
+    keys = ("sd_of_mean", "population_sd", "low", "high", "within", "sd_by_average", "within_by_average")
+    found |= {key: [] for key in keys}
+
+    def within(frequencies: FloatArray) -> float:
+        low, high = np.quantile(frequencies, (0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2), axis=0)
+        return float(np.mean((following >= low) & (following <= high)))
+
+    for n in GROWING:
+        options = {"draws": 300, "warmup": 300, "seed": int(rng.integers(2**31))}
+        varies = dict.fromkeys(names, population)
+        problem: Any = fmu.JointProblem(model, tests[:n], parameters, varies=varies, error=ERRORS)
+        trace = fmu.sample(problem, **options)
+        spread = trace["posterior"]["k1 sd"].to_numpy()
+        low, high = np.quantile(spread, (0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2))
+        of = [trace["posterior"]["k1 mean"].to_numpy().std(), spread.mean(), low, high]
+        of.append(within(trace["next_test"]["frequency"].to_numpy().reshape(-1, 2)))
+        data = fmu.ModalData.from_tests(
+            [test.data.frequencies_hz for test in tests[:n]],
+            sensors=model.dofs,
+            shapes=[test.data.shapes for test in tests[:n]],
+        )
+        problem = fmu.UpdatingProblem(model, data, parameters, error=ERRORS)
+        trace = fmu.sample(problem, **options)
+        theta = np.stack([trace["posterior"][name].to_numpy().ravel() for name in names], axis=1)
+        of += [theta[:, 0].std(), within(problem.simulate_test(rng, problem.model.frequencies(theta), theta))]
+        for key, value in zip(keys, of, strict=True):
+            found[key].append(float(value))
+    return found
+
+
 def _covered(rng: np.random.Generator) -> dict[str, Any]:
     """Return whether intervals hold a truth from the prior, and its ranks."""
     storeys = 2
@@ -78,17 +130,10 @@ def _covered(rng: np.random.Generator) -> dict[str, Any]:
     mean, sd = 1.0 + 0.1 * rng.standard_normal(storeys), np.abs(0.1 * rng.standard_normal(storeys))
     ends = (0.3 - mean) / sd, (2.5 - mean) / sd
     values = truncnorm.rvs(*ends, mean, sd, size=(N_TESTS + 1, storeys), random_state=rng)
-    tests, sigma = [], NOISE * modes(model, np.ones(storeys))[0]
-    floors = [(f"floor {i + 1}", "x") for i in range(storeys)]
-    for t, theta in enumerate(values[:-1]):
-        f, shapes = modes(model, theta)
-        shapes = shapes + 0.02 * rng.standard_normal(shapes.shape)
-        f = f + sigma * rng.standard_normal(storeys)
-        tests.append(
-            fmu.Test(f"t{t}", fmu.ModalData(f, sensors=floors, shapes=shapes, sd_hz=sigma, shapes_sd=0.02))
-        )
-    errors = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors()]
-    problem = fmu.JointProblem(model, tests, parameters, varies=dict.fromkeys(names, population), error=errors)
+    sigma = NOISE * modes(model, np.ones(storeys))[0]
+    tests = _measured(rng, model, values[:-1], sigma)
+    varies = dict.fromkeys(names, population)
+    problem = fmu.JointProblem(model, tests, parameters, varies=varies, error=ERRORS)
     trace = fmu.sample(
         problem, draws=250, warmup=300, seed=int(rng.integers(2**31)), until_ess=100, max_draws=1000
     )
@@ -130,7 +175,7 @@ def _states(rng: np.random.Generator, losses: FloatArray, degrees: Any, as_covar
         [fmu.Parameter(name, 1.0, 0.3, 2.5, prior=fmu.Normal(0.1, 1.0)) for name in names],
         varies=dict.fromkeys(names, fmu.Damage(prior=fmu.Uniform())),
         slopes=slopes,
-        error=[fmu.FrequencyErrors("absolute"), fmu.ShapeErrors()],
+        error=ERRORS,
     )
     return fmu.sample(
         problem, draws=300, warmup=400, maxima=fmu.find_map(problem, 16), seed=int(rng.integers(2**31))
@@ -154,120 +199,14 @@ def _warmed(rng: np.random.Generator) -> dict[str, Any]:
     return found
 
 
-STUDIES = {"covered": _covered, "damaged": _damaged, "warmed": _warmed}
+# in the order of their random numbers
+STUDIES = {"covered": _covered, "damaged": _damaged, "warmed": _warmed, "scattered": _scattered}
 
 
 def studied(study: str, number: int, seed: int) -> dict[str, Any]:
     """Return replicate `number` of a study."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(STUDIES).index(study), number)))
     return {"study": study, "number": number, **STUDIES[study](rng)}
-
-
-@dataclass(frozen=True)
-class Gate:
-    """A statement, what was found, what a right result may be, and whether it is."""
-
-    what: str
-    found: str
-    allowed: str
-    passed: bool
-
-
-def coverage(runs: Sequence[Mapping[str, Any]]) -> list[Gate]:
-    """Return the gates of intervals and ranks."""
-    if not runs:
-        return []
-    gates, n = [], len(runs)
-    names = list(runs[0]["inside"])
-    level = LEVEL / (2 * len(names))
-    for name in names:
-        inside = sum(run["inside"][name] for run in runs)
-        low, high = binom.interval(1.0 - level, n, INTERVAL)
-        what = f"90 % interval of {name} holds the truth"
-        passed = bool(low <= inside <= high)
-        gates.append(Gate(what, f"{inside} of {n}", f"{low:.0f} to {high:.0f}", passed))
-    for name in names:
-        p = UniformRanks(n, RANKED).p_value(np.array([run["ranks"][name] for run in runs]))
-        gates.append(
-            Gate(f"ranks of {name} are uniform", f"p = {significant(p, 2)}", f"p ≥ {level:.1g}", p >= level)
-        )
-    return gates
-
-
-def reliability(runs: Sequence[Mapping[str, Any]]) -> list[Gate]:
-    """Return the gates of P(loss > 5 %): in each class of p, as many losses are larger as p says."""
-    if not runs:
-        return []
-    p = np.concatenate([run["p"] for run in runs])
-    larger = np.concatenate([np.array(run["losses"]) > BEYOND for run in runs])
-    gates = []
-    for low, high in pairwise(EDGES):
-        here = (p >= low) & ((p < high) | (high == 1.0))
-        if not here.any():
-            continue
-        n, mean = int(here.sum()), float(p[here].mean())
-        # of independent losses with these probabilities; the band is that of their mean
-        few, many = binom.interval(1.0 - LEVEL / (len(EDGES) - 1), n, min(max(mean, 1e-9), 1.0 - 1e-9))
-        said = f"P(loss > 5 %) from {share(low)} to {share(high)}, {share(mean)} on average"
-        count = int(larger[here].sum())
-        gates.append(Gate(said, f"{count} of {n} are", f"{few:.0f} to {many:.0f}", bool(few <= count <= many)))
-    return gates
-
-
-def alarms(runs: Sequence[Mapping[str, Any]]) -> list[Gate]:
-    """Return the gates of false alarms under a change of temperature."""
-    if not runs:
-        return []
-    n = len(runs)
-    told, untold = (sum(run[name] > ALARM for run in runs) for name in ("with", "without"))
-    most = int(binom.ppf(1.0 - LEVEL, n, 0.1))
-    return [
-        Gate(
-            "buildings with a false alarm, temperature as a covariate",
-            f"{told} of {n}",
-            f"at most {most}",
-            told <= most,
-        ),
-        Gate("the same without the covariate", f"{untold} of {n}", f"more than {told}", untold > told),
-    ]
-
-
-def page(runs: Sequence[Mapping[str, Any]]) -> tuple[str, bool]:
-    """Return the page, and whether every gate passes."""
-    by_study = {name: [run for run in runs if run["study"] == name] for name in STUDIES}
-    rhat = [run["rhat"] for run in by_study["covered"]]
-    lines = [
-        "# Several tests of one structure",
-        "",
-        "Made by `python -m tests.validation.several_tests results`, whose first lines say what is simulated.",
-        "",
-    ]
-    passed = True
-    titles = {
-        "covered": (
-            "Coverage",
-            f"{len(rhat)} buildings of two storeys with {N_TESTS} tests each; the largest R-hat of a run has a "
-            f"median of {np.median(rhat or [np.nan]):.3f}.",
-            coverage,
-        ),
-        "damaged": (
-            "Damage",
-            f"{len(by_study['damaged'])} buildings of four storeys, two tests before and two after.",
-            reliability,
-        ),
-        "warmed": (
-            "Temperature",
-            f"{len(by_study['warmed'])} undamaged buildings, three tests between 0 and 10 °C and three between 20 "
-            "and 30 °C, stiffness −0.3 % per °C. An alarm is P(loss > 5 %) above one half in any storey.",
-            alarms,
-        ),
-    }
-    for name, (title, words, gates_of) in titles.items():
-        gates = gates_of(by_study[name])
-        rows = [[gate.what, gate.found, gate.allowed, "yes" if gate.passed else "**no**"] for gate in gates]
-        lines += [f"## {title}", "", words, "", markdown_table(["", "found", "allowed", "passed"], rows), ""]
-        passed &= bool(gates) and all(gate.passed for gate in gates)
-    return "\n".join(lines), passed
 
 
 def main() -> int:
@@ -284,7 +223,7 @@ def main() -> int:
     with threadpool_limits(1):
         for number in range(arguments.replicates):
             for study in STUDIES if arguments.only is None else (arguments.only,):
-                if (study, number) in known:
+                if (study, number) in known or (study == "scattered" and number >= SCATTERED):
                     continue
                 runs.append(studied(study, number, arguments.seed))
                 if arguments.kept is not None:
