@@ -67,6 +67,9 @@ class ProblemFile(TomlTable):
     """Several tests of the structure, instead of one measurement."""
     reference: str | None = None
     """The group of tests that losses refer to; that of the first one if not given."""
+    correlation: float | None = None
+    """Shape η of the prior LKJ(η) of the correlation between parameters with a population. 1 is flat over
+    correlation matrices; the larger it is, the smaller are the correlations. Independent if not given."""
     parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
     """What is uncertain, in the order of theta."""
 
@@ -136,9 +139,9 @@ class ProblemFile(TomlTable):
             given = "none" if self.tests is None else "both"
             return [Mistake("measurement", f"must be given, or several [[tests]] instead (got {given})")]
         if self.tests is None:
-            of_one = (
-                [] if self.reference is None else [Mistake("reference", "is allowed with several [[tests]] only")]
-            )
+            keys = {"reference": self.reference, "correlation": self.correlation}
+            rule = "is allowed with several [[tests]] only"
+            of_one = [Mistake(key, rule) for key, value in keys.items() if value is not None]
             return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
         return [
             moved(mistake, "measurement", f"tests.{i}")
@@ -176,6 +179,7 @@ class ProblemFile(TomlTable):
                 list(parameters.values()),
                 **variations(self.parameters),
                 reference=self.reference,
+                correlation=self.correlation,
                 pairing=pairing or self.pairing,
                 error=errors or self.error,
                 reduction=self.reduction,

@@ -11,6 +11,8 @@ import numpy as np
 from fmu.types import FloatArray
 
 Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
+_FEW = 100
+"""Entries of a matrix that a message shows."""
 
 
 def positive_number(name: str, value: Any) -> float:
@@ -76,12 +78,15 @@ def positive_scale(name: str, value: Any, *, matrix: bool) -> Scale:
 def cholesky_factor(name: str, matrix: FloatArray) -> FloatArray:
     """Return the lower Cholesky factor; ValueError unless `matrix` is symmetric and positive definite."""
     square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1]
-    if square and np.allclose(matrix, matrix.T, rtol=1e-8, atol=0.0):
-        try:
-            return np.linalg.cholesky(matrix)
-        except np.linalg.LinAlgError:
-            pass  # reported below, with the name of the setting
-    raise ValueError(f"{name}: must be a symmetric positive definite matrix (got {matrix.tolist()})")
+    if square and np.all(np.diag(matrix) > 0.0):
+        size = np.sqrt(np.diag(matrix))
+        if np.allclose(matrix / size / size[:, None], matrix.T / size / size[:, None], rtol=0.0, atol=1e-8):
+            try:
+                return np.linalg.cholesky(matrix)
+            except np.linalg.LinAlgError:
+                pass  # reported below, with the name of the setting
+    got = matrix.tolist() if matrix.size <= _FEW else f"shape {matrix.shape}"
+    raise ValueError(f"{name}: must be a symmetric positive definite matrix (got {got})")
 
 
 def orthonormal(name: str, value: Any) -> tuple[tuple[float, ...], ...]:

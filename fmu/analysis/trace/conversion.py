@@ -294,6 +294,13 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
     }
     names = [test.name for test in problem.tests]
     found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
+    if problem.layout.correlation is not None:
+        populations = list(problem.layout.populations)
+        matrices = problem.correlations(theta).reshape(*position.shape[:2], len(populations), -1)
+        found["populations"] = xr.Dataset(
+            {"correlation": (("chain", "draw", "population", "other"), matrices)},
+            coords=coordinates | {"population": populations, "other": populations},
+        )
     if problem.states:
         losses = problem.losses(theta).reshape(*position.shape[:2], len(problem.states), -1)
         lost = {n: (("chain", "draw", "state"), losses[..., j]) for j, n in enumerate(problem.layout.by_state)}

@@ -19,7 +19,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import mean_shapes
 from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
-from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout
+from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, scattered
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Population
 from fmu.posterior.joint.scored_prior import ScoredPrior
@@ -71,6 +71,10 @@ class JointProblem(UpdatingProblem):
         is multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
     reference : str, optional
         The group of tests that losses refer to (`losses`); that of the first test by default.
+    correlation : float, optional
+        The populations are correlated (`fmu.posterior.joint.correlation`), and this is the shape η of the prior of
+        their correlation matrix, LKJ(η): 1 is flat, and the larger it is, the smaller are the correlations.
+        Independent by default.
     pairing, beta, error, reduction, engine, name
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are for
         single tests.
@@ -99,6 +103,7 @@ class JointProblem(UpdatingProblem):
         varies: Mapping[str, str | Population | Damage] | None = None,
         slopes: Mapping[str, Mapping[str, Prior]] | None = None,
         reference: str | None = None,
+        correlation: float | None = None,
         pairing: str = "shape",
         beta: float | None = None,
         error: Any = "frequency",
@@ -110,13 +115,13 @@ class JointProblem(UpdatingProblem):
         varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
         check_names(parameters)
         self.reference = (self.tests[0].group if self.tests else "") if reference is None else reference
-        found = mistakes(self.tests, parameters, varies, slopes, self.reference)
+        found = mistakes(self.tests, parameters, varies, slopes, self.reference, correlation)
         if found:
             raise TestsError(found)
         if pairing == "soft" or error == "modal-residual":
             what = "soft pairing" if pairing == "soft" else "the modal residual"
             raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
-        self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference)
+        self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference, correlation)
         data = stacked(self.tests)
         options = {"pairing": pairing, "beta": beta, "error": error, "reduction": reduction, "engine": engine}
         parts, tolerance = _configurations(model, self.tests, self.layout, options)
@@ -171,6 +176,18 @@ class JointProblem(UpdatingProblem):
                 if parameter.name in test.known:
                     values[:, t, j] = test.known[parameter.name]
         return values[0] if single else values
+
+    def correlations(self, theta: FloatArray) -> FloatArray:
+        """Return the correlation matrix of the populations, shape (n, n_populations, n_populations).
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, ndim)
+        """
+        if self.layout.correlation is None:
+            return np.tile(np.eye(len(self.layout.drawn)), (len(theta), 1, 1))
+        factor = self.layout.correlation.factor(theta[:, : self.n_structural])
+        return np.asarray(np.einsum("nik,njk->nij", factor, factor))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -249,6 +266,7 @@ class JointProblem(UpdatingProblem):
             "tests": [test.as_dict() for test in self.tests],
             "populations": {name: one.as_dict() for name, one in self.layout.populations.items()},
             "reference": self.reference,
+            "correlated": self.layout.correlation is not None,
         }
 
 
@@ -258,6 +276,7 @@ def mistakes(
     varies: Mapping[str, str | Population | Damage],
     slopes: Mapping[str, Mapping[str, Prior]],
     reference: str,
+    correlation: float | None = None,
 ) -> list[str]:
     """Return what is wrong between tests and parameters, each with its place."""
     names = [p.name for p in parameters]
@@ -294,6 +313,12 @@ def mistakes(
     groups = {test.group for test in tests}
     if any(isinstance(how, Damage) for how in varies.values()) and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
+    if correlation is not None:
+        n = len(scattered(parameters, varies))
+        if n < 2:
+            found.append(f"correlation: needs two parameters or more with a population (got {n})")
+        if not 0.0 < correlation < np.inf:
+            found.append(f"correlation: must be positive (got {correlation})")
     for name, by in slopes.items():
         if name not in names:
             found.append(f"slopes: must name parameters among {', '.join(names)} (got {name!r})")

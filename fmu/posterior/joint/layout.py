@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmu.posterior.joint.correlation import Correlation, correlations
 from fmu.posterior.joint.damage import SPARSE_RANGE, Damage, Loss, common_coordinate, coordinates
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Normals, Population, Slopes
@@ -91,19 +92,33 @@ class Drawn:
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        return self._evaluated(theta)[0]
+        return self._known("evaluated", theta, self._computed)[0]
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the log-density of the scores over that of standard normal ones, (n, n_tests), and derivatives.
 
         It is zero where the centring is: the scores are then standard normal.
         """
-        return self._evaluated(theta)[1]
+        return self._known("evaluated", theta, self._computed)[1]
 
     def curvature(self, theta: FloatArray) -> FloatArray:
         """Return −∂² of the scores' log-density by each of them, shape (n, n_tests), where bounds are far away."""
         _, (_, width), (_, blend), _ = self._at(theta)
         return np.asarray((blend / width) ** 2)
+
+    def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
+        """Return the scores in the population, (n, n_tests), and their derivatives by score, centre and width."""
+        return self._known("scores", theta, self._computed_scores)
+
+    def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
+        value, population, _, (by_z, by_centre, by_width) = self._at(theta)
+        bounds, is_other = (self.lower, self.upper), self.centring > 0.0
+        z = np.where(is_other, self.population.scores(value, *population, *bounds), theta[:, self.columns])
+        of_z, of_centre, of_width = self.population.values(z, *population, *bounds)[1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes = by_z / of_z, (by_centre - of_centre) / of_z, (by_width - of_width) / of_z
+        plain = np.ones_like(z), np.zeros_like(z), np.zeros_like(z)
+        return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def drawn(self, theta: FloatArray) -> FloatArray:
         """Return theta whose scores, standard normal draws, are replaced by those of draws from the population."""
@@ -114,11 +129,14 @@ class Drawn:
         theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
         return theta
 
-    def _evaluated(self, theta: FloatArray) -> Any:
-        """Return what `__call__` and `log_prior` return; for the last theta it is known."""
+    def _known(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
+        """Return `compute` of theta, which is kept until there is another theta."""
         if not np.array_equal(self._last.get("theta", ()), theta):
-            self._last.update(theta=theta.copy(), found=self._computed(theta))
-        return self._last["found"]
+            self._last.clear()
+            self._last["theta"] = theta.copy()
+        if what not in self._last:
+            self._last[what] = compute(theta)
+        return self._last[what]
 
     def _computed(self, theta: FloatArray) -> Any:
         value, (centre, width), blend, (by_z, by_centre, by_width) = self._at(theta)
@@ -159,6 +177,10 @@ class Drawn:
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         """Return the values, the population, what the scores refer to, and the values' derivatives."""
+        found: tuple[FloatArray, Normals, Normals, Slopes] = self._known("values", theta, self._at_scores)
+        return found
+
+    def _at_scores(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         z, population, blend, by = self._parts(theta)
         value, (by_z, by_centre, by_width) = self.population.values(z, *blend, self.lower, self.upper)
         by_sd = (1.0 - self.centring) * blend[1] / population[1]
@@ -275,6 +297,8 @@ class Layout:
         Parameters that have a value of their own in each test, without a population.
     by_state : tuple of str
         Parameters that have a value of their own in each group of tests.
+    correlation : Correlation, optional
+        Of the populations; they are independent without one.
     """
 
     structural: tuple[Parameter, ...]
@@ -284,6 +308,7 @@ class Layout:
     populations: Mapping[str, Population] = field(default_factory=dict)
     by_test: tuple[str, ...] = ()
     by_state: tuple[str, ...] = ()
+    correlation: Correlation | None = None
 
     @classmethod
     def of(
@@ -293,6 +318,7 @@ class Layout:
         varies: Mapping[str, str | Population | Damage],
         slopes: Mapping[str, Mapping[str, Prior]],
         reference: str = "",
+        eta: float | None = None,
     ) -> Layout:
         """Return the layout; what the arguments mean is told in `fmu.JointProblem`, which has checked them."""
         main: list[Parameter] = []
@@ -333,6 +359,13 @@ class Layout:
             trend = (tuple(of_slopes), np.array(away), tuple(slopes.get(p.name, {})), tuple(means))
             pending.append((base, trend))
 
+        correlation = None
+        if eta is not None:
+            columns_of = map(add, correlations([name for name, how in scattered(structural, varies)], eta))
+            correlation = Correlation(
+                tuple(columns_of),
+                np.stack([base.scored for base, _ in pending if isinstance(base, Drawn)], axis=1),
+            )
         values_of = []
         for base, trend in pending:
             if isinstance(base, Drawn):  # the scores follow all others
@@ -346,13 +379,14 @@ class Layout:
             (*main, *scores),
             tuple(test.name for test in tests),
             tuple(values_of),
-            {name: how for name, how in varies.items() if isinstance(how, Population)},
+            dict(scattered(structural, varies)),
             tuple(name for name, how in varies.items() if how == BY_TEST),
             tuple(
                 p.name
                 for p in structural
                 if varies.get(p.name) == BY_GROUP or isinstance(varies.get(p.name), Damage)
             ),
+            correlation,
         )
 
     def losses(self, theta: FloatArray, reference: IntArray, later: IntArray) -> FloatArray:
@@ -381,11 +415,14 @@ class Layout:
 
     @property
     def scales(self) -> list[int]:
-        """Numbers in theta of what the others scatter about and how widely: of populations and sparse losses."""
+        """Numbers in theta of what tells how others scatter: of populations, correlations and sparse losses."""
         found = [k for one in self.drawn for k in (one.centre, one.width)]
         bases = (one.base if isinstance(one, Trend) else one for one in self.values_of)
         sparse = [base.loss for base in bases if isinstance(base, Lost) and base.loss.columns.shape[1] == 3]
-        return sorted({*found, *(int(k) for one in sparse for k in np.ravel(one.columns[one.is_lost, 1:]))})
+        of_both = self.correlation.columns if self.correlation else ()
+        return sorted(
+            {*found, *of_both, *(int(k) for one in sparse for k in np.ravel(one.columns[one.is_lost, 1:]))}
+        )
 
     @property
     def n_tests(self) -> int:
@@ -413,11 +450,11 @@ class Layout:
         covariates : mapping of str to float
             Where they are not at their means over the tests.
         """
-        found = []
+        found, scores = [], iter(np.moveaxis(self.draw_scores(theta, rng, 1), 2, 0)[:, :, 0])
         for parameter, value_of in zip(self.structural, self.values_of, strict=True):
             base = value_of.base if isinstance(value_of, Trend) else value_of
             if isinstance(base, Drawn):
-                z = rng.standard_normal(len(theta))
+                z = next(scores)
                 ends = theta[:, base.centre], theta[:, base.width]
                 value = base.population.values(z, *ends, base.lower, base.upper)[0]
             elif parameter.name in self.by_test:
@@ -429,6 +466,11 @@ class Layout:
                     value = value * (1.0 + theta[:, column] * (covariates.get(name, mean) - mean))
             found.append(value)
         return np.stack(found, axis=1)
+
+    def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
+        """Return draws of the scores of every population, shape (n, n_tests, n_populations)."""
+        z = rng.standard_normal((len(theta), n_tests, len(self.drawn)))
+        return z if self.correlation is None else np.einsum("nij,ntj->nti", self.correlation.factor(theta), z)
 
     def box(self) -> tuple[FloatArray, FloatArray]:
         """Return limits within which the values lie as a rule, shape (n_tests, n_structural) each."""
@@ -476,6 +518,12 @@ class Layout:
                 for k, column in enumerate(distinct):
                     found[:, column] += np.einsum("nt->n", of_tests[:, which == k])
         return found
+
+
+def scattered(structural: Sequence[Parameter], varies: Mapping[str, Any]) -> list[tuple[str, Population]]:
+    """Return the parameters that scatter over the tests, in the order of theta, with their populations."""
+    every = ((p.name, varies.get(p.name)) for p in structural)
+    return [(name, how) for name, how in every if isinstance(how, Population)]
 
 
 def _lost(

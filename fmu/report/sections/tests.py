@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
@@ -55,9 +57,23 @@ def population(run: ReportedRun) -> PageSection | Omitted:
     caption = "Bars: the value in each test, 90 %. Band: the population, mean ± sd."
     drawn = picture(plot_values(run.trace), f"{run.name}-tests", alt, caption)
     parts: list[Part] = [words, table, Pictures((drawn,))]
+    if has(run.trace, "populations"):
+        parts.append(_correlations(run))
     if has(run.trace, "next_test"):
         parts.append(_next_test(run))
     return PageSection("population", title, tuple(parts))
+
+
+def _correlations(run: ReportedRun) -> PageTable:
+    matrices = run.trace["populations"].to_dataset()["correlation"]
+    names = matrices["population"].to_numpy().tolist()
+    rows = []
+    for i, j in combinations(range(len(names)), 2):
+        r = matrices[..., i, j].to_numpy().ravel()
+        low, high = np.quantile(r, (0.05, 0.95)).tolist()
+        rows.append((f"{names[i]}, {names[j]}", with_sd(float(r.mean()), float(r.std())), interval(low, high, 2)))
+    header = ("parameters", "correlation over the tests", "90 %")
+    return PageTable("Correlations of the populations, posterior mean ± sd", header, tuple(rows))
 
 
 def _next_test(run: ReportedRun) -> PageTable:

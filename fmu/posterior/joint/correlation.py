@@ -1,0 +1,110 @@
+"""Correlation of several parameters' populations: a Gaussian copula.
+
+The scores z_t of all populations in test t, standard normal each, have the correlation matrix R between them:
+
+    log c(z_t) = −½ log det R − ½ z_tᵀ (R⁻¹ − I) z_t
+
+is added to the log-density of a test's values. Each parameter keeps its own distribution and bounds. In the order
+of the parameters, R is built from partial correlations ρ_ij, each given those before i; with independent beta
+distributions of these, the density of R is proportional to (det R)^(η − 1) (Lewandowski, Kurowicka & Joe 2009, *J.
+Multivar. Anal.* 100, 1989–2001, section 2.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.scipy_distributions import ScaledBeta
+from fmu.types import BoolArray, FloatArray
+
+MOST = 0.999
+"""The largest absolute value of a partial correlation."""
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """The correlation of p populations.
+
+    Attributes
+    ----------
+    columns : tuple of int
+        Numbers in theta of the partial correlations, ρ_12, ρ_13, ρ_23, ρ_14, …
+    scored : ndarray of bool, shape (n_tests, p)
+        Where a test has a score; one whose value is known is integrated out.
+    """
+
+    columns: tuple[int, ...]
+    scored: BoolArray
+
+    def factor(self, theta: FloatArray) -> FloatArray:
+        """Return the Cholesky factor of the correlation matrix, shape (n, p, p), at theta (n, n_parameters)."""
+        return self._factors(theta)[0]
+
+    def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the sum of log c over the tests, and its derivatives.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        z : ndarray, shape (n, n_tests, p)
+
+        Returns
+        -------
+        value : ndarray, shape (n,)
+        by_score : ndarray, shape (n, n_tests, p)
+        by_correlation : ndarray, shape (n, p (p - 1) / 2)
+            By the partial correlations.
+        """
+        L, slopes = self._factors(theta)
+        R = L @ np.swapaxes(L, 1, 2)
+        value, by_score, by_R = np.zeros(len(z)), np.zeros_like(z), np.zeros_like(R)
+        for pattern in np.unique(self.scored, axis=0):
+            here, tests = np.flatnonzero(pattern), np.flatnonzero((self.scored == pattern).all(axis=1))
+            if len(here) < 2:
+                continue
+            block = np.ix_(range(len(z)), here, here)
+            inverse, log_det = np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
+            of = z[:, tests][:, :, here]
+            turned = np.einsum("nij,ntj->nti", inverse, of)
+            value += -0.5 * len(tests) * log_det - 0.5 * np.einsum("nti,nti->n", of, turned - of)
+            by_score[np.ix_(range(len(z)), tests, here)] = of - turned
+            by_R[block] += 0.5 * (np.einsum("nti,ntj->nij", turned, turned) - len(tests) * inverse)
+        by_L = 2.0 * np.einsum("nij,njk->nik", by_R, L)
+        return value, by_score, np.einsum("nij,nkij->nk", by_L, slopes)
+
+    def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return L (n, p, p) and its derivatives by the partial correlations, (n, p (p - 1) / 2, p, p).
+
+        L_ji = ρ_ij √(1 − ρ_1j²) … √(1 − ρ_(i−1)j²), with ρ_jj = 1.
+        """
+        rho, p = theta[:, self.columns], self.scored.shape[1]
+        L, slopes = np.zeros((len(rho), p, p)), np.zeros((len(rho), rho.shape[1], p, p))
+        L[:, 0, 0] = 1.0
+        first = 0
+        for j in range(1, p):
+            of = rho[:, first : first + j]
+            left = np.cumprod(np.concatenate([np.ones((len(of), 1)), np.sqrt(1.0 - of**2)], axis=1), axis=1)
+            L[:, j, : j + 1] = np.concatenate([of, np.ones((len(of), 1))], axis=1) * left
+            for k in range(j):
+                slopes[:, first + k, j, k] = left[:, k]
+                slopes[:, first + k, j, k + 1 : j + 1] = (
+                    -L[:, j, k + 1 : j + 1] * (of[:, k] / (1.0 - of[:, k] ** 2))[:, None]
+                )
+            first += j
+        return L, slopes
+
+
+def correlations(names: Sequence[str], eta: float) -> list[Parameter]:
+    """Return the partial correlations of the populations of some parameters, with the prior LKJ(η)."""
+    found, p = [], len(names)
+    for j in range(1, p):
+        for i in range(j):
+            given = f" given {', '.join(names[:i])}" if i else ""
+            shape = eta + 0.5 * (p - 2 - i)
+            prior = ScaledBeta(shape, shape, -1.0, 1.0)
+            found.append(Parameter(f"{names[i]} {names[j]} correlation{given}", 0.0, -MOST, MOST, prior))
+    return found
