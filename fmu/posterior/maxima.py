@@ -217,9 +217,7 @@ class GaussNewton:
         value = -log_likelihood - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = p.prior.quadratic(theta, scale)
         gradient = -slope * scale - prior_slope
-        hessian = information * np.outer(scale, scale)
-        i = np.arange(p.ndim)
-        hessian[:, i, i] += prior_curvature
+        hessian = information * np.outer(scale, scale) + prior_curvature
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
         hessian[failed] = np.eye(p.ndim)
         return np.where(failed, np.inf, value), np.where(failed[:, None], 0.0, gradient), hessian

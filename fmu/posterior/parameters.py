@@ -201,17 +201,17 @@ class JointPrior:
         return gradient
 
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return slope and curvature −∂² of the log-density by each parameter in units of `scale`, (n, ndim) each.
+        """Return slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
 
-        The curvature is a difference of slopes over 1e-4, and not negative.
+        The curvature by each parameter is a difference of slopes over 1e-4, and not negative.
         """
-        slope, curvature = np.empty_like(theta), np.empty_like(theta)
+        slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):
             h = 1e-4 * scale[k]
             low, high = parameter.prior.support
             near = np.clip(theta[:, k], low + 2.0 * h, high - 2.0 * h)
             ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
-            curvature[:, k] = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
+            curvature[:, k, k] = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
             slope[:, k] = parameter.prior.log_pdf_gradient(theta[:, k]) * scale[k]
         return slope, curvature
 

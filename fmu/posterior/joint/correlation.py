@@ -12,8 +12,9 @@ Multivar. Anal.* 100, 1989–2001, section 2.4).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from fmu.types import BoolArray, FloatArray
 
 MOST = 0.999
 """The largest absolute value of a partial correlation."""
+_START = 0.95
+"""The largest absolute value of one where sampling starts."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +63,8 @@ class Correlation:
             By the partial correlations.
         """
         L, slopes = self._factors(theta)
-        R = L @ np.swapaxes(L, 1, 2)
-        value, by_score, by_R = np.zeros(len(z)), np.zeros_like(z), np.zeros_like(R)
-        for pattern in np.unique(self.scored, axis=0):
-            here, tests = np.flatnonzero(pattern), np.flatnonzero((self.scored == pattern).all(axis=1))
-            if len(here) < 2:
-                continue
-            block = np.ix_(range(len(z)), here, here)
-            inverse, log_det = np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
+        value, by_score, by_R = np.zeros(len(z)), np.zeros_like(z), np.zeros_like(L)
+        for here, tests, block, inverse, log_det in self._blocks(L):
             of = z[:, tests][:, :, here]
             turned = np.einsum("nij,ntj->nti", inverse, of)
             value += -0.5 * len(tests) * log_det - 0.5 * np.einsum("nti,nti->n", of, turned - of)
@@ -75,6 +72,31 @@ class Correlation:
             by_R[block] += 0.5 * (np.einsum("nti,ntj->nij", turned, turned) - len(tests) * inverse)
         by_L = 2.0 * np.einsum("nij,njk->nik", by_R, L)
         return value, by_score, np.einsum("nij,nkij->nk", by_L, slopes)
+
+    def precision(self, theta: FloatArray) -> FloatArray:
+        """Return R⁻¹ − I between the scores that each test has, zero for the others; shape (n, n_tests, p, p)."""
+        n_tests, p = self.scored.shape
+        found = np.zeros((len(theta), n_tests, p, p))
+        for here, tests, _, inverse, _ in self._blocks(self.factor(theta)):
+            found[np.ix_(range(len(theta)), tests, here, here)] = (inverse - np.eye(len(here)))[:, None]
+        return found
+
+    def of_scores(self, second_moments: FloatArray) -> FloatArray:
+        """Return the partial correlations of scores with the second moments (p, p)."""
+        size = np.sqrt(np.diag(second_moments))
+        L = np.linalg.cholesky(second_moments / np.outer(size, size))
+        left = np.sqrt(np.cumsum(L[:, ::-1] ** 2, axis=1)[:, ::-1])
+        found = [L[j, i] / left[j, i] for j in range(len(L)) for i in range(j)]
+        return np.clip(found, -_START, _START)
+
+    def _blocks(self, L: FloatArray) -> Iterator[Any]:
+        """For the tests with the same scores: which, in which tests, where in R; the inverse of R, log det R."""
+        R = L @ np.swapaxes(L, 1, 2)
+        for pattern in np.unique(self.scored, axis=0):
+            here, tests = np.flatnonzero(pattern), np.flatnonzero((self.scored == pattern).all(axis=1))
+            if len(here) > 1:
+                block = np.ix_(range(len(R)), here, here)
+                yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
     def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return L (n, p, p) and its derivatives by the partial correlations, (n, p (p - 1) / 2, p, p).

@@ -58,11 +58,20 @@ class ScoredPrior(JointPrior):
         return gradient
 
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return slope and curvature by each parameter in units of `scale`; by scores as without bounds."""
+        """Return slope and curvature, parameters in units of `scale`; by scores as without bounds."""
         curvature = super().quadratic(theta, scale)[1]
         for one in self._centred:
             columns = one.columns[one.scored]
-            curvature[:, columns] = one.curvature(theta)[:, one.scored] * scale[columns] ** 2
+            curvature[:, columns, columns] = one.curvature(theta)[:, one.scored] * scale[columns] ** 2
+        if self._layout.correlation is not None:
+            precision = self._layout.correlation.precision(theta)
+            slopes = [np.sqrt(one.curvature(theta)) for one in self._drawn]
+            for i, of_rows in enumerate(self._drawn):
+                for j, of_columns in enumerate(self._drawn):
+                    here = of_rows.scored & of_columns.scored
+                    rows, columns = of_rows.columns[here], of_columns.columns[here]
+                    of_both = precision[:, here, i, j] * slopes[i][:, here] * slopes[j][:, here]
+                    curvature[:, rows, columns] += of_both * scale[rows] * scale[columns]
         return self.log_pdf_gradient(theta) * scale, curvature
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:

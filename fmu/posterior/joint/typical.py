@@ -105,6 +105,8 @@ def _searched(problem: Any) -> tuple[FloatArray, FloatArray]:
         theta = scaled.to_theta(end.position[0])
         variance = np.diag(np.linalg.inv(end.hessian[0])) * scaled.scale**2
         moved = [_most_probable(problem, one, theta, variance) for one in problem.layout.drawn]
+        if problem.layout.correlation is not None:
+            _correlate(problem.layout, theta, variance)
         if max(moved, default=0.0) < _SETTLED:
             break
     return scaled.to_scaled(theta), variance
@@ -120,6 +122,20 @@ def _holding(
     hessian[:, :, columns] = 0.0
     hessian[:, columns, columns] = 1.0
     return value, gradient, hessian
+
+
+def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
+    """Give the populations the correlation that the scores now have, and what the tests leave uncertain in it."""
+    correlation: Any = layout.correlation
+    found = [one.population_scores(theta[None]) for one in layout.drawn]
+    z = np.stack([z[0] for z, _ in found], axis=1)
+    left = [
+        variance[one.columns] * slopes[0][0] ** 2 for one, (_, slopes) in zip(layout.drawn, found, strict=True)
+    ]
+    both = correlation.scored.all(axis=1)
+    if both.sum() > 1:
+        moments = z[both].T @ z[both] + np.diag(np.stack(left, axis=1)[both].sum(axis=0))
+        theta[list(correlation.columns)] = correlation.of_scores(moments)
 
 
 def _most_probable(problem: Any, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
