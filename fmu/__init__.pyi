@@ -46,6 +46,7 @@ from .posterior.priors.one_sided import HalfNormal as HalfNormal
 from .posterior.priors.one_sided import LogNormal as LogNormal
 from .posterior.priors.scipy_distributions import ScaledBeta as ScaledBeta
 from .posterior.priors.scipy_distributions import ScipyPrior as ScipyPrior
+from .posterior.priors.spike_and_slab import SpikeAndSlab as SpikeAndSlab
 from .posterior.problem import UpdatingProblem as UpdatingProblem
 from .report.export import export as export
 from .report.pages import write_report as write_report

@@ -101,17 +101,14 @@ class ParameterTable(Uncertain, Target):
     slopes: dict[Name, PriorTable] = {}
     """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C."""
     loss: PriorTable | None = None
-    """With varies = "damage": prior of each loss; normal about 0, sd 0.3, if not given."""
-    sparse: bool = False
-    """With varies = "damage": few parameters are damaged, and all losses share the regularised horseshoe."""
+    """With varies = "damage": prior of each loss; normal about 0, sd 0.3, if not given. Where few parameters are
+    expected to be damaged, distribution = "spike-and-slab"."""
 
     @model_validator(mode="after")
     def _what_varies(self) -> Self:
-        for key, kind in (("population", "population"), ("loss", "damage"), ("sparse", "damage")):
+        for key, kind in (("population", "population"), ("loss", "damage")):
             if key in self.model_fields_set and self.varies != kind:
                 raise ValueError(f'{key}: must be given with varies = "{kind}" (got {self.varies})')
-        if self.sparse and self.loss is not None:
-            raise ValueError("loss: must not be given with sparse, which is a prior")
         return self
 
     def is_positive(self) -> bool:
@@ -161,7 +158,7 @@ def of_several_tests(tables: Sequence[ParameterTable]) -> list[Mistake]:
     return [
         Mistake(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
-        for key in ("varies", "population", "slopes", "loss", "sparse")
+        for key in ("varies", "population", "slopes", "loss")
         if key in table.model_fields_set
     ]
 

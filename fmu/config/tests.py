@@ -113,7 +113,7 @@ def variations(tables: Sequence[ParameterTable]) -> dict[str, Any]:
                 else Population(given.distribution, None if given.sd is None else given.sd.build())
             )
         elif table.varies == "damage":
-            varies[table.name] = Damage(None if table.loss is None else table.loss.build(), table.sparse)
+            varies[table.name] = Damage(None if table.loss is None else table.loss.build())
         elif table.varies is not None:
             varies[table.name] = table.varies
     slopes = {t.name: {name: prior.build() for name, prior in t.slopes.items()} for t in tables if t.slopes}

@@ -112,8 +112,9 @@ def test_every_mistake_at_its_place(tmp_path):
     ]
     other = LOADED.replace("beta = 1250.0", 'sd = 0.02\nlabels = ["p", "q"]')
     assert len(mistakes(written(tmp_path, K1, K2, PLAIN, other))) == 2
-    assert mistakes(written(tmp_path, K1 + "sparse = true\n", K2, PLAIN, LOADED)) == [
-        'parameters.0.sparse: must be given with varies = "damage" (got None)'
+    loss = 'loss = { distribution = "spike-and-slab" }\n'
+    assert mistakes(written(tmp_path, K1 + loss, K2, PLAIN, LOADED)) == [
+        'parameters.0.loss: must be given with varies = "damage" (got None)'
     ]
 
 

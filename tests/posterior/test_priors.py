@@ -15,6 +15,7 @@ from scipy.stats import kstest, truncnorm
 from fmu.posterior.priors.base import Normal, Uniform
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 from fmu.posterior.priors.scipy_distributions import ScaledBeta, ScipyPrior
+from fmu.posterior.priors.spike_and_slab import SpikeAndSlab
 
 INF = np.inf
 INTERVALS = [
@@ -139,7 +140,21 @@ def test_wrong_normals(value):
             Normal(1.0, mean=value)
 
 
+class TwoNormals(stats.rv_continuous):
+    """One of the unit normal distribution and a wider one."""
+
+    def _pdf(self, x, share, sd):
+        return (1 - share) * stats.norm.pdf(x) + share * stats.norm.pdf(x, scale=sd)
+
+    def _cdf(self, x, share, sd):
+        return (1 - share) * stats.norm.cdf(x) + share * stats.norm.cdf(x, scale=sd)
+
+    def _sf(self, x, share, sd):
+        return self._cdf(-x, share, sd)
+
+
 PAIRS = {
+    "spike and slab": (SpikeAndSlab(0.2, 6.0, 2.0, 1.0), TwoNormals()(share=0.2, sd=3.0, loc=1.0, scale=2.0)),
     "half-normal": (HalfNormal(2.0, 1.0), stats.halfnorm(1.0, 2.0)),
     "log-normal": (LogNormal(2e9, 0.5), stats.lognorm(0.5, scale=2e9)),
     "log-normal, wide": (LogNormal(1e-3, 3.0), stats.lognorm(3.0, scale=1e-3)),
@@ -365,6 +380,8 @@ BROKEN = [
         lambda: ScaledBeta.from_mean(1.0, 1.0, 0.0, 2.0),
         r"sd: must be below 1, the limit for a beta with this mean \(got 1\)",
     ),
+    (lambda: SpikeAndSlab(1.0), r"share: must lie between 0 and 1 \(got 1\.0\)"),
+    (lambda: SpikeAndSlab(0.1, 0.01), r"spike: must be narrower than the slab, sd 0\.01 \(got 0\.01\)"),
     (lambda: ScipyPrior("normal"), NO_SCIPY + r" \(got 'normal'\)"),
     (lambda: ScipyPrior(stats.norm), NO_SCIPY + r" \(got .*\)"),
     (lambda: ScipyPrior(stats.poisson(3.0)), NO_SCIPY + r" \(got .*\)"),

@@ -154,7 +154,7 @@ class JointProblem(UpdatingProblem):
 
     @property
     def is_hierarchical(self) -> bool:  # type: ignore[override]
-        """Whether parameters have a distribution that is inferred: a population, or sparse losses."""
+        """Whether parameters have a distribution that is inferred: a population."""
         return bool(self.layout.scales)
 
     def values(self, theta: Any) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.posterior.joint.correlation import Correlation, correlations
-from fmu.posterior.joint.damage import SPARSE_RANGE, Damage, Loss, common_coordinate, coordinates
+from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Normals, Population, Slopes
 from fmu.posterior.parameters import Parameter, box
@@ -205,28 +205,28 @@ class Lost:
     ----------
     column : int
         Number in theta of θ₀, the value in the reference.
-    loss : Loss
-        d in every test.
+    losses : ndarray of int, shape (n_tests,)
+        Numbers in theta of d in every test.
+    is_lost : ndarray of bool, shape (n_tests,)
+        False in the reference.
     """
 
     column: int
-    loss: Loss
+    losses: IntArray
+    is_lost: BoolArray
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        loss, by = self.loss(theta)
-        base = theta[:, [self.column] * loss.shape[1]]
-        found = [Slope(np.full(loss.shape[1], self.column), 1.0 - loss)]
-        return base * (1.0 - loss), found + [Slope(columns, -base * slope) for columns, slope in by]
+        loss = np.where(self.is_lost, theta[:, self.losses], 0.0)
+        columns = np.full_like(self.losses, self.column)
+        base = theta[:, columns]
+        by_loss = np.where(self.is_lost, -base, 0.0)
+        return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return limits of the values in every test, for limits of theta (n_parameters,)."""
         ends = np.array([lower[self.column], upper[self.column]])
-        if self.loss.columns.shape[1] == 1:
-            low, high = lower[self.loss.columns[:, 0]], upper[self.loss.columns[:, 0]]
-        else:
-            low, high = (np.full(len(self.loss.columns), end) for end in SPARSE_RANGE)
-        kept = np.where(self.loss.is_lost, 1.0 - np.stack([low, high]), 1.0)
+        kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
         corners = ends[:, None, None] * kept
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
@@ -324,7 +324,6 @@ class Layout:
         main: list[Parameter] = []
         scores: list[Parameter] = []
         pending: list[Any] = []
-        common: dict[str, int] = {}
 
         def add(parameter: Parameter) -> int:
             main.append(parameter)
@@ -343,7 +342,7 @@ class Layout:
                 scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
                 base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)
             elif isinstance(how, Damage):
-                base = _lost(p, how, tests, reference, main, scores, common)
+                base = _lost(p, how, tests, reference, add)
             else:
                 names = [_name_of(p.name, how, test) for test in tests]
                 number = {name: add(_renamed(p, name)) for name in dict.fromkeys(names[t] for t in here)}
@@ -370,9 +369,6 @@ class Layout:
         for base, trend in pending:
             if isinstance(base, Drawn):  # the scores follow all others
                 base = replace(base, columns=base.columns + len(main))
-            elif isinstance(base, Lost) and base.loss.columns.shape[1] == 3:
-                columns = base.loss.columns + np.array([len(main), len(main), 0])
-                base = replace(base, loss=replace(base.loss, columns=columns))
             values_of.append(Trend(base, *trend) if trend[0] else base)
         return cls(
             tuple(structural),
@@ -415,14 +411,9 @@ class Layout:
 
     @property
     def scales(self) -> list[int]:
-        """Numbers in theta of what tells how others scatter: of populations, correlations and sparse losses."""
+        """Numbers in theta of what tells how others scatter: of populations and their correlations."""
         found = [k for one in self.drawn for k in (one.centre, one.width)]
-        bases = (one.base if isinstance(one, Trend) else one for one in self.values_of)
-        sparse = [base.loss for base in bases if isinstance(base, Lost) and base.loss.columns.shape[1] == 3]
-        of_both = self.correlation.columns if self.correlation else ()
-        return sorted(
-            {*found, *of_both, *(int(k) for one in sparse for k in np.ravel(one.columns[one.is_lost, 1:]))}
-        )
+        return sorted([*found, *(self.correlation.columns if self.correlation else ())])
 
     @property
     def n_tests(self) -> int:
@@ -531,27 +522,14 @@ def _lost(
     how: Damage,
     tests: Sequence[Test],
     reference: str,
-    main: list[Parameter],
-    scores: list[Parameter],
-    common: dict[str, int],
+    add: Callable[[Parameter], int],
 ) -> Lost:
-    """Return a parameter with losses, after adding their parameters to the lists; `common` has each τ."""
-    states = list(dict.fromkeys(test.group for test in tests if test.group != reference))
-    main.append(p)
-    column = len(main) - 1
-    numbers = {reference: [0, 0, 0] if how.sparse else [0]}
-    for state in states:
-        if not how.sparse:
-            main.append(how.loss(p, state))
-            numbers[state] = [len(main) - 1]
-            continue
-        if state not in common:
-            main.append(common_coordinate(state))
-            common[state] = len(main) - 1
-        scores += coordinates(p, state)
-        numbers[state] = [len(scores) - 2, len(scores) - 1, common[state]]
+    """Return a parameter with losses, whose parameters are added to those of all tests."""
+    column = add(p)
+    states = dict.fromkeys(test.group for test in tests if test.group != reference)
+    numbers = {reference: column} | {state: add(how.loss(p, state)) for state in states}
     is_lost = np.array([test.group != reference for test in tests])
-    return Lost(column, Loss(np.array([numbers[test.group] for test in tests]), is_lost))
+    return Lost(column, np.array([numbers[test.group] for test in tests]), is_lost)
 
 
 def _name_of(name: str, how: str, test: Test) -> str:

@@ -33,7 +33,7 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
     Parameters
     ----------
     problem : JointProblem
-        With a population or sparse losses, whose scales remain in the middle of their priors.
+        With a population.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Prior distributions of the parameters.
 
-Reading order: base, one_sided, scipy_distributions.
+Reading order: base, one_sided, scipy_distributions, spike_and_slab.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,6 +9,7 @@ from typing import Any
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 from fmu.posterior.priors.scipy_distributions import ScaledBeta
+from fmu.posterior.priors.spike_and_slab import SpikeAndSlab
 
 PRIORS: dict[str, tuple[Callable[..., Prior], ...]] = {
     "uniform": (Uniform,),
@@ -17,6 +18,7 @@ PRIORS: dict[str, tuple[Callable[..., Prior], ...]] = {
     "half-normal": (HalfNormal,),
     "log-normal": (LogNormal.from_mode, LogNormal.from_mean, LogNormal),
     "beta": (ScaledBeta, ScaledBeta.from_mean),
+    "spike-and-slab": (SpikeAndSlab,),
 }
 """By the value of ``distribution`` in a problem file: a table has the arguments of one of the constructors."""
 

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-import scipy.stats
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.posterior.joint.damage import Horseshoe
 
 STOREYS = 4
 NAMES = tuple(f"k{i + 1}" for i in range(STOREYS))
@@ -56,21 +54,8 @@ def posed(building, losses, damage, **options):
     )
 
 
-def test_horseshoe_is_what_its_source_says():
-    rng = np.random.default_rng(4)
-    z, u, v = rng.standard_normal(20), rng.uniform(0.01, 0.99, 20), rng.uniform(0.01, 0.99, 20)
-    horseshoe = Horseshoe(0.02, 0.4)
-    d, slopes = horseshoe(z, u, v)
-    lam, tau = scipy.stats.halfcauchy.ppf(u), scipy.stats.halfcauchy.ppf(v, scale=0.02)
-    assert_allclose(d, z * tau * np.sqrt(0.16 * lam**2 / (0.16 + tau**2 * lam**2)), rtol=1e-12)  # eq. (2.8)
-    h = 1e-7
-    for k in range(3):
-        ahead, behind = (horseshoe(*(x + s * h * (i == k) for i, x in enumerate((z, u, v))))[0] for s in (1, -1))
-        assert_allclose(slopes[k], (ahead - behind) / (2 * h), rtol=1e-5, atol=1e-9)
-
-
 @pytest.mark.parametrize(
-    "damage", [fmu.Damage(), fmu.Damage(sparse=True), "group"], ids=["plain", "sparse", "group"]
+    "damage", [fmu.Damage(), fmu.Damage(fmu.SpikeAndSlab()), "group"], ids=["plain", "sparse", "group"]
 )
 def test_gradient_and_losses(building, damage):
     problem = posed(building, {"later": [0.2, 0.0, 0.0, 0.0], "last": [0.2, 0.0, 0.1, 0.0]}, damage)
@@ -108,24 +93,15 @@ def test_a_reference_that_is_no_group(building):
         posed(building, {"later": np.zeros(4)}, fmu.Damage(), reference="none")
 
 
-def test_sparse_losses_are_drawn_by_hmc_from_the_middle(building):
-    from fmu.analysis.maxima.starts import middle
-    from fmu.sampling import default_sampler
-
-    problem = posed(building, {"later": [0.0, 0.15, 0.0, 0.0]}, fmu.Damage(sparse=True))
-    assert problem.is_hierarchical
-    assert default_sampler(problem) == "hmc"
-    with pytest.raises(ValueError, match="the maximum of such a posterior is far from its mass"):
-        fmu.find_map(problem)
-    at = middle(problem)
-    assert np.isfinite(at.log_prob)
-    theta = problem.offset + problem.scale * at.position
-    scales = problem.layout.scales
-    assert [problem.names[k] for k in scales] == [
-        "loss scale [later]",
-        *(f"{n} loss scale [later]" for n in NAMES),
-    ]
-    assert_allclose(theta[scales], 0.5)
-    losses = problem.losses(theta[None])[0, 0]
-    assert losses[1] > 0.05
-    assert np.argmax(losses) == 1
+def test_a_spike_and_slab_pulls_small_losses_to_nothing(building):
+    lost = {"later": [0.0, 0.15, 0.0, 0.0]}
+    tables = []
+    for prior in (fmu.Normal(0.3), fmu.SpikeAndSlab(0.1, spike=0.002)):
+        trace = fmu.sample(posed(building, lost, fmu.Damage(prior)), draws=300, warmup=300, seed=2)
+        assert fmu.summary(trace)["rhat"].max() < 1.05
+        tables.append(fmu.damage(trace, beyond=(0.01,)).loc["later"])
+    plain, sparse = tables
+    others = ["k1", "k3", "k4"]
+    assert (sparse.loc[others, "sd"] < 0.6 * plain.loc[others, "sd"]).all()
+    assert abs(sparse.loc["k2", "mean"] - plain.loc["k2", "mean"]) < 0.5 * plain.loc["k2", "sd"]
+    assert sparse.loc["k2", "P(loss > 1 %)"] > 0.99

@@ -1,0 +1,109 @@
+"""A prior for what is nearly zero, or not: two normal distributions about one centre."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import expit, log_ndtr, logit, ndtr, ndtri
+
+from fmu.posterior.priors.base import Normal
+from fmu.posterior.priors.scipy_distributions import InvertedPrior
+from fmu.types import FloatArray, Positive, require_finite, require_positive
+
+_HALVINGS = 60
+
+
+@dataclass(frozen=True)
+class SpikeAndSlab(InvertedPrior):
+    """With the probability `share` the wide normal distribution, the slab; else the narrow one, the spike.
+
+    George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889, with the choice between the two integrated out: the
+    density is smooth, and nothing but the quantity itself is inferred.
+
+    Attributes
+    ----------
+    share : float
+        Probability of the slab, between 0 and 1.
+    sd : float
+        Standard deviation of the slab, in the parameter's unit.
+    spike : float
+        Standard deviation of the spike: a quantity of this size is as good as none.
+    mean : float
+        Centre of both.
+
+    Raises
+    ------
+    ValueError
+        If the share is not between 0 and 1, or the spike is not narrower than the slab.
+    """
+
+    share: float = 0.1
+    sd: Positive = 0.3
+    spike: Positive = 0.01
+    mean: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("sd", self.sd)
+        require_positive("spike", self.spike)
+        require_finite("mean", self.mean)
+        if not 0.0 < self.share < 1.0:
+            raise ValueError(f"share: must lie between 0 and 1 (got {self.share})")
+        if not self.spike < self.sd:
+            raise ValueError(f"spike: must be narrower than the slab, sd {self.sd} (got {self.spike})")
+
+    def log_pdf(self, x: FloatArray) -> FloatArray:
+        """Return the normalised log-density."""
+        spike, slab = (Normal(sd, self.mean).log_pdf(x) for sd in (self.spike, self.sd))
+        return np.asarray(np.logaddexp(spike + np.log1p(-self.share), slab + np.log(self.share)))
+
+    def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
+        """Return its derivative."""
+        p = self.of_slab(x)
+        return -(x - self.mean) * (p / self.sd**2 + (1.0 - p) / self.spike**2)
+
+    def of_slab(self, x: FloatArray) -> FloatArray:
+        """Return the probability that a value comes from the slab."""
+        with np.errstate(over="ignore"):
+            z = (np.asarray(x) - self.mean) / self.spike
+            ratio = 0.5 * z * z * (1.0 - (self.spike / self.sd) ** 2)
+        return np.asarray(expit(ratio + np.log(self.spike / self.sd) + logit(self.share)))
+
+    def cdf(self, x: Any) -> Any:
+        """Return F."""
+        z = np.asarray(x) - self.mean
+        return self.share * ndtr(z / self.sd) + (1.0 - self.share) * ndtr(z / self.spike)
+
+    def sf(self, x: Any) -> Any:
+        """Return 1 − F."""
+        return self.cdf(2.0 * self.mean - np.asarray(x))
+
+    def ppf(self, p: FloatArray) -> FloatArray:
+        """Return the inverse of F, by bisection between the quantiles of spike and slab."""
+        ends = ndtri(np.asarray(p, dtype=float)) * np.array([self.spike, self.sd]).reshape(2, *[1] * np.ndim(p))
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        target = logit(p)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = self._logit_cdf(middle) < target
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(self.mean + 0.5 * (low + high))
+
+    def isf(self, p: FloatArray) -> FloatArray:
+        """Return the inverse of 1 − F."""
+        return 2.0 * self.mean - self.ppf(p)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return name and settings."""
+        own = {"share": self.share, "sd": self.sd, "spike": self.spike, "mean": self.mean}
+        return {"distribution": "spike-and-slab", **own}
+
+    def _logit_cdf(self, z: FloatArray) -> FloatArray:
+        """Return log(F/(1 − F)) at mean + z, which keeps its digits in both tails."""
+        weights = np.log([1.0 - self.share, self.share])
+        below, above = (
+            np.logaddexp(weights[0] + log_ndtr(s * z / self.spike), weights[1] + log_ndtr(s * z / self.sd))
+            for s in (1.0, -1.0)
+        )
+        return np.asarray(below - above)
