@@ -12,13 +12,13 @@ from fmu.fem.modes.modal import frequency_hz
 from fmu.numbers import apart, typed
 from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
 
 _AT_ONCE = 16  # draws
-_OF_MODES = ("eigenvalues", "block", "rank")
 _WORK, _FEWEST, _MOST = 150_000, 64, 1024
 """Degrees of freedom times draws at which the bound is evaluated; at least and at most so many draws."""
 _EACH, _FEWEST_SOLVED, _WORST = 12, 16, 4
@@ -47,10 +47,10 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     -------
     dict of str to float, int or str
         ``certificate_bound_draws``, the draws at which the errors of the frequencies were bounded by their
-        residuals (`fmu.fem.reduced.residuals`): up to 1024 of small structures, and fewer of larger ones, chosen
-        at random by the seed of the trace; ``certificate_bound``, the largest bound of the relative error of a
-        frequency, and ``certificate_bound_median``, the median over draws of the largest of each. It is 0 where
-        the full model answers, outside the trained box.
+        residuals (`fmu.fem.reduced.residuals`): up to 1024 of small structures, and fewer of larger ones or of
+        several tests, chosen at random by the seed of the trace; ``certificate_bound``, the largest bound of the
+        relative error of a frequency, and ``certificate_bound_median``, the median over draws of the largest of
+        each. It is 0 where the full model answers, outside the trained box.
 
         ``certificate_draws``, those of them that were solved with the full model, the four with the largest bounds
         among them;
@@ -69,27 +69,26 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         If an error is above its tolerance, 1e-6 (frequency, relative) and 1e-3 (log-probability) unless the
         problem was given another one, or above its bound, or if a pairing changed.
     """
-    model = getattr(problem, "model", None)
-    structure = None if model is None else model.as_structure()
-    if structure is None or structure.reduced is None:
+    model: Any = getattr(problem, "model", None)
+    structures = () if model is None else model.structures()
+    if not structures or any(structure.reduced is None for structure in structures):
         return {}
     draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
-    largest = max(len(block.dofs) for block in structure.full.blocks)
-    theta = draws[rng.permutation(len(draws))[: int(np.clip(_WORK // largest, _FEWEST, _MOST))]]
-    structural = theta[:, : structure.n_parameters]
-    bound = np.concatenate(by_parts("certificate", structure.frequency_bound, structural, _AT_ONCE))
-    bound[~structure.within(structural)] = 0.0
+    largest = max(len(block.dofs) for structure in structures for block in structure.full.blocks)
+    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (_FEWEST, _FEWEST_SOLVED, _WORST))
+    most = int(np.clip(_WORK // (largest * model.n_tests), fewest, _MOST))
+    theta = draws[rng.permutation(len(draws))[:most]]
+    bound = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _bound), theta, _AT_ONCE))
     n_bounded = len(theta)
     # where a basis is poor is not left to chance
-    solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:_WORST]
+    solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:worst]
     others = np.setdiff1d(np.arange(n_bounded), solved)
-    solved = np.concatenate([solved, others[: max(n_bounded // _EACH, _FEWEST_SOLVED) - _WORST]])
-    theta, structural = theta[solved], structural[solved]
-    parts = by_parts("certificate", structure.full_modes, structural, _AT_ONCE)
-    exact, block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in _OF_MODES)
-    reduced = structure.modes(structural)
-    exact_hz, reduced_hz = frequency_hz(exact), frequency_hz(reduced.eigenvalues)
+    solved = np.concatenate([solved, others[: max(n_bounded // _EACH, fewest_solved) - worst]])
+    theta = theta[solved]
+    exact = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _by_full), theta, _AT_ONCE))
+    reduced = model.of_modes(theta, _by_reduced)
+    exact_hz, reduced_hz = frequency_hz(exact[..., 0]), frequency_hz(reduced[..., 0])
     tolerance = getattr(problem, "tolerance", None) or Tolerance()
     errors = np.abs(reduced_hz / exact_hz - 1.0)
     frequency_error = float(np.max(errors))
@@ -105,7 +104,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         total = of_exact.sum(axis=1)
         plausible = total >= total.max() - PLAUSIBLE
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
-    changed = np.any((block != reduced.block) | (rank != reduced.rank), axis=1)
+    changed = np.any(exact[..., 1:] != reduced[..., 1:], axis=(1, 2))
     # with another pairing these are not the modes that were bounded
     exceeded = ~changed & np.any(errors > bound[solved] + _ROUNDING * tolerance.frequency, axis=1)
     certificate = {
@@ -117,7 +116,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         "certificate_frequency_error": frequency_error,
         "certificate_log_prob_error": log_prob_error,
         "certificate_pairing_changes": int(np.sum(changed)),
-        "certificate_full_solves": int(structure.full_solves) - full_solves,
+        "certificate_full_solves": int(model.full_solves) - full_solves,
         "certificate_frequency_tolerance": tolerance.frequency,
         "certificate_log_prob_tolerance": tolerance.log_prob,
     }
@@ -125,6 +124,26 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     if not is_within or changed.any() or exceeded.any():
         warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
     return certificate
+
+
+def _bound(structure: Any, points: FloatArray) -> FloatArray:
+    """Return the bounds of the errors, (n, n_modes): none where the full model answers."""
+    bound = structure.frequency_bound(points)
+    bound[~structure.within(points)] = 0.0
+    return np.asarray(bound)
+
+
+def _by_full(structure: Any, points: FloatArray) -> FloatArray:
+    return _stacked(structure.full_modes(points))
+
+
+def _by_reduced(structure: Any, points: FloatArray) -> FloatArray:
+    return _stacked(structure.modes(points))
+
+
+def _stacked(modes: Any) -> FloatArray:
+    """Return eigenvalue, block and rank of each mode, (n, n_modes, 3)."""
+    return np.stack([modes.eigenvalues, modes.block, modes.rank], axis=2)
 
 
 def _missed(certificate: dict[str, Any]) -> str:

@@ -102,3 +102,23 @@ def test_solves_of_the_full_model_are_counted(problem):
     before = problem.model.full_solves
     problem.frequencies(np.stack([problem.upper * 1.1, problem.start]))
     assert problem.model.full_solves == before + 1
+
+
+def test_every_configuration_of_several_tests_is_certified(problem, monkeypatch):
+    structure, f = problem.model.structure, np.asarray(problem.data.frequencies_hz)
+    data = fmu.ModalData(f, numbers=problem.data.numbers, sd_hz=0.01 * f)
+    place = structure.dofs[-1][0]
+    tests = [fmu.Test("plain", data), fmu.Test("again", data), fmu.Test("loaded", data, masses={place: 0.01})]
+    joint = fmu.JointProblem(structure, tests, problem.parameters, pairing="index")
+    assert len(joint.model.structures()) == 2
+    trace = fmu.sample(joint, "slice", draws=20, warmup=20, chains=2, seed=3)
+    assert trace.attrs["certificate_bound_draws"] == 40
+    assert trace.attrs["certificate_draws"] == 6
+    assert 0 < trace.attrs["certificate_frequency_error"] <= trace.attrs["certificate_bound"] + 1e-8 <= 1e-6
+    assert 0 < trace.attrs["certificate_log_prob_error"] <= 1e-3
+    loaded = joint.model.structures()[1]
+    blocks = (b.truncated(b.size // 2) if isinstance(b, ReducedBlock) else b for b in loaded.reduced.blocks)
+    poor = type(loaded.reduced)(tuple(blocks), loaded.n_parameters)
+    monkeypatch.setattr(loaded, "_solve_reduced", loaded.pairing.bind(poor))
+    with pytest.warns(CertificateWarning, match="outside its tolerance"):
+        certify(trace, joint)

@@ -85,10 +85,13 @@ class ModalModel:
         derivatives are exact.
     full_solves : int
         How often the full model had to answer where there is a reduced one.
+    n_tests : int
+        For how many tests it is solved at one theta.
     """
 
     n_parameters: int
     n_modes: int
+    n_tests = 1
     name = "model"
     structure: SeparableModel | None = None
     black_box: BlackBoxModel | None = None
@@ -112,6 +115,27 @@ class ModalModel:
     def as_structure(self) -> PairedStructure | None:
         """Return the model with what only a structure given by its matrices can do, None if it is not one."""
         return None
+
+    def structures(self) -> tuple[PairedStructure, ...]:
+        """Return the structures given by their matrices that it consists of; none if it is of another kind."""
+        structure = self.as_structure()
+        return () if structure is None else (structure,)
+
+    def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
+        """Return what `of` makes of each structure and its own parameters, for every measured mode.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, ndim)
+            Other parameters may follow those of the model.
+        of : callable
+            ``of(structure, parameters)`` returns an array (n, modes, …).
+
+        Returns
+        -------
+        ndarray, shape (n, n_modes, …)
+        """
+        return of(self, theta[:, : self.n_parameters])
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fmu.fem.black_box import Failure
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.joint.layout import Layout
 from fmu.types import FloatArray, IntArray
@@ -73,7 +73,7 @@ class JointModel(ModalModel):
 
     def __init__(self, layout: Layout, configurations: Sequence[Configuration], n_modes: int) -> None:
         self.layout, self.configurations = layout, tuple(configurations)
-        self.n_parameters, self.n_modes = len(layout.parameters), n_modes
+        self.n_parameters, self.n_modes, self.n_tests = len(layout.parameters), n_modes, layout.n_tests
         models = [part.model for part in self.configurations]
         self.structure = models[0].structure
         self.gives_shapes = all(model.gives_shapes for model in models)
@@ -107,13 +107,26 @@ class JointModel(ModalModel):
         """The first points at which a user's function failed, and why."""
         return tuple(reason for part in self.configurations for reason in part.model.reasons)
 
+    def structures(self) -> tuple[PairedStructure, ...]:
+        """Return that of each configuration."""
+        return tuple(structure for part in self.configurations for structure in part.model.structures())
+
+    def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
+        """Return what `of` makes of each configuration's model and parameters, for every measured mode."""
+        values = self.layout.values(theta[:, : self.n_parameters])
+        seen = [part.picked(of(part.model, part.points(values))) for part in self.configurations]
+        found = np.empty((len(theta), self.n_modes, *seen[0].shape[2:]))
+        for part, one in zip(self.configurations, seen, strict=True):
+            found[:, part.columns] = one
+        return found
+
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
-        return self._frequencies(theta, lambda model: model.frequencies)
+        return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
         """Return `frequencies` by the full models."""
-        return self._frequencies(theta, lambda model: model.full_frequencies)
+        return self.of_modes(theta, lambda model, points: model.full_frequencies(points))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
@@ -141,14 +154,6 @@ class JointModel(ModalModel):
                 {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
             ],
         }
-
-    def _frequencies(
-        self, theta: FloatArray, of: Callable[[ModalModel], Callable[[FloatArray], FloatArray]]
-    ) -> FloatArray:
-        values, found = self.layout.values(theta), np.empty((len(theta), self.n_modes))
-        for part in self.configurations:
-            found[:, part.columns] = part.picked(of(part.model)(part.points(values)))
-        return found
 
     def _observed(
         self, theta: FloatArray, gradient: bool, observe: Callable[[ModalModel, FloatArray], ModalPrediction]
