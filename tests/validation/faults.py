@@ -639,10 +639,81 @@ IN_THE_CHECKPOINTS = (
         ("tests/test_interruption.py",),
     ),
 )
+POPULATIONS = ("tests/posterior/joint/test_population.py",)
+CORRELATION = ("tests/posterior/joint/test_correlation.py",)
+LOSSES = ("tests/posterior/joint/test_damage.py",)
+SEVERAL_TESTS = ("tests/posterior/joint/test_several_tests.py",)
+
+IN_SEVERAL_TESTS = (
+    Fault(
+        "population: what the bounds cut off is not normalised",
+        "fmu/posterior/joint/population.py",
+        "return value - log_mass, (by_x,",
+        "return value, (by_x,",
+        POPULATIONS,
+    ),
+    Fault(
+        "population: centred scores without the density that makes them scores",
+        "fmu/posterior/joint/scored_prior.py",
+        'value = value + np.einsum("nt->n", one.log_prior(theta)[0])',
+        "value = value + 0.0",
+        POPULATIONS,
+    ),
+    Fault(
+        "population: the next test has the values of the first",
+        "fmu/posterior/joint/layout.py",
+        "z = next(scores)",
+        "z = 0.0 * next(scores)",
+        POPULATIONS,
+    ),
+    Fault(
+        "correlation: the determinant left out",
+        "fmu/posterior/joint/correlation.py",
+        "value += -0.5 * len(tests) * log_det - 0.5 *",
+        "value += -0.5 *",
+        CORRELATION,
+    ),
+    Fault(
+        "correlation: the same prior for every partial correlation",
+        "fmu/posterior/joint/correlation.py",
+        "shape = eta + 0.5 * (p - 2 - i)",
+        "shape = eta",
+        CORRELATION,
+    ),
+    Fault(
+        "damage: the loss counts from the later state",
+        "fmu/posterior/joint/layout.py",
+        "found.append(1.0 - value[:, later] / value[:, reference])",
+        "found.append(value[:, reference] / value[:, later] - 1.0)",
+        LOSSES,
+    ),
+    Fault(
+        "damage: the spike is as wide as the slab",
+        "fmu/posterior/priors/spike_and_slab.py",
+        "spike, slab = (Normal(sd, self.mean).log_pdf(x) for sd in (self.spike, self.sd))",
+        "spike, slab = (Normal(sd, self.mean).log_pdf(x) for sd in (self.sd, self.sd))",
+        ("tests/posterior/test_priors.py",),
+    ),
+    Fault(
+        "several tests: covariates not about their mean",
+        "fmu/posterior/joint/layout.py",
+        "away.append(x - x.mean())",
+        "away.append(x)",
+        SEVERAL_TESTS,
+    ),
+    Fault(
+        "several tests: derivatives of one test go to another",
+        "fmu/posterior/joint/layout.py",
+        "found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test]",
+        "found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test[::-1]]",
+        SEVERAL_TESTS,
+    ),
+)
 FAULTS = (
     *IN_THE_SAMPLERS,
     *IN_THE_MIXTURE,
     *IN_THE_POSTERIOR,
+    *IN_SEVERAL_TESTS,
     *IN_THE_STRUCTURE,
     *IN_THE_VERDICT,
     *IN_THE_CHECKPOINTS,

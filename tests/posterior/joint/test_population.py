@@ -128,3 +128,14 @@ def test_posterior_of_mean_and_spread_by_quadrature(by_quadrature, centring):
             assert_allclose(np.mean(draws[:, column] < threshold), p, atol=4.5 * np.sqrt(p * (1 - p) / ess))
     values = problem.values(draws)[:, 0, 0]
     assert_allclose(values.mean(), by_quadrature[2], atol=4.5 * values.std() / np.sqrt(ess))
+
+
+def test_the_next_test_is_a_draw_from_the_population():
+    problem, rng = springs(), np.random.default_rng(9)
+    theta = np.tile(problem.start, (20_000, 1))
+    theta[:, problem.names.index("k mean")] = 0.9
+    theta[:, problem.names.index("k sd")] = 0.2
+    computed, measured = problem.simulate_next_test(rng, theta)
+    drawn = scipy.stats.truncnorm((0.7 - 0.9) / 0.2, (1.4 - 0.9) / 0.2, 0.9, 0.2)
+    assert scipy.stats.kstest((2 * np.pi * computed[:, 0]) ** 2, drawn.cdf).pvalue > 1e-4
+    assert_allclose(np.std(measured - computed), problem.tests[0].data.sd_hz[0], rtol=0.03)
