@@ -499,15 +499,13 @@ class Layout:
         slopes : ndarray, shape (n, n_tests, n_structural)
             By the structure's parameters in each test.
         """
+        every = [(j, slope) for j, value_of in enumerate(self.values_of) for slope in value_of(theta)[1]]
+        terms = np.concatenate([slopes[:, :, j] * slope.values for j, slope in every], axis=1)
+        columns = np.concatenate([slope.columns for _, slope in every])
+        order = np.argsort(columns, kind="stable")
+        distinct, first = np.unique(columns[order], return_index=True)
         found = np.zeros_like(theta)
-        for j, value_of in enumerate(self.values_of):
-            for columns, values in value_of(theta)[1]:
-                of_tests, (distinct, which) = slopes[:, :, j] * values, np.unique(columns, return_inverse=True)
-                if len(distinct) == len(columns):
-                    found[:, columns] += of_tests
-                    continue
-                for k, column in enumerate(distinct):
-                    found[:, column] += np.einsum("nt->n", of_tests[:, which == k])
+        found[:, distinct] = np.add.reduceat(terms[:, order], first, axis=1)
         return found
 
 
