@@ -11,7 +11,8 @@ from scipy.special import logsumexp
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import MixtureSampler, Run, Slice
 from fmu.samplers.kernel import State
-from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
+from fmu.samplers.kernel import Target as Counted
+from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKernel
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture, refitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted
 from fmu.samplers.mixture.tuner import MixtureTuner, first_warp, groups_of_chains
@@ -46,6 +47,33 @@ def test_the_density_is_normalised_and_that_of_the_draws(bent):
     sd = np.sqrt(p @ (points - mean) ** 2)
     np.testing.assert_allclose((u.mean(axis=0) - mean) / sd, 0.0, atol=5 / 200)
     np.testing.assert_allclose(u.std(axis=0) / sd, 1.0, atol=0.03)
+
+
+class Plateau:
+    """The density of `mixture_of`, and next to nothing everywhere else in a box much larger than it."""
+
+    ndim = 2
+    lower, upper = np.array([-9.0, -9.0]), np.array([9.0, 9.0])
+
+    def log_prob(self, u):
+        return np.maximum(-0.5 * np.sum((u / 0.01) ** 2, axis=1), -400.0)
+
+
+@pytest.mark.parametrize("gathers", [False, True])
+def test_a_chain_far_out_is_brought_in_by_warm_up_alone(gathers):
+    """Where a mixture has no tail the weight of a chain far out is beyond all candidates."""
+    density = Plateau()
+    warp = Warp(density.lower, density.upper, np.array([False, False]))
+    narrow = Quadratic(np.zeros(2), 0.0, np.zeros(2), np.eye(2) / 0.01**2)
+    mixture = Mixture([warp.quadratic(narrow)], [1.0], warp)
+    local = Slice().bind(density)
+    kernel = MixtureKernel(Counted(density), mixture, local, local_steps=0, jumps=1, gathers=gathers)
+    state, _ = kernel.init(np.array([[0.01, 0.0], [7.0, 7.0]]))
+    rng = np.random.default_rng(1)
+    for _ in range(BLOCK):
+        state, _ = kernel.step(rng, state)
+    assert np.all(np.abs(state.position[0]) < 0.1)
+    assert (np.all(np.abs(state.position[1]) < 0.1)) == gathers
 
 
 def test_a_half_bounded_coordinate_has_a_normalised_density():

@@ -17,6 +17,7 @@ BLOCK = 25
 """Candidates of a chain that are evaluated in one batch: they do not depend on where the chain is."""
 LOG_WEIGHT, CANDIDATE = "log_weight", "candidate_log_weight"
 """Statistics of a run: log P − log q after each step, and at its candidate (NaN if it has none)."""
+_FAR = 50.0
 _OF_BLOCK = ("position", "log_prob", "log_weight")
 _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
 
@@ -40,6 +41,10 @@ class MixtureKernel:
         So many local steps, then so many jumps.
     fit : int
         Number of the fit of the mixture; candidates and weights of an earlier one are not used.
+    gathers : bool
+        Whether a chain far below all candidates, `_FAR` and one per coordinate, takes the next one whatever the
+        weights, which are infinite for it. For warm-up only: where a chain began so far out that no local step
+        succeeds, it would stay for ever.
     """
 
     target: Target
@@ -48,6 +53,7 @@ class MixtureKernel:
     local_steps: int
     jumps: int
     fit: int = 0
+    gathers: bool = False
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the start as the local kernel does."""
@@ -119,6 +125,10 @@ class MixtureKernel:
         k = int(extra["next"])
         candidate, value, weight = (extra[f"block_{name}"][k] for name in _OF_BLOCK)
         log_ratio = np.where(np.isfinite(value), weight - extra[LOG_WEIGHT], -np.inf)
+        if self.gathers:
+            usual = np.median(extra["block_log_prob"])
+            is_far = state.log_prob < usual - _FAR - ndim
+            log_ratio = np.where(is_far & (value >= usual), np.inf, log_ratio)
         accepted = -rng.standard_exponential(chains) <= log_ratio
         position = np.where(accepted[:, None], candidate, state.position)
         log_prob = np.where(accepted, value, state.log_prob)

@@ -247,7 +247,7 @@ class MixtureTuner:
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
         steps, jumps = self.sampler.local_steps, self.sampler.jumps
-        self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages))
+        self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages), gathers=True)
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:
