@@ -72,7 +72,7 @@ def assumptions(
     if unused:
         said.append(f"Not used in updating, and thus a test of the model: mode{'s' * (len(unused) > 1)} "
                     f"{', '.join(unused)}.")  # fmt: skip
-    said += [cut, *priors, _pairing(problem)]
+    said += [cut, *_between_tests(problem), *priors, _pairing(problem)]
     if reduction is None:
         said.append("The full model is solved everywhere; there is no reduced model.")
     else:
@@ -93,6 +93,22 @@ _OF = {
     "shape": "Errors of the mode shapes, scaled to unit length at the sensors",
     "MAC": "Errors 1 − MAC of the mode shapes",
 }
+
+
+def _between_tests(problem: Mapping[str, Any]) -> list[str]:
+    """Return what holds between several tests of one structure."""
+    if "tests" not in problem:
+        return []
+    said = ["A parameter has one value in all tests, unless it is named for one of them or for a group."]
+    populations = problem.get("populations", {})
+    if populations:
+        kinds = dict.fromkeys(str(one["distribution"]) for one in populations.values())
+        together = "correlated, with a prior LKJ" if problem.get("correlated") else "independent of each other"
+        said.append(
+            f"The values of {', '.join(populations)} in the tests are draws from a {' or '.join(kinds)} "
+            f"distribution each, cut off at the bounds; they are {together}."
+        )
+    return said
 
 
 def _errors(
@@ -197,13 +213,16 @@ def frequency_sd(
 def _pairing(problem: Mapping[str, Any]) -> str:
     """Say how computed modes are paired with the measured ones."""
     model, data, likelihood = problem["model"], problem["data"], problem["likelihood"]
+    if isinstance(model, Mapping) and "configurations" in model:  # of several tests, which pair in one way
+        model = model["configurations"][0]["model"]
     if likelihood.get("error") == "modal-residual":
         return "The modal residual compares no computed modes, and pairs none."
     if not isinstance(model, Mapping) or "pairing" not in model:
         return "The model itself pairs its modes with the measured ones."
     if model["pairing"] in ("IndexPairing", "index"):
         order = "in the sorted spectrum" if model["pairing"] == "IndexPairing" else "in the order of the function"
-        return f"Modes are paired by number {order}: {', '.join(map(str, data['numbers']))}."
+        numbers = dict.fromkeys(map(str, data["numbers"]))  # the same in several tests
+        return f"Modes are paired by number {order}: {', '.join(numbers)}."
     softly = ""
     if "softness" in likelihood:
         softly = (

@@ -40,6 +40,10 @@ class Link:
     target: str
 
 
+_LONG = 40
+"""Rows of a table that a page shows at once."""
+
+
 @dataclass(frozen=True)
 class PageTable:
     """A table.
@@ -67,6 +71,11 @@ class PageTable:
         for row in self.rows:
             if len(row) != len(self.header):
                 raise ValueError(f"rows: must have {len(self.header)} cells (got {row})")
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it is folded on a page."""
+        return len(self.rows) > _LONG
 
 
 @dataclass(frozen=True)

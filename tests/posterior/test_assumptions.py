@@ -137,3 +137,13 @@ def test_the_reduced_model():
 
 def test_a_plain_density_has_none():
     assert assumptions({"density": "Gaussian", "lower": [0.0], "upper": [1.0]}, None) is None
+
+
+def test_several_tests():
+    said = assumptions(fmu.cases.load("shear-4dof-repeated").configuration(), None).sentences
+    assert "A parameter has one value in all tests, unless it is named for one of them or for a group." in said
+    (drawn,) = (one for one in said if one.startswith("The values of k1, k2, k3, k4 in the tests are draws"))
+    assert drawn.endswith(
+        "from a normal distribution each, cut off at the bounds; they are independent of each other."
+    )
+    assert "Modes are paired by number in the sorted spectrum: 1, 2, 3, 4." in said

@@ -17,6 +17,7 @@ from fmu.numbers import given
 from fmu.report.plots.style import (
     BLACK,
     GREY,
+    MOST_LABELS,
     NARROW,
     PALE,
     colour,
@@ -24,6 +25,7 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
+    spaced,
     turned,
 )
 from fmu.types import FloatArray
@@ -81,21 +83,30 @@ def plot_frequency_errors(
     for k in range(1, len(measured)):
         axes.axvline(k - 0.5, color=PALE, linewidth=1.0, zorder=0)
     axes.axhline(0.0, color=BLACK, linewidth=1.0, zorder=1)
+    dot, bar = (7.0, 4.5) if len(measured) <= MOST_LABELS else (4.0, 2.0)
     for k, entry in enumerate(series):
         x = centre + 0.7 * ((k + 0.5) / len(series) - 0.5)
         error = 100.0 * (np.asarray(entry.hz) / measured - 1.0)
         axes.vlines(x, 0.0, error, color=entry.colour, linewidth=1.4, alpha=0.55, zorder=2)
         if entry.interval_hz is not None:
             low, high = 100.0 * (np.asarray(entry.interval_hz) / measured - 1.0)
-            axes.vlines(x, low, high, color=entry.colour, linewidth=4.5, alpha=0.45, zorder=2)
+            axes.vlines(
+                x,
+                low,
+                high,
+                color=entry.colour,
+                linewidth=bar,
+                alpha=0.45,
+                zorder=2,
+            )
         axes.plot(
-            x, error, linestyle="none", marker="o", markersize=7, color=entry.colour, label=entry.label, zorder=3,
+            x, error, linestyle="none", marker="o", markersize=dot, color=entry.colour, label=entry.label, zorder=3,
             markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5,
         )  # fmt: skip
     options = turned(labels, figure.get_figwidth())
     between = ", " if options else "\n"
     names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
-    axes.set_xticks(centre, names, **options)
+    axes.set_xticks(centre, spaced(names), **options)
     axes.set_xlim(-0.5, len(measured) - 0.5)
     finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")
     legend_below(axes)
@@ -229,7 +240,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
                   color=BLACK, alpha=0.6)  # fmt: skip
         axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-    axes.set_xticks(x, labels, **turned(labels, figure.get_figwidth()))
+    axes.set_xticks(x, spaced(labels), **turned(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
     finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")
     legend_below(axes)

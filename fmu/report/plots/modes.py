@@ -21,6 +21,7 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
+    spaced,
     stacked,
     turned,
 )
@@ -84,8 +85,10 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > _ONE_COLUMN else 0.0)).tolist():
             axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
                       color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
-    axes.set_xticks(np.arange(m) + 0.5, labels, **turned(labels, side))
-    axes.set_yticks(np.arange(n) + 0.5, [literal(str(label)) for label in modes["reference_mode"].to_numpy()])
+    axes.set_xticks(np.arange(m) + 0.5, spaced(labels), **turned(labels, side))
+    axes.set_yticks(
+        np.arange(n) + 0.5, spaced([literal(str(label)) for label in modes["reference_mode"].to_numpy()])
+    )
     axes.invert_yaxis()
     axes.set_aspect("equal")
     axes.set_xlabel(f"mode of the model, {literal(state)}", fontsize=FONT)

@@ -34,6 +34,8 @@ _LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
 _LABEL_LETTER = 0.085
 """Width in inches of a letter of an axis label."""
 _TICK_LETTER = 0.1
+MOST_LABELS = 16
+"""Tick labels side by side on a figure of usual width."""
 """Width in inches of a letter of a tick label, including its share of the gaps."""
 
 
@@ -148,6 +150,12 @@ def legend_below(axes: Axes) -> None:
 def literal(text: str) -> str:
     """Escape dollar signs, which matplotlib would take for mathematics."""
     return text.replace("$", r"\$")
+
+
+def spaced(labels: Sequence[str]) -> list[str]:
+    """Return tick labels with every other one, or more of them, left empty where there are too many to read."""
+    every = -(-len(labels) // MOST_LABELS)
+    return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 
 
 def turned(labels: Sequence[str], width: float) -> dict[str, Any]:

@@ -35,11 +35,11 @@ def trace():
     return found
 
 
-def assert_labels_are_apart(axes):
+def assert_labels_are_apart(axes, n=None):
     """Labels that are turned by half a right angle are apart if their ends are, by the height of a letter."""
     axes.figure.canvas.draw()
     labels = [label for label in axes.get_xticklabels() if label.get_text()]
-    assert len(labels) == len(NAMES)
+    assert len(labels) == (n or len(NAMES))
     boxes = [label.get_window_extent() for label in labels]
     for label, (left, right) in zip(labels, pairwise(boxes), strict=False):
         if label.get_rotation() == 45.0:
@@ -75,3 +75,11 @@ def test_errors_of_many_frequencies(names):
     assert_labels_are_apart(axes)
     words = [label.get_text() for label in axes.get_xticklabels()]
     assert words[0] == (f"{names[0]}, 10 Hz" if names is NAMES else "0\n10 Hz")
+
+
+def test_of_many_tests_some_modes_are_named():
+    """Thirty tests of four modes: every eighth label."""
+    labels = [f"{test}: {mode}" for test in range(1, 31) for mode in range(1, 5)]
+    hz = np.linspace(2.0, 13.0, 120)
+    series = [Frequencies("after", 1.01 * hz, "#0072B2", interval_hz=np.stack([hz, 1.02 * hz]))]
+    assert_labels_are_apart(plot_frequency_errors(hz, series, labels, new_figure(NARROW, 4.2)), 15)
