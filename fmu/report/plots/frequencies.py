@@ -100,8 +100,8 @@ def plot_frequency_errors(
                 zorder=2,
             )
         axes.plot(
-            x, error, linestyle="none", marker="o", markersize=dot, color=entry.colour, label=entry.label, zorder=3,
-            markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5,
+            x, error, linestyle="none", marker="o", markersize=dot, color=entry.colour, label=entry.label,
+            markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5, zorder=3,
         )  # fmt: skip
     options = turned(labels, figure.get_figwidth())
     between = ", " if options else "\n"
