@@ -18,6 +18,7 @@ from fmu.report.plots.style import (
     BLACK,
     FONT,
     GREY,
+    MOST_LABELS,
     NARROW,
     PALE,
     TITLES,
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_EACH = 0.26
+"""Width of a parameter whose name is turned, inches."""
 _LEFT = "prior: not informed"
 _ENDS = ("mean", "eti90_lb", "eti90_ub")
 
@@ -77,7 +80,8 @@ def plot_parameter_updates(
         groups.setdefault((unit_of(first, name).name, name in noise), []).append(name)
     tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
     tilted = sum(bool(turned(members, NARROW)) for members in groups.values())
-    figure = figure or new_figure(NARROW, 2.5 * len(groups) + 0.6 * tilted + 0.6)
+    width = max(NARROW, _EACH * max(map(len, groups.values())))
+    figure = figure or new_figure(width, 2.5 * len(groups) + 0.6 * tilted + 0.6)
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
     points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
     values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
@@ -123,7 +127,8 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
     if np.all(np.isfinite([lower, upper])):
         axis.bar(x, upper - lower, 0.8, lower, color=PALE, label="between the bounds", zorder=0)
     if np.all(np.isfinite(start)):
-        axis.plot(x, start, linestyle="none", marker="_", markersize=24, markeredgewidth=1.8, color=BLACK,
+        length = 24.0 if len(x) <= MOST_LABELS else 12.0
+        axis.plot(x, start, linestyle="none", marker="_", markersize=length, markeredgewidth=1.8, color=BLACK,
                   label="start", zorder=1)  # fmt: skip
     axis.set_xticks(x, [literal(name) for name in members], **turned(members, NARROW))
     axis.set_xlim(-0.6, len(members) - 0.4)
