@@ -65,7 +65,9 @@ class SequentialNormal:
         return log_q
 
     def _limits(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where z_i leaves the box, given the z before it; each of shape (n,)."""
+        """Return where z_i leaves the box, given the z before it; each of shape (n,), of the first (1,)."""
+        if i == 0:  # the same in every row
+            z = z[:1]
         # a sum in one order, whatever the batch
         centre = self.mean[i] + np.einsum("nj,j->n", z[:, :i], self.L[i, :i])
         return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
