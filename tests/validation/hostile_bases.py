@@ -41,7 +41,7 @@ def _with_errors(text: str) -> str:
 
 def _case(name: str) -> Base:
     path = cases.path(name)
-    text = path.read_text(encoding="utf-8").replace("\n[model]", "\nreduction = false\n[model]", 1)
+    text = path.read_text(encoding="utf-8").replace("\ndescription = ", "\nreduction = false\ndescription = ", 1)
     text = re.sub(r"(?m)^elements = \d+", "elements = 1", text) if name == "garteur" else text
     folder = path.with_suffix("")
     found = folder.iterdir() if folder.is_dir() else ()
