@@ -92,7 +92,10 @@ def export(
         what determined it: the data, the prior or a combination.
         ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
         that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
-        ``dofs.csv``, the degrees of freedom of their rows.
+        ``dofs.csv``, the degrees of freedom of their rows. Of several tests, ``theta.csv`` has all that was
+        inferred; starts and matrices are at the shared values, those of the reference state, the means or medians
+        of populations, and for what varies freely the values in the first test or group, all at mean covariates.
+        Masses and springs that were added for a test are left out of the matrices.
 
     Raises
     ------
@@ -116,17 +119,34 @@ def export(
         left = () if found is None else found.not_informed
         _values(trace, theta, found).to_csv(stage / VALUES)
         built = described.model.build(source.folder, described.parameters)
+        source_of = in_the_file([table.name for table in described.parameters], names)
+        values = dict(zip(names, theta.tolist(), strict=True))
         if isinstance(built.model, SeparableModel):
-            write_matrices(built.model, built.places, theta[: built.model.n_parameters], f"At the {what}", stage)
-        starts = dict(zip(names, theta.tolist(), strict=True))
+            structural = np.array([values[name] for name in source_of.values()])
+            write_matrices(built.model, built.places, structural, f"At the {what}", stage)
+        starts = values | {key: values[name] for key, name in source_of.items()}
+        from_prior = {*left, *(key for key, name in source_of.items() if name in left)}
         original, about = source.file.read_text(encoding="utf-8"), f"The start values are the {what}"
-        text, words = updated_text(original, starts, source.pairing, about, left)
+        text, words = updated_text(original, starts, source.pairing, about, from_prior)
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
         remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_from_prior(left)]
         remarks += _incomplete(stage / PROBLEM)
         files = tuple(sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file()))
     return Exported(output.root, files, name, tuple(remarks))
+
+
+def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Return, for each parameter of the structure, the inferred one that stands for it in the problem file.
+
+    That is itself, the mean or median of its population, or its value in the first test or group.
+    """
+    found = {}
+    for parameter in parameters:
+        exact = (parameter, f"{parameter} mean", f"{parameter} median")
+        varied = (name for name in names if name.startswith(f"{parameter} ["))
+        found[parameter] = next((name for name in exact if name in names), None) or next(varied)
+    return found
 
 
 def chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:

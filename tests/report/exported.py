@@ -11,6 +11,7 @@ def run(path, directory, pairing="shape", **length):
     directory.mkdir(parents=True)
     KeptProblem(path, path.parent, pairing).save(directory)
     settings = {"draws": 150, "warmup": 150, "chains": 2} | length
-    trace = fmu.sample(problem, "hmc", maxima=fmu.find_map(problem, starts=8), **settings)
+    maxima = None if problem.is_hierarchical else fmu.find_map(problem, starts=8)
+    trace = fmu.sample(problem, "hmc", maxima=maxima, **settings)
     save_trace(trace, directory / "hmc.nc")
     return problem, trace
