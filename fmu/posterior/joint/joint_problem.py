@@ -17,6 +17,8 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior.build import check_names
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import mean_shapes
+from fmu.posterior.errors.mac import MACErrors
+from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
 from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, scattered
@@ -116,6 +118,8 @@ class JointProblem(UpdatingProblem):
         check_names(parameters)
         self.reference = (self.tests[0].group if self.tests else "") if reference is None else reference
         found = mistakes(self.tests, parameters, varies, slopes, self.reference, correlation)
+        if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
+            found += mistakes_of_shapes(self.tests)
         if found:
             raise TestsError(found)
         if pairing == "soft" or error == "modal-residual":
@@ -310,6 +314,9 @@ def mistakes(
                     found.append(f"tests.{t}.group: must be given, as {name} varies by group (got none)")
             if len({test.group for test in here}) < 2:
                 found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
+    for name in names:
+        if tests and all(name in test.known for test in tests):
+            found.append(f"tests: {name} must be unknown in one of them; otherwise it is no parameter")
     groups = {test.group for test in tests}
     if any(isinstance(how, Damage) for how in varies.values()) and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
@@ -329,6 +336,17 @@ def mistakes(
             ]
             if not missing and len({test.covariates[covariate] for test in tests}) < 2:
                 found.append(f"slopes.{name}: {covariate} must differ between tests (got one value)")
+    return found
+
+
+def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
+    """Return what hinders the comparison of shapes, each with its place."""
+    found = []
+    for t, test in enumerate(tests):
+        if test.data.shapes is None:
+            found.append(f"tests.{t}.shapes: must be given, as shapes are compared (got none)")
+        elif test.data.sensors != tests[0].data.sensors:
+            found.append(f"tests.{t}.sensors: must be those of tests.0, in their order, as shapes are compared")
     return found
 
 

@@ -192,6 +192,22 @@ def test_every_mistake_is_told_with_its_place(building):
         fmu.JointProblem(building, [tests[0], fmu.Test("b", measured((2e6, 2e6)), masses={7: 1.0})], [K1, K2])
 
 
+def test_shapes_that_cannot_be_compared_are_told(building):
+    f, shapes = np.array([4.0, 10.0]), np.array([[0.5, 1.0], [1.0, -0.5]])
+    one, turned = (fmu.ModalData(f, sensors=of, shapes=shapes, sd_hz=0.1) for of in (SENSORS, SENSORS[::-1]))
+    tests = [fmu.Test("one", one), fmu.Test("turned", turned), fmu.Test("none", fmu.ModalData(f, sd_hz=0.1))]
+    errors = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors(0.02)]
+    with pytest.raises(TestsError) as told:
+        fmu.JointProblem(building, tests, [K1, K2], error=errors)
+    assert told.value.mistakes == (
+        "tests.1.sensors: must be those of tests.0, in their order, as shapes are compared",
+        "tests.2.shapes: must be given, as shapes are compared (got none)",
+    )
+    known = [fmu.Test(name, one, known={"k1": 2e6}) for name in "ab"]
+    with pytest.raises(TestsError, match=r"must be unknown in one of them; otherwise it is no parameter"):
+        fmu.JointProblem(building, known, [K1, K2])
+
+
 def test_stiffness_and_mass_are_told_apart_by_a_known_mass():
     """One test gives the ratio of stiffness and mass alone; with 300 kg added it gives both."""
     model = fmu.SeparableModel.from_terms(
