@@ -1,0 +1,129 @@
+"""Input decks of other programs as templates, with ``{E1}`` where the value of the parameter E1 belongs.
+
+A deck is any text: bulk data of Nastran, commands of APDL, an ``.inp`` of Abaqus or CalculiX, a script of OpenSees::
+
+    $ E1: {E1}, sd {E1 sd}                          ! sd: of the posterior, in `fmu export` alone
+    MAT1    1       {E1:8}                0.3     7850.
+    PSHELL* 1               1               {t:16}1
+    MP,EX,1,{E1}
+    *ELASTIC
+    {E1}, 0.3
+    ops.uniaxialMaterial("Elastic", 1, {E1})
+
+``{E1:8}`` and ``{E1:16}`` fill so many columns, as Nastran's small and large fields have. Braces around anything
+that is not a single word, as in Tcl or Python, are no placeholders; ``{{word}}`` stands for ``{word}``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from fmu.formats.files import too_large, why_no_file
+from fmu.formats.shown import names_shown, told
+
+LARGEST_DECK = 2**26
+"""Bytes."""
+WIDEST = 20
+"""Characters that Abaqus and CalculiX read of a number; what is longer they cut off, its exponent first."""
+_COARSE = 0.05
+"""Largest relative error of a number that columns cut off."""
+_BRACES = re.compile(r"\{\{(\w+)\}\}|\{([^{}\n]+?)(?::(\d{1,2}))?\}")
+_WORD = re.compile(r"[^\W\d]\w*")
+
+
+def read_deck(path: Path) -> str:
+    """Return the text of a deck, its line ends kept; ValueError if it cannot be read."""
+    wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
+    if wrong:
+        raise ValueError(f"must be a text file ({wrong})")
+    raw = path.read_bytes()
+    if b"\0" in raw:
+        raise ValueError("must be a text file (it has NUL characters)")
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def placeholders(text: str) -> set[str]:
+    """Return the names of everything in a deck that may be a placeholder."""
+    return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
+
+
+def filled(text: str, values: Mapping[str, float]) -> str:
+    """Return a deck with numbers for its placeholders.
+
+    Parameters
+    ----------
+    text : str
+    values : mapping of str to float
+
+    Raises
+    ------
+    ValueError
+        Names every placeholder that is none of `values`, with its line; or a number does not fit its columns; or
+        there is no placeholder.
+    """
+    wrong = list(_unknown(text, values))
+    if not wrong and not placeholders(text) & values.keys():
+        wrong = [f"must have a placeholder, as {{{next(iter(values), 'E')}}} (it has none)"]
+    if wrong:
+        raise ValueError("; ".join(told(wrong)))
+
+    def put(match: re.Match[str]) -> str:
+        if match[1] is not None:
+            return f"{{{match[1]}}}"
+        if match[2] not in values:
+            return match[0]
+        return number(values[match[2]]) if match[3] is None else columns(values[match[2]], int(match[3]))
+
+    return _BRACES.sub(put, text)
+
+
+def _unknown(text: str, values: Mapping[str, float]) -> Iterator[str]:
+    for match in _BRACES.finditer(text):
+        if match[2] is not None and match[2] not in values and _WORD.fullmatch(match[2]):
+            line = text.count("\n", 0, match.start()) + 1
+            yield f"line {line}: {match[0]} must name one of {names_shown(list(values))}"
+
+
+def number(value: float) -> str:
+    """Return a number with a decimal point, all digits that fit into `WIDEST` characters: ``"2.1e+11"``."""
+    return _shortest(value, WIDEST, "e")
+
+
+def columns(value: float, width: int) -> str:
+    """Return a number that fills `width` columns, its exponent written as Nastran does: ``"2.0735+9"``.
+
+    Raises
+    ------
+    ValueError
+        If it does not fit.
+    """
+    return _shortest(value, width, "").ljust(width)
+
+
+def _shortest(value: float, width: int, exponent: str) -> str:
+    """Return the text of at most `width` characters that is closest to `value`; the shortest of several."""
+    ways = set()
+    for digits in range(1, 18):
+        mantissa, power = f"{value:.{digits - 1}e}".split("e")
+        mantissa = mantissa if "." in mantissa else f"{mantissa}."
+        ways.add(f"{mantissa}{exponent}{int(power):+d}")
+        fixed = f"{value:.{max(0, digits - 1 - int(power))}f}" if abs(int(power)) < 17 else ""
+        ways.add(fixed if "." in fixed else f"{fixed}." if fixed else "")
+    if not exponent:
+        ways |= {re.sub(r"^(-?)0(?=\.\d)", r"\1", way) for way in ways}
+    fitting = [
+        way for way in ways if way and len(way) <= width and abs(_read(way) - value) <= _COARSE * abs(value)
+    ]
+    if not fitting:
+        raise ValueError(f"must have room for two digits of {value!r} (got {width} columns)")
+    return min(fitting, key=lambda way: (abs(_read(way) - value), len(way), way))
+
+
+def _read(text: str) -> float:
+    """Return the number in a field of Nastran, where an exponent has no letter."""
+    return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) if "e" not in text else text)
