@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,10 +16,11 @@ from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
 from fmu.config.python import PythonTable
-from fmu.config.tables import Built, Name, Positive, TomlTable, by_kind
+from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, moved, variations
 from fmu.engines.base import Engine
 from fmu.fem.pairing.rules import SOFTNESS
+from fmu.formats.decks import EXPORTED, filled, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.joint_problem import JointProblem, TestsError
 from fmu.posterior.parameters import Parameter
@@ -37,6 +38,30 @@ TITLE = "A Bayesian model-updating problem for fmu"
 MOST_PARAMETERS = 200
 """Far more than a few modes can determine."""
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
+
+
+class ExportTable(TomlTable):
+    """What ``fmu export`` writes beside the matrices."""
+
+    templates: Annotated[list[FileName], Field(min_length=1, max_length=100)]
+    """Input decks of other programs, relative to this file, with {NAME} for the value of a parameter, {NAME sd}
+    for its posterior standard deviation, and {NAME:8} or {NAME:16} in a field of Nastran. plate.inp.in gives
+    plate.inp."""
+
+    def mistakes(self, folder: Path, names: Sequence[str]) -> list[Mistake]:
+        """Return a mistake for each template that cannot be filled."""
+        found, given = [], dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
+        made = list(EXPORTED)
+        for i, template in enumerate(self.templates):
+            try:
+                name = filled_name(template)
+                if name in made:
+                    raise ValueError(f"must give a file of another name (got {name})")
+                made.append(name)
+                filled(read_deck(folder / template), given)
+            except ValueError as error:
+                found.append(Mistake(f"export.templates.{i}", str(error)))
+        return found
 
 
 class ProblemFile(TomlTable):
@@ -72,6 +97,8 @@ class ProblemFile(TomlTable):
     correlation matrices; the larger it is, the smaller are the correlations. Independent if not given."""
     parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
     """What is uncertain, in the order of theta."""
+    export: ExportTable | None = None
+    """Files of other programs that ``fmu export`` fills with the updated values."""
 
     def build(
         self,
@@ -105,6 +132,8 @@ class ProblemFile(TomlTable):
         tables = [] if isinstance(self.error, str) else self.error
         errors, unnamed = built_errors(tables, noise, [table.name for table in self.noise])
         found += wrong + unnamed + self._of_measurements(needs_trust=not errors)
+        if self.export is not None:
+            found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])
         if found:
             raise ConfigurationError(source, found)
         try:

@@ -1,6 +1,6 @@
 """Input decks of other programs as templates, with ``{E1}`` where the value of the parameter E1 belongs.
 
-A deck is any text: bulk data of Nastran, commands of APDL, an ``.inp`` of Abaqus or CalculiX, a script of OpenSees::
+A deck is any text, as bulk data of Nastran, APDL, an ``.inp`` of Abaqus or CalculiX, or a script of OpenSees::
 
     $ E1: {E1}, sd {E1 sd}                          ! sd: of the posterior, in `fmu export` alone
     MAT1    1       {E1:8}                0.3     7850.
@@ -23,33 +23,52 @@ from pathlib import Path
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import names_shown, told
 
+EXPORTED = ("theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml")
+"""Files that `fmu.report.export.export` writes besides; no deck may have such a name."""
 LARGEST_DECK = 2**26
 """Bytes."""
 WIDEST = 20
 """Characters that Abaqus and CalculiX read of a number; what is longer they cut off, its exponent first."""
-_COARSE = 0.05
-"""Largest relative error of a number that columns cut off."""
+FIELDS = (8, 16)
+"""Columns of Nastran's small and large fields."""
 _BRACES = re.compile(r"\{\{(\w+)\}\}|\{([^{}\n]+?)(?::(\d{1,2}))?\}")
 _WORD = re.compile(r"[^\W\d]\w*")
 
 
 def read_deck(path: Path) -> str:
-    """Return the text of a deck, its line ends kept; ValueError if it cannot be read."""
+    """Return the text of a deck, its line ends and its bytes that are not UTF-8 kept; ValueError if it is none."""
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
         raise ValueError(f"must be a text file ({wrong})")
     raw = path.read_bytes()
     if b"\0" in raw:
         raise ValueError("must be a text file (it has NUL characters)")
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
+    return raw.decode("utf-8", "surrogateescape")
+
+
+def write_deck(path: Path, text: str) -> None:
+    """Write the text of a deck, in the encoding in which it was read."""
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
 
 
 def placeholders(text: str) -> set[str]:
     """Return the names of everything in a deck that may be a placeholder."""
     return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
+
+
+def filled_name(name: str) -> str:
+    """Return the name of the deck that a template gives: ``"plate.inp"`` for ``"plate.inp.in"``.
+
+    Raises
+    ------
+    ValueError
+        If the template's name does not end with ``.in``.
+    """
+    path = Path(name)
+    if path.suffix != ".in" or not path.stem.strip("."):
+        raise ValueError("must end with .in, as plate.inp.in, which gives plate.inp")
+    is_inside = not path.is_absolute() and ".." not in path.parts
+    return (path.with_suffix("") if is_inside else Path(path.stem)).as_posix()
 
 
 def filled(text: str, values: Mapping[str, float]) -> str:
@@ -63,10 +82,9 @@ def filled(text: str, values: Mapping[str, float]) -> str:
     Raises
     ------
     ValueError
-        Names every placeholder that is none of `values`, with its line; or a number does not fit its columns; or
-        there is no placeholder.
+        Names every placeholder that is none of `values` or has another width, with its line; or there is none.
     """
-    wrong = list(_unknown(text, values))
+    wrong = list(_mistakes(text, values))
     if not wrong and not placeholders(text) & values.keys():
         wrong = [f"must have a placeholder, as {{{next(iter(values), 'E')}}} (it has none)"]
     if wrong:
@@ -82,11 +100,15 @@ def filled(text: str, values: Mapping[str, float]) -> str:
     return _BRACES.sub(put, text)
 
 
-def _unknown(text: str, values: Mapping[str, float]) -> Iterator[str]:
+def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:
     for match in _BRACES.finditer(text):
-        if match[2] is not None and match[2] not in values and _WORD.fullmatch(match[2]):
-            line = text.count("\n", 0, match.start()) + 1
-            yield f"line {line}: {match[0]} must name one of {names_shown(list(values))}"
+        rule = ""
+        if match[2] in values and match[3] not in (None, *map(str, FIELDS)):
+            rule = "must have 8 or 16 columns, as a field of Nastran"
+        elif match[2] is not None and match[2] not in values and _WORD.fullmatch(match[2]):
+            rule = f"must name one of {names_shown(list(values))}"
+        if rule:
+            yield f"line {text.count('\n', 0, match.start()) + 1}: {match[0]} {rule}"
 
 
 def number(value: float) -> str:
@@ -95,13 +117,7 @@ def number(value: float) -> str:
 
 
 def columns(value: float, width: int) -> str:
-    """Return a number that fills `width` columns, its exponent written as Nastran does: ``"2.0735+9"``.
-
-    Raises
-    ------
-    ValueError
-        If it does not fit.
-    """
+    """Return a number that fills 8 or 16 columns, its exponent written as Nastran does: ``"2.0735+9"``."""
     return _shortest(value, width, "").ljust(width)
 
 
@@ -116,11 +132,7 @@ def _shortest(value: float, width: int, exponent: str) -> str:
         ways.add(fixed if "." in fixed else f"{fixed}." if fixed else "")
     if not exponent:
         ways |= {re.sub(r"^(-?)0(?=\.\d)", r"\1", way) for way in ways}
-    fitting = [
-        way for way in ways if way and len(way) <= width and abs(_read(way) - value) <= _COARSE * abs(value)
-    ]
-    if not fitting:
-        raise ValueError(f"must have room for two digits of {value!r} (got {width} columns)")
+    fitting = (way for way in ways if way and len(way) <= width)
     return min(fitting, key=lambda way: (abs(_read(way) - value), len(way), way))
 
 

@@ -20,6 +20,7 @@ from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
 from fmu.config.kept import kept
 from fmu.fem.modes.separable import SeparableModel
+from fmu.formats.decks import EXPORTED, filled, filled_name, placeholders, read_deck, write_deck
 from fmu.numbers import names_in_words, significant
 from fmu.report.files import OutputDirectory
 from fmu.tables import data_frame
@@ -92,9 +93,11 @@ def export(
         what determined it: the data, the prior or a combination.
         ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
         that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
-        ``dofs.csv``, the degrees of freedom of their rows. Of several tests, ``theta.csv`` has all that was
-        inferred; starts and matrices are at the shared values, those of the reference state, the means or medians
-        of populations, and for what varies freely the values in the first test or group, all at mean covariates.
+        ``dofs.csv``, the degrees of freedom of their rows; and the input decks whose templates the problem file
+        names under ``[export]``, with these values (`fmu.formats.decks`). Of several tests, ``theta.csv`` has all
+        that was inferred; starts, decks and matrices are at the shared values, those of the reference state, the
+        means or medians of populations, and for what varies freely the values in the first test or group, all at
+        mean covariates.
         Masses and springs that were added for a test are left out of the matrices.
 
     Raises
@@ -130,7 +133,12 @@ def export(
         text, words = updated_text(original, starts, source.pairing, about, from_prior)
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
+        templates = [] if described.export is None else described.export.templates
+        sd = dict(zip(names, parameter_draws(trace).std(axis=(0, 1), ddof=1).tolist(), strict=True))
+        sd |= {key: sd[name] for key, name in source_of.items()}
+        unused = write_decks(templates, source.folder, starts | {f"{key} sd": x for key, x in sd.items()}, stage)
         remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_from_prior(left)]
+        remarks += _not_in_a_deck([name for name in source_of if name in unused] if templates else [])
         remarks += _incomplete(stage / PROBLEM)
         files = tuple(sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file()))
     return Exported(output.root, files, name, tuple(remarks))
@@ -238,6 +246,12 @@ def _from_prior(names: Sequence[str]) -> list[str]:
     return [f"The data did not inform {names_in_words(names)}: {come} alone."]
 
 
+def _not_in_a_deck(names: Sequence[str]) -> list[str]:
+    if not names:
+        return []
+    return [f"{names_in_words(names)} {'is' if len(names) == 1 else 'are'} a placeholder of no template."]
+
+
 def _incomplete(file: Path) -> list[str]:
     """Return a warning if the updated file needs files that were not copied, such as imported modules."""
     from fmu.config import ConfigurationError
@@ -250,8 +264,7 @@ def _incomplete(file: Path) -> list[str]:
     return []
 
 
-VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
-RESERVED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM)
+VALUES, STIFFNESS, MASS, DOFS, PROBLEM = EXPORTED
 _EDITOR = "#:schema"
 _FROM_PRIOR = "from the prior: the data did not inform it"
 
@@ -271,6 +284,20 @@ def write_matrices(
         with (folder / name).open("wb") as file:  # given a name, mmwrite would write ASCII
             mmwrite(file, symmetric.tocoo(), comment=_ascii(comment), precision=17, symmetry="symmetric")
     dof_table(model, places).to_csv(folder / DOFS, index=False)
+
+
+def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, float], target: Path) -> set[str]:
+    """Write templates with their placeholders filled (`fmu.formats.decks`); return the names that none has."""
+    unused = set(values)
+    for template in templates:
+        text = read_deck(source / template)
+        path = target / filled_name(template)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():  # a copy of a file of the model
+            path = path.with_name(f"updated-{path.name}")
+        write_deck(path, filled(text, values))
+        unused -= placeholders(text)
+    return unused
 
 
 def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
@@ -346,7 +373,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
         path = Path(name)
         if path.is_absolute() or ".." in path.parts or not (source / name).is_file():
             continue
-        kept = f"model-{name}" if name in RESERVED else name
+        kept = f"model-{name}" if name in EXPORTED else name
         if kept != name:
             renamed[name] = kept
         (target / kept).parent.mkdir(parents=True, exist_ok=True)

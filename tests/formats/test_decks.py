@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from fmu.formats.decks import WIDEST, columns, filled, number, placeholders, read_deck
+from fmu.formats.decks import WIDEST, columns, filled, filled_name, number, placeholders, read_deck, write_deck
 
 VALUES = [
     2.1e11,
@@ -72,7 +72,7 @@ def test_a_deck_is_filled_and_otherwise_unchanged():
     [
         ("nothing here", r"must have a placeholder, as \{E1\}"),
         ("{E1}\n\n{E2} {Ee:8}", r"line 3: \{E2\} must name one of E1, t; line 3: \{Ee:8\} must name"),
-        ("{E1:5}", r"must have room for two digits of -3e-120 \(got 5 columns\)"),
+        ("{E1:5}", r"line 1: \{E1:5\} must have 8 or 16 columns"),
         ("{{E1}}", "must have a placeholder"),
     ],
 )
@@ -81,11 +81,25 @@ def test_a_deck_that_cannot_be_filled(text, message):
         filled(text, {"E1": -3e-120, "t": 1.0})
 
 
-def test_decks_of_any_encoding_are_read(tmp_path):
-    (tmp_path / "a.inp").write_bytes("** Träger {E1}\r\n".encode("latin-1"))
-    assert read_deck(tmp_path / "a.inp") == "** Träger {E1}\r\n"
-    (tmp_path / "b.inp").write_bytes("** ρ {E1}\n".encode())
-    assert read_deck(tmp_path / "b.inp") == "** ρ {E1}\n"
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
+def test_the_encoding_of_a_deck_is_kept(encoding, tmp_path):
+    (tmp_path / "a.inp.in").write_bytes("** Träger {E1}\r\n".encode(encoding))
+    write_deck(tmp_path / "a.inp", filled(read_deck(tmp_path / "a.inp.in"), {"E1": 1.5}))
+    assert (tmp_path / "a.inp").read_bytes() == "** Träger 1.5\r\n".encode(encoding)
+
+
+@pytest.mark.parametrize(
+    ("name", "made"),
+    [("plate.inp.in", "plate.inp"), ("decks/a.bdf.in", "decks/a.bdf"), ("../a.py.in", "a.py"), ("/x/a.in", "a")],
+)
+def test_a_template_gives_a_file_of_another_name(name, made):
+    assert filled_name(name) == made
+
+
+@pytest.mark.parametrize("name", ["plate.inp", ".in", "in", "a.in.txt"])
+def test_a_template_that_would_replace_itself(name):
+    with pytest.raises(ValueError, match=r"must end with \.in"):
+        filled_name(name)
 
 
 def test_what_is_no_deck(tmp_path):
