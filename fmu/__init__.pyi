@@ -30,6 +30,8 @@ from .fem.frame.updates import Factor as Factor
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
 from .fem.modes.separable import Term as Term
+from .formats.models.read import read_mesh as read_mesh
+from .formats.models.read import read_model as read_model
 from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
 from .posterior.errors.mac import MACErrors as MACErrors

@@ -3,7 +3,7 @@
 Reading order: read, limits; then one file a format.
 """
 
-from fmu.formats.matrices import harwell_boeing, hdf5, matlab, matrix_market, numpy_files
+from fmu.formats.matrices import calculix, harwell_boeing, hdf5, matlab, matrix_market, numpy_files
 
 FORMATS = (
     matrix_market.FORMAT,
@@ -13,4 +13,5 @@ FORMATS = (
     hdf5.FORMAT,
     harwell_boeing.FORMAT,
     numpy_files.CSV,
+    calculix.FORMAT,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -29,10 +29,19 @@ MOST_IDLE = 4
 
 
 class Labelled(NamedTuple):
-    """A matrix, and the degrees of freedom (node, direction) of its rows where the file names them."""
+    """A matrix, and the degrees of freedom (node, direction) of its rows where the file names them.
+
+    Attributes
+    ----------
+    matrix : ndarray or sparse array, shape (n_dof, n_dof)
+    dofs : tuple of (node, direction), optional
+    motions : mapping of (node, direction) to mapping of (node, direction) to float
+        Motions that are weighted sums of several degrees of freedom.
+    """
 
     matrix: Any
     dofs: tuple[tuple[int, str], ...] | None = None
+    motions: Mapping[tuple[int, str], Mapping[tuple[int, str], float]] = {}
 
 
 @dataclass(frozen=True)
@@ -122,6 +131,12 @@ def text_blocks(file: BinaryIO) -> Iterator[str]:
             raise ValueError(f"it has a line of more than {BLOCK} bytes")
         yield block[:end].decode("latin-1")
     yield rest.decode("latin-1")
+
+
+def text_lines(file: BinaryIO) -> Iterator[str]:
+    """Yield the lines of a text without their ends; see `text_blocks`."""
+    for text in text_blocks(file):
+        yield from (line.rstrip("\r") for line in text.removesuffix("\n").split("\n"))
 
 
 def tables(

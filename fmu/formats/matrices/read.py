@@ -7,6 +7,7 @@
 ``.h5``, ``.hdf5``     HDF5: a dataset, or a group of a sparse matrix's arrays (`fmu.formats.matrices.hdf5`)
 ``.hb``, ``.rsa`` …    Harwell–Boeing, which Ansys writes with ``HBMAT`` (`fmu.formats.matrices.harwell_boeing`)
 ``.csv``               numbers with commas between them
+``.sti``, ``.mas``     CalculiX, with names of the rows beside it in ``.dof`` (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
@@ -100,7 +101,7 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
-            matrix, dofs = _FORMAT_OF[suffix].read(path, variable)
+            found = _FORMAT_OF[suffix].read(path, variable)
     except RefusedError as refused:
         raise ValueError(str(refused)) from None
     except MemoryError:
@@ -109,7 +110,7 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
         is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
         text = str(error) if is_told else "it is not as such a file has to be"
         raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
-    return Labelled(symmetric_matrix(matrix, triangle), dofs)
+    return found._replace(matrix=symmetric_matrix(found.matrix, triangle))
 
 
 def symmetric_matrix(matrix: Any, triangle: Triangle = False) -> Any:

@@ -1,0 +1,9 @@
+"""Models of other programs: their matrices with named degrees of freedom, nodes and elements.
+
+Reading order: exported, read; then one file a format of meshes. The matrices are read by `fmu.formats.matrices`.
+"""
+
+from fmu.formats.models import inp
+
+FORMATS = (inp.FORMAT,)
+"""Of files with nodes and elements."""

@@ -1,0 +1,152 @@
+"""Nodes and elements of the input decks of Abaqus and CalculiX, ``.inp``.
+
+meshio's reader of these files follows ``*INCLUDE`` to whatever path is named, has no limits, and knows fewer types
+of elements.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from fmu.formats.matrices.limits import RefusedError, text_lines
+from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, Mesh, MeshFormat, mesh_of
+from fmu.formats.shown import shown
+
+_SOLIDS = {
+    4: "tetra", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15", 20: "hexahedron20", 27: "hexahedron27"
+}  # fmt: skip
+_FACES = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
+_LINES = {2: "line", 3: "line3"}
+_POINTS = {1: "vertex"}
+_TYPES = (
+    (r"C3D(\d+)|SC([68])", _SOLIDS),
+    (r"STRI(3)|STRI(6)5", _FACES),
+    (r"(?:S|DS|M3D|CPS|CPE|CPEG|CAX|R3D|SFM3D|RAX)([34689])", _FACES),
+    (r"[TR][23]D([23])|F?RAME([23])D|B[23]()[123]|PIPE[23]()[123]|ELBOW[3](2)", _LINES),
+    (r"SPRINGA|SPRING2|DASHPOT[A2]|CONN3D2|GAPUNI|ITSCYL", _LINES),
+    (r"SPRING1|DASHPOT1|MASS|ROTARYI|HEATCAP", _POINTS),
+)
+_REFUSED = {
+    "INCLUDE": "the files that *INCLUDE names are not followed: put their lines in its place",
+    "PART": "it has parts and instances, whose nodes have other numbers in the matrices: write a deck without "
+    "them (in Abaqus/CAE, Model > Edit Attributes > Do not use parts and assemblies in input files)",
+    "SYSTEM": "coordinates in the system of *SYSTEM are not read: give them in global axes",
+    "NGEN": "nodes that *NGEN generates are not read: give each in *NODE",
+    "NFILL": "nodes that *NFILL generates are not read: give each in *NODE",
+    "NCOPY": "nodes that *NCOPY generates are not read: give each in *NODE",
+    "ELGEN": "elements that *ELGEN generates are not read: give each in *ELEMENT",
+    "ELCOPY": "elements that *ELCOPY generates are not read: give each in *ELEMENT",
+}
+_REFUSED["INSTANCE"] = _REFUSED["PART"]
+
+
+def parse(lines: Iterator[str]) -> Mesh:
+    """Return the nodes and elements of a deck.
+
+    Raises
+    ------
+    RefusedError
+        If the deck generates nodes, includes files, has parts, or too many nodes or elements.
+    ValueError
+        If a line of numbers is none.
+    """
+    nodes: dict[int, tuple[float, float, float]] = {}
+    elements: list[tuple[int, ...]] = []
+    kinds: list[str] = []
+    unknown: dict[str, None] = {}
+    is_transformed = False
+    reading, kind, needed = "", "", 0
+    ahead: list[int] = []
+    for number, line in enumerate(lines, 1):
+        line = line.strip()
+        if not line or line.startswith("**"):
+            continue
+        if line.startswith("*"):
+            reading, options = _keyword(line)
+            if ahead:
+                raise ValueError(f"line {number}: an element has {len(ahead) - 1} of its {needed} nodes")
+            if reading in _REFUSED:
+                raise RefusedError(f"line {number}: {_REFUSED[reading]}")
+            is_transformed |= reading == "TRANSFORM"
+            if reading in ("NODE", "ELEMENT") and "INPUT" in options:
+                raise RefusedError(f"line {number}: {_REFUSED['INCLUDE'].replace('INCLUDE', 'INPUT')}")
+            if reading == "NODE" and options.get("SYSTEM", "R") not in ("R", ""):
+                raise RefusedError(f"line {number}: {_REFUSED['SYSTEM']}")
+            if reading == "ELEMENT":
+                kind, needed = kind_of(options.get("TYPE", ""))
+                if not kind:
+                    unknown[options.get("TYPE", "")] = None
+                    reading = ""
+        elif reading == "NODE":
+            words = [word.strip() for word in line.rstrip(",").split(",")]
+            x, y, z = (*(_number(word, number) for word in words[1:4]), 0.0, 0.0, 0.0)[:3]
+            nodes[_id(words[0], number)] = (x, y, z)
+            if len(nodes) > MOST_NODES:
+                raise RefusedError(f"must have at most {MOST_NODES} nodes")
+        elif reading == "ELEMENT":
+            ahead += [_id(word.strip(), number) for word in line.split(",") if word.strip()]
+            if len(ahead) > needed:
+                if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # those may name a further node
+                    raise ValueError(f"line {number}: a {kind} has {needed} nodes (got {len(ahead) - 1})")
+                ends = ahead[1 : needed + 1]
+                elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))
+                kinds.append(kind)
+                ahead = []
+                if len(elements) > MOST_ELEMENTS:
+                    raise RefusedError(f"must have at most {MOST_ELEMENTS} elements")
+    if ahead:
+        raise ValueError(f"its last element has {len(ahead) - 1} of its {needed} nodes")
+    notes = [f"Elements of the unknown type {shown(one)} are left out of the mesh." for one in unknown]
+    if is_transformed:
+        notes.append(TRANSFORMED)
+    return mesh_of(nodes, elements, kinds, notes)
+
+
+TRANSFORMED = "The deck has *TRANSFORM: motions are taken along global axes, as CalculiX has them."
+
+
+def kind_of(name: str) -> tuple[str, int]:
+    """Return meshio's name and the number of nodes of a type of element; empty and 0 for an unknown one."""
+    for pattern, kinds in _TYPES:
+        found = re.match(pattern, name)
+        if found is None:
+            continue
+        count = next((part for part in found.groups() if part is not None), "")
+        if kinds is _POINTS:
+            return "vertex", 1
+        if kinds is _LINES and not count:
+            return ("line3", 3) if re.match(r"(B|PIPE)[23]2", name) else ("line", 2)
+        return kinds.get(int(count), ""), int(count)
+    return "", 0
+
+
+def _keyword(line: str) -> tuple[str, dict[str, str]]:
+    """Return a keyword and its options, in upper case and without blanks."""
+    word, *options = line[1:].upper().replace(" ", "").replace("\t", "").split(",")
+    pairs = (option.partition("=") for option in options if option)
+    return word, {key: value for key, _, value in pairs}
+
+
+def _id(word: str, number: int) -> int:
+    if not (word.isdecimal() and len(word) <= 10 and int(word) > 0):
+        raise ValueError(
+            f"line {number}: numbers of nodes and elements must be whole and positive (got {shown(word)})"
+        )
+    return int(word)
+
+
+def _number(word: str, number: int) -> float:
+    try:
+        return float(word.upper().replace("D", "E")) if word else 0.0
+    except ValueError:
+        raise ValueError(f"line {number}: a coordinate must be a number (got {shown(word)})") from None
+
+
+def _read(path: Path) -> Mesh:
+    with open(path, "rb") as file:
+        return parse(text_lines(file))
+
+
+FORMAT = MeshFormat((".inp",), _read)
