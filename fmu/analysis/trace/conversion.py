@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.trace.misfit import misfit_group
+from fmu.analysis.trace.modal_states import drawn_structure
 from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
 from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.reading import check_trace
@@ -306,6 +307,7 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
         lost = {n: (("chain", "draw", "state"), losses[..., j]) for j, n in enumerate(problem.layout.by_state)}
         attributes = {"reference": problem.reference}
         found["loss"] = xr.Dataset(lost, coords=coordinates | {"state": list(problem.states)}, attrs=attributes)
+    found |= drawn_structure(problem)
     if predictions and problem.is_hierarchical and problem.likelihood.simulates:
         computed, measured = problem.simulate_next_test(generator(result.seed, NEXT_TEST_STREAM), theta)
         dims, shape = ("chain", "draw", "mode"), (*position.shape[:2], computed.shape[1])

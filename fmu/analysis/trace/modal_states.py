@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,10 +22,12 @@ if TYPE_CHECKING:
     from fmu.fem.modes.separable import SeparableModel
     from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.data.modal_data import ModalData
+    from fmu.posterior.joint.joint_problem import JointProblem
     from fmu.posterior.problem import UpdatingProblem
 
 
 GROUP = "modes"
+_STRUCTURE = "structure"
 """Group of a trace that stores them."""
 START, MEAN, MAXIMUM = "start", "posterior mean", "maximum"
 MEASURED = "measured shapes, at the sensors"
@@ -184,11 +187,31 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
     return variables
 
 
+def drawn_structure(problem: JointProblem) -> dict[str, xr.Dataset]:
+    """Return the group of a trace of several tests with what `sketch_of` draws; none without geometry.
+
+    It is the structure of the first test.
+    """
+    import xarray as xr
+
+    first = next(part for part in problem.model.configurations if 0 in part.tests)
+    model = first.model.as_structure()
+    if model is None or model.structure.geometry is None:
+        return {}
+    found = sketch(model.structure, problem.tests[0].data.sensors)
+    names = [parameter.name for parameter in problem.layout.structural]
+    changed = np.zeros((len(found.elements), len(names)), dtype=bool)
+    changed[:, first.parameters] = found.changed
+    variables = _sketch_variables(replace(found, changed=changed))
+    return {_STRUCTURE: xr.Dataset(variables, coords={"structural": names})}
+
+
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
     """Return what is drawn of the structure; None if it has no geometry, or an older version of fmu sampled it."""
-    if not has(trace, GROUP, "changed"):
+    group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
+    if group is None:
         return None
-    modes = trace[GROUP].to_dataset()
+    modes = trace[group].to_dataset()
     kinds = tuple(map(str, modes["symbol"].to_numpy())) if "symbol" in modes else ()
     places, ends = (
         modes[name].to_numpy() if kinds else np.empty((0, 3)) for name in ("symbol_place", "symbol_end")

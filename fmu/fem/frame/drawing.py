@@ -16,8 +16,10 @@ from fmu.types import BoolArray, FloatArray, IntArray
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """Okabe & Ito's colour-blind safe palette."""
 UNCHANGED = "#6E6E6E"
-_WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
+WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
 _FLAT = 1e-6
+_BALANCED = 1e-9
+"""Largest rest of forces in equilibrium, relative to the stiffness that they come from."""
 _AXES = ("x", "y", "z")
 _ROTATIONS = ("rx", "ry", "rz")
 
@@ -75,10 +77,18 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
     return drawn(sketch(model, sensors))
 
 
-def drawn(structure: Sketch) -> str:
+def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "") -> str:
     """Draw elements in the colour of the first parameter that changes them, and what is at the nodes.
 
     Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
+
+    Parameters
+    ----------
+    structure : Sketch
+    colours : sequence of str, length n_elements, optional
+        Other colours of the elements.
+    said : str
+        What they show, for those who cannot see it.
 
     Returns
     -------
@@ -89,7 +99,7 @@ def drawn(structure: Sketch) -> str:
     tips = structure.ends[kinds == "arm"]
     n, fit = len(structure.nodes), _fit(np.concatenate([structure.nodes, tips]) @ view)
     place, places, ends = (fit(x @ view) for x in (structure.nodes, structure.places, structure.ends))
-    colours = element_colours(structure.changed)
+    colours = element_colours(structure.changed) if colours is None else colours
     parts = [_line(a, b, UNCHANGED, 1.5) for a, b in zip(places[kinds == "arm"], fit(tips @ view), strict=True)]
     parts += [
         _line(place[a], place[b], colour, 4) for (a, b), colour in zip(structure.elements, colours, strict=True)
@@ -103,11 +113,11 @@ def drawn(structure: Sketch) -> str:
             parts.append(_dot(a, 6, UNCHANGED))
         elif kind == "sensor" and not np.isnan(pointing).any():
             parts.append(_arrow(a, pointing))
-    words = f"{n} nodes, {len(structure.elements)} elements, {np.sum(kinds == 'sensor')} sensors"
+    words = said or f"{n} nodes, {len(structure.elements)} elements, {np.sum(kinds == 'sensor')} sensors"
     height = np.concatenate([place, fit(tips @ view)])[:, 1].max() + _MARGIN
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" '
-        f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{_WIDTH:.0f}px">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
+        f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{WIDTH:.0f}px">'
         f"{''.join(parts)}</svg>"
     )
 
@@ -127,7 +137,8 @@ def parameter_colours(changed: BoolArray) -> list[str | None]:
 def changed_elements(model: SeparableModel) -> BoolArray:
     """Return which parameter changes which element, shape (n_elements, n_parameters).
 
-    It does where a term with it couples the element's ends, or where one end is held, loads the other.
+    It does where a term with it couples the element's ends. Where one end is held, it does where the term's forces
+    on the other are not in equilibrium when everything translates; where it has no stiffness, where it has mass.
 
     Raises
     ------
@@ -140,13 +151,23 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     has = sp.csr_array((np.ones(len(dofs)), (nodes, dofs)), shape=(len(geometry.nodes), model.n_dof))
     free = has.sum(axis=1) > 0
     changed = np.zeros((len(a), model.n_parameters), dtype=bool)
-    for term in (*model.K_terms, *model.M_terms):
-        if not any(term.powers):
-            continue
-        joined = (has @ abs(term.matrix) @ has.T).tocsr()
-        loaded = has @ np.abs(term.matrix.diagonal())
-        touched = np.where(free[a] & free[b], joined[a, b], loaded[np.where(free[a], a, b)]) > 0
-        changed[np.ix_(touched, np.flatnonzero(term.powers))] = True
+    translation = np.zeros((model.n_dof, 3))
+    for (_, direction), i in model.dof_of.items():
+        if direction in _AXES:
+            translation[i, _AXES.index(direction)] = 1.0
+    stiff = np.any([np.array(term.powers) != 0 for term in model.K_terms], axis=0)
+    for terms, of in ((model.K_terms, np.ones_like(stiff)), (model.M_terms, ~stiff)):
+        for term in terms:
+            if term.constant:
+                continue
+            joined = (has @ abs(term.matrix) @ has.T).tocsr()
+            diagonal = np.abs(term.matrix.diagonal())
+            forces = np.abs(term.matrix @ translation).max(axis=1)
+            loaded = has @ (forces > _BALANCED * diagonal)
+            ends = free[a] & free[b]
+            by = np.array(term.powers) != 0
+            changed[np.ix_(ends & (joined[a, b] > 0), by)] = True
+            changed[np.ix_(~ends & (loaded[np.where(free[a], a, b)] > 0), by & of)] = True
     return changed
 
 
@@ -179,7 +200,7 @@ def _view(nodes: FloatArray) -> FloatArray:
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Return the map of points (n, 2) into the picture, y upwards, that shows all of `points`."""
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
-    room = np.array([_WIDTH, _HEIGHT]) - 2.0 * _MARGIN
+    room = np.array([WIDTH, _HEIGHT]) - 2.0 * _MARGIN
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
     bottom = _MARGIN + scale * extent[1]
 

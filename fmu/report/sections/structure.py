@@ -29,14 +29,14 @@ NO_SHAPES = "the trace has no mode shapes: the model gives none, or an older ver
 _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at the highest maximum"}
 
 
-_MOST_DRAWN = 5000
+MOST_DRAWN = 5000
 """Elements; a larger structure is not drawn."""
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
     """Return the structure with a legend of its colours; nothing if the trace does not know what it looks like."""
     found = sketch_of(trace)
-    if found is None or len(found.elements) > _MOST_DRAWN:
+    if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
     # no text in it is the user's; inside HTML an SVG has no need of an address
     svg = Markup(drawn(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
@@ -51,9 +51,13 @@ def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], sv
             entries.setdefault(colour, []).append(str(name))
     if f'stroke="{UNCHANGED}" stroke-width="4"' in svg:
         entries[UNCHANGED] = ["no parameter"]
+    return legend((colour, ", ".join(those)) for colour, those in entries.items())
+
+
+def legend(entries: Iterable[tuple[str, str]]) -> Markup:
+    """Return the legend of a drawing from its colours and what they mean."""
     entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
-    items = Markup("").join(entry.format(colour, ", ".join(those)) for colour, those in entries.items())
-    return Markup('<ul class="legend">{}</ul>').format(items)
+    return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entry.format(*one) for one in entries))
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:

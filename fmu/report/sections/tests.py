@@ -3,18 +3,36 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
 from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
+from fmu.analysis.trace.modal_states import sketch_of
 from fmu.analysis.trace.reading import has
+from fmu.fem.frame.drawing import UNCHANGED, WIDTH, drawn
 from fmu.numbers import decimals, fixed, interval, share, shown, with_sd
-from fmu.report.document import Omitted, PageSection, PageTable, Part, Pictures, Text, picture
+from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
 from fmu.report.plots.tests import plot_losses, plot_values
 from fmu.report.run import ReportedRun
+from fmu.report.sections.structure import MOST_DRAWN, legend
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ONE_TEST = "there is one test"
 _BEYOND = (0.05, 0.1)
+_STEPS = (0.1, 0.5, 0.9)
+_SCALE = (
+    ("#C8C8C8", "below 10 %"),
+    ("#F2B25C", "10 to 50 %"),
+    ("#E0672E", "50 to 90 %"),
+    ("#9C1414", "above 90 %"),
+)
+"""Colours between those probabilities."""
+_ADDRESS = ' xmlns="http://www.w3.org/2000/svg"'
+"""Inside HTML an SVG has no need of it."""
 
 
 def population(run: ReportedRun) -> PageSection | Omitted:
@@ -120,4 +138,29 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
         plot_losses(run.trace, _BEYOND[0]), f"{run.name}-loss", f"Losses of stiffness: {said}.", caption
     )
     found = PageTable("Losses", columns, tuple(rows), (1,))
-    return PageSection("damage", title, (words, Pictures((drawn,)), found))
+    return PageSection("damage", title, (words, Pictures((drawn,)), *_where(run, table), found))
+
+
+def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Pictures, ...]:
+    """Return the structure in each state, its elements in the colours of the probabilities of their losses."""
+    sketch = sketch_of(run.trace)
+    if sketch is None or len(sketch.elements) > MOST_DRAWN:
+        return ()
+    names = run.trace["structure"]["structural"].to_numpy().tolist()
+    drawings = []
+    for state in run.trace[GROUP]["state"].to_numpy().tolist():
+        probability = np.full((len(sketch.elements), len(names)), -1.0)
+        lost = table.loc[state].iloc[:, 4].drop(ANY)
+        for name, p in lost.items():
+            probability[sketch.changed[:, names.index(name)], names.index(name)] = p
+        worst = probability.max(axis=1)
+        colours = [UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0] for p in worst]
+        without = [(UNCHANGED, "no parameter with a loss")] if UNCHANGED in colours else []
+        said = ", ".join(f"{name} {probably(float(p))}" for name, p in lost.items())
+        svg = drawn(sketch, colours, f"P(loss > {share(_BEYOND[0])}) in {state}: {said}").replace(_ADDRESS, "", 1)
+        caption = (
+            f"{state}: probability that more than {share(_BEYOND[0])} of an element's stiffness is lost, the "
+            "largest of the parameters that change it."
+        )
+        drawings.append(Picture(Markup(svg) + legend([*_SCALE, *without]), caption, round(WIDTH)))
+    return (Pictures(tuple(drawings)),)

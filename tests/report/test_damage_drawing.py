@@ -1,0 +1,68 @@
+"""Losses on the drawn structure: which element has which colour."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.fem.frame.drawing import UNCHANGED, changed_elements
+from fmu.report.sections.tests import losses
+
+HEIGHT, STOREYS = 3.0, 2
+NAMES = tuple(f"columns {k + 1}" for k in range(STOREYS))
+SENSORS = [(1, "x"), (2, "x")]
+
+
+@pytest.fixture(scope="module")
+def mast():
+    """A clamped mast of two storeys, one element each, and a beam that no parameter changes."""
+    section = fmu.Section(A=5e-3, Iy=5e-5, Iz=3e-5, J=1e-6)
+    steel = fmu.Material(E=2.1e11, nu=0.3, rho=7850.0)
+    elements = {"columns 1": (0, 1), "columns 2": (1, 2), "arm": (2, 3)}
+    groups = [fmu.ElementGroup(name, [ends], section, steel) for name, ends in elements.items()]
+    nodes = [(0.0, 0.0, 0.0), (0.0, 0.0, HEIGHT), (0.0, 0.0, 2 * HEIGHT), (1.0, 0.0, 2 * HEIGHT)]
+    held = {0: ("x", "y", "z", "rx", "ry", "rz")} | dict.fromkeys((1, 2, 3), ("y", "rx", "rz"))
+    return fmu.Frame(np.array(nodes), groups, held).separable({name: fmu.Factor([("E", name)]) for name in NAMES})
+
+
+def test_a_held_element_is_not_changed_by_what_stands_on_it(mast):
+    """Both columns load the node between them: only the lower one is not in equilibrium by itself."""
+    assert changed_elements(mast).astype(int).tolist() == [[1, 0], [0, 1], [0, 0]]
+
+
+def test_what_has_mass_alone_changes_a_held_element(mast):
+    """A density has no forces to be in equilibrium."""
+    K, M = mast.K([1.0, 1.0]), mast.M([1.0, 1.0])
+    model = fmu.SeparableModel.from_terms(["rho"], [K], [(M, "rho")], mast.dofs, mast.geometry)
+    assert changed_elements(model)[:, 0].all()
+
+
+@pytest.fixture(scope="module")
+def run(mast):
+    """A short run: the lower storey loses a third, the upper one nothing."""
+    tests = []
+    for name, loss in (("before", 0.0), ("after", 0.3)):
+        theta = np.array([1.0 - loss, 1.0])
+        values = np.linalg.eigvals(np.linalg.solve(mast.M(theta).toarray(), mast.K(theta).toarray()))
+        f = np.sqrt(np.sort(values.real)[:2]) / (2 * np.pi)
+        tests.append(fmu.Test(name, fmu.ModalData(f, numbers=[1, 2], sd_hz=0.005 * f), group=name))
+    parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in NAMES]
+    varies = dict.fromkeys(NAMES, fmu.Damage())
+    problem = fmu.JointProblem(mast, tests, parameters, varies=varies, pairing="index")
+    return SimpleNamespace(trace=fmu.sample(problem, "hmc", draws=100, warmup=150, seed=1), name="hmc")
+
+
+def test_elements_have_the_colours_of_their_losses(run):
+    """The lower storey is dark red, the upper one is not, and the arm has no loss."""
+    drawings = losses(run).parts[2].pictures
+    assert [re.match(r"[^:]*", one.caption)[0] for one in drawings] == ["after"]
+    lower, upper, arm = re.findall(r'<line [^>]* stroke="(#\w+)" stroke-width="4"', drawings[0].svg)
+    table = fmu.damage(run.trace).loc["after", "P(loss > 5 %)"]
+    assert table["columns 1"] > 0.9
+    assert table["columns 2"] < 0.9
+    assert (lower, arm) == ("#9C1414", UNCHANGED)
+    assert upper in ("#C8C8C8", "#F2B25C", "#E0672E")
+    assert "columns 1 &gt; 99 %" in drawings[0].svg
+    assert "no parameter with a loss" in drawings[0].svg
