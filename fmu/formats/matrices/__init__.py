@@ -3,7 +3,7 @@
 Reading order: read, limits; then one file a format.
 """
 
-from fmu.formats.matrices import calculix, harwell_boeing, hdf5, matlab, matrix_market, numpy_files
+from fmu.formats.matrices import ansys, calculix, harwell_boeing, hdf5, matlab, matrix_market, numpy_files
 
 FORMATS = (
     matrix_market.FORMAT,
@@ -14,4 +14,5 @@ FORMATS = (
     harwell_boeing.FORMAT,
     numpy_files.CSV,
     calculix.FORMAT,
+    ansys.FORMAT,
 )

@@ -71,15 +71,27 @@ class RefusedError(Exception):
     """A readable file that does not hold what is needed, or holds too much."""
 
 
+class SeveralError(RefusedError):
+    """A file with several matrices, of which none was named.
+
+    Attributes
+    ----------
+    names : tuple of str
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        super().__init__(f"variable: must be given, one of {names_shown(names)}")
+
+
 def chosen(names: Sequence[str], variable: str | None) -> str:
     """Return the name of the variable to read."""
-    known = names_shown(names)
     if not names:
         raise RefusedError("must hold a matrix (it holds none)")
     if variable is None and len(names) > 1:
-        raise RefusedError(f"variable: must be given, one of {known}")
+        raise SeveralError(names)
     if variable is not None and variable not in names:
-        raise RefusedError(f"variable: must be one of {known} (got {variable!r})")
+        raise RefusedError(f"variable: must be one of {names_shown(names)} (got {variable!r})")
     return names[0] if variable is None else variable
 
 

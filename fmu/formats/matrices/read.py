@@ -67,7 +67,9 @@ def read_matrix(path: Path, variable: str | None = None, triangle: Triangle = Fa
     return read_labelled(path, variable, triangle).matrix
 
 
-def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = False) -> Labelled:
+def read_labelled(
+    path: Path, variable: str | None = None, triangle: Triangle = False, *, fill: bool = False
+) -> Labelled:
     """Read a symmetric real matrix with the names of its degrees of freedom, if the file has them.
 
     Parameters
@@ -77,6 +79,8 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
         Which matrix of a file that can hold several; not needed if it holds one.
     triangle : bool or {"lower", "upper"}
         The file has each pair of symmetric entries once: the other is filled in. With ``True`` whichever is there.
+    fill : bool
+        Whether a matrix that has only one triangle is taken for a symmetric one.
 
     Returns
     -------
@@ -103,14 +107,16 @@ def read_labelled(path: Path, variable: str | None = None, triangle: Triangle = 
             warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
             found = _FORMAT_OF[suffix].read(path, variable)
     except RefusedError as refused:
-        raise ValueError(str(refused)) from None
+        raise ValueError(str(refused)) from refused
     except MemoryError:
         raise
     except Exception as error:  # whatever a broken file makes the readers raise
         is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
         text = str(error) if is_told else "it is not as such a file has to be"
         raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
-    return found._replace(matrix=symmetric_matrix(found.matrix, triangle))
+    matrix = _real_square(found.matrix)
+    alone = fill and not all(_off_diagonal(matrix))
+    return found._replace(matrix=_symmetric(matrix, triangle or alone))
 
 
 def symmetric_matrix(matrix: Any, triangle: Triangle = False) -> Any:

@@ -3,7 +3,7 @@
 Reading order: exported, read; then one file a format of meshes. The matrices are read by `fmu.formats.matrices`.
 """
 
-from fmu.formats.models import inp
+from fmu.formats.models import ansys, inp
 
-FORMATS = (inp.FORMAT,)
+FORMATS = (inp.FORMAT, ansys.CDB, ansys.RST)
 """Of files with nodes and elements."""

@@ -36,6 +36,8 @@ class Mesh(NamedTuple):
     axes : mapping of int to ndarray, shape (3, 3)
         Rows are the unit vectors of the axes along which a node's degrees of freedom are, where these are not the
         global ones.
+    sets : mapping of str to tuple of (node, direction)
+        Rows that matrices without names can have, by what the program calls them.
     """
 
     nodes: IntArray
@@ -44,6 +46,7 @@ class Mesh(NamedTuple):
     kinds: tuple[str, ...]
     notes: tuple[str, ...] = ()
     axes: Mapping[int, FloatArray] = {}
+    sets: Mapping[str, tuple[DofName, ...]] = {}
 
 
 NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())
@@ -55,6 +58,7 @@ def mesh_of(
     kinds: Sequence[str],
     notes: Sequence[str] = (),
     axes: Mapping[int, FloatArray] | None = None,
+    sets: Mapping[str, tuple[DofName, ...]] | None = None,
 ) -> Mesh:
     """Return the mesh of nodes by their ids, after checking it.
 
@@ -78,7 +82,7 @@ def mesh_of(
         for node in element:
             if node not in places:
                 raise RefusedError(f"must have the nodes of all elements (there is no node {node})")
-    return Mesh(nodes, coordinates, tuple(elements), tuple(kinds), tuple(notes), axes or {})
+    return Mesh(nodes, coordinates, tuple(elements), tuple(kinds), tuple(notes), axes or {}, sets or {})
 
 
 @dataclass(frozen=True, eq=False)

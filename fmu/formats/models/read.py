@@ -1,38 +1,49 @@
 """Models from files of other programs: matrices, names of their degrees of freedom, and the mesh.
 
-==================  ============================================  =====================
-program             stiffness and mass                            mesh
-==================  ============================================  =====================
-CalculiX            ``job.sti``, ``job.mas`` and ``job.dof``      ``job.inp``
-Abaqus              ``job_STIF1.mtx`` and ``job_MASS1.mtx``       ``job.inp``
-==================  ============================================  =====================
+==============  ===========================================================  =======================
+program         stiffness and mass                                           mesh
+==============  ===========================================================  =======================
+CalculiX        ``job.sti``, with ``job.mas`` and ``job.dof`` beside it      ``job.inp``
+Abaqus          ``job_STIF1.mtx`` and ``job_MASS1.mtx``                      ``job.inp``
+Ansys           ``file.full``                                                ``.cdb`` or ``.rst``
+Nastran         OP4, ``.op4``; DMIG in ``.pch`` or the bulk data             ``.bdf``, ``.dat``, ``.nas``
+MATLAB          K and M of ``.mat``, or in two files
+any other       two files of `fmu.formats.matrices.read`, names of rows
+==============  ===========================================================  =======================
 
+Names of rows in a file of their own are lines ``node,direction`` with directions x, y, z, rx, ry, rz or 1 to 6.
 Units are the program's: fmu takes them for SI units.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import scipy.sparse as sp
-
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.matrices.abaqus import HELD
-from fmu.formats.matrices.limits import LARGEST_FILE, Labelled, RefusedError
+from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
 from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
+from fmu.formats.models.assembly import assembled
 from fmu.formats.models.exported import NO_MESH, DofName, ExportedModel, Mesh
-from fmu.formats.shown import names_shown
+from fmu.formats.shown import names_shown, shown
 from fmu.types import DIRECTIONS
 
+_DIRECTION = {d: d for d in DIRECTIONS} | {str(k): d for k, d in enumerate(DIRECTIONS, 1)}
+_INITIALS = (("K", "M"), ("k", "m"))
 _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
 
 
-def read_model(path: str | Path, mass: str | Path | None = None, mesh: str | Path | None = None) -> ExportedModel:
+def read_model(
+    path: str | Path,
+    mass: str | Path | None = None,
+    mesh: str | Path | None = None,
+    dofs: str | Path | None = None,
+    variables: tuple[str, str] | None = None,
+) -> ExportedModel:
     """Read stiffness, mass, names of the degrees of freedom and mesh of a model that another program exported.
 
     Parameters
@@ -40,47 +51,61 @@ def read_model(path: str | Path, mass: str | Path | None = None, mesh: str | Pat
     path : path
         The stiffness, or both matrices.
     mass : path, optional
-        The mass, where it is in another file than the stiffness. By default the file beside it that the program
-        writes: ``job.mas`` for ``job.sti``.
+        The mass, where it is in another file than the stiffness. By default that which the program writes beside
+        it: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
     mesh : path, optional
-        Nodes and elements.
+        Nodes and elements. Nastran's OP4 needs it, for the names of the rows.
+    dofs : path, optional
+        Names of the rows, ``node,direction`` a line, where the matrices have none.
+    variables : tuple of str, optional
+        Names of stiffness and mass in files that hold several matrices. By default ``K…`` and ``M…`` with the same
+        rest, or ``stiffness`` and ``mass``.
 
     Returns
     -------
     ExportedModel
-        Rows without stiffness and mass are left out, and so are those that Abaqus marks as held.
+        Along global axes. Rows without stiffness and mass are left out, and those that Abaqus marks as held.
 
     Raises
     ------
     ValueError
         If a file does not exist, is broken, of another kind or of another model. The text begins with the argument
-        at fault: ``path:``, ``mass:`` or ``mesh:``.
+        at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``variables:``.
     """
     path = Path(path)
+    found = NO_MESH if mesh is None else _told("mesh", partial(read_mesh, mesh))
     beside = _mass_beside(path) if mass is None else Path(mass)
-    K, M = _matrix("path", path), _matrix("mass", beside)
-    found = NO_MESH if mesh is None else _told("mesh", lambda: read_mesh(mesh))
-    matrices, dofs, notes = on_the_same_dofs([K, M], 1, ("path", "mass"))
-    motions = {**K.motions, **M.motions}
-    known = set(found.nodes.tolist())
+    if beside is None:
+        names = variables or _told("path", partial(_both, path))
+        read = [_told("path", partial(_matrix, path, name)) for name in names]
+        where = ["path", "path"]
+    else:
+        where = ["path", "mass"]
+        read = [
+            _told(at, partial(_matrix, file, name))
+            for at, file, name in zip(where, (path, beside), variables or (None, None), strict=True)
+        ]
+    if dofs is not None:
+        given = _told("dofs", partial(read_names, Path(dofs)))
+        for one in read:
+            if one.dofs is not None:
+                raise ValueError("dofs: must not be given: the matrices name their degrees of freedom")
+            if one.matrix.shape[0] != len(given):
+                raise ValueError(f"dofs: must name {one.matrix.shape[0]} degrees of freedom (got {len(given)})")
+        read = [one._replace(dofs=given) for one in read]
+    model = assembled(read, 1, where, found)
     if mesh is not None:
-        named = {node for node, _ in motions} | {node for node, _ in dofs} - {
-            node for weights in motions.values() for node, _ in weights
-        }
-        if not named & known:
-            raise ValueError(
-                f"mesh: must have the nodes of the matrices, such as {names_shown(sorted(named)[:3])} (got none)"
-            )
+        require_nodes(model.dofs, model.motions, found)
     return ExportedModel(
-        matrices[0],
-        matrices[1],
-        tuple(dofs),
+        model.matrices[0],
+        model.matrices[1],
+        tuple(model.dofs),
         found.nodes,
         found.coordinates,
         found.elements,
         found.kinds,
-        (*notes, *found.notes),
-        motions,
+        (*model.notes, *found.notes),
+        model.motions,
     )
 
 
@@ -90,6 +115,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Parameters
     ----------
     path : path
+        ``.inp`` of CalculiX and Abaqus, ``.cdb`` and ``.rst`` of Ansys, ``.bdf``, ``.dat``, ``.nas`` of Nastran.
 
     Returns
     -------
@@ -105,11 +131,7 @@ def read_mesh(path: str | Path) -> Mesh:
     suffix = path.suffix.lower()
     if suffix not in _FORMAT_OF:
         raise ValueError(f"must end in {', '.join(_FORMAT_OF)} (got {path.name!r})")
-    why = why_no_file(path)
-    if why:
-        raise ValueError(f"must be a file ({why})")
-    if too_large(path, LARGEST_FILE):
-        raise ValueError(too_large(path, LARGEST_FILE))
+    _require_file(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -123,82 +145,87 @@ def read_mesh(path: str | Path) -> Mesh:
         raise ValueError(f"must hold a mesh ({path.name}: {text})") from error
 
 
-def on_the_same_dofs(
-    read: Sequence[Labelled], n_stiffness: int, where: Sequence[str]
-) -> tuple[list[Any], list[DofName], list[str]]:
-    """Return matrices on the same degrees of freedom, ascending, the names of these, and what was left out.
-
-    Parameters
-    ----------
-    read : sequence of Labelled
-        All with names of their rows. A matrix may lack those at which it is zero.
-    n_stiffness : int
-        How many of them, at the beginning, are of stiffness.
-    where : sequence of str
-        Where each was given, for messages.
-
-    Returns
-    -------
-    matrices : list of csr_array
-        Without the rows that Abaqus marks as held by a support, with 1e36 in the stiffness, and without rows that
-        are zero in every matrix.
-    dofs : list of (node, direction)
-    notes : list of str
+def read_names(path: Path) -> tuple[DofName, ...]:
+    """Read the names of rows, ``node,direction`` a line: blanks do as well, and a first line of titles is skipped.
 
     Raises
     ------
     ValueError
-        If a matrix has no names of rows, two have no row in common, or no row is left.
+        If the file does not exist, or a line does not name a node and one of the directions x, y, z, rx, ry, rz or
+        1 to 6.
     """
-    named: list[tuple[DofName, ...]] = []
-    for one, at in zip(read, where, strict=True):
-        if one.dofs is None:
-            raise ValueError(f"{at}: must name its degrees of freedom")
-        if len(one.dofs) != one.matrix.shape[0]:
-            raise ValueError(f"{at}: must name {one.matrix.shape[0]} degrees of freedom (got {len(one.dofs)})")
-        if named and not set(one.dofs) & set(named[0]):
-            raise ValueError(f"{at}: must have degrees of freedom of {where[0]} (got none of them)")
-        named.append(one.dofs)
-    dofs = sorted({dof for names in named for dof in names}, key=lambda dof: (dof[0], DIRECTIONS.index(dof[1])))
-    index = {dof: i for i, dof in enumerate(dofs)}
-    matrices = [
-        placed(one.matrix, [index[dof] for dof in names], len(dofs))
-        for one, names in zip(read, named, strict=True)
-    ]
-    largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[:n_stiffness]], axis=0)
-    is_held = largest >= HELD
-    is_empty = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) == 0.0
-    rows = np.flatnonzero(~is_held & ~is_empty)
-    if len(rows) == 0:
-        raise ValueError(f"{where[0]}: must have a row that is neither held nor empty")
-    notes = [
-        f"{np.sum(which)} degrees of freedom are left out: {why}."
-        for which, why in ((is_held, "held by supports"), (is_empty & ~is_held, "without stiffness and mass"))
-        if np.any(which)
-    ]
-    return [matrix[rows][:, rows] for matrix in matrices], [dofs[i] for i in rows], notes
+    _require_file(path)
+    names: list[DofName] = []
+    with open(path, "rb") as file:
+        for number, line in enumerate(text_lines(file), 1):
+            words = line.split("#")[0].replace(",", " ").replace(";", " ").lower().split()
+            if not words or (number == 1 and not words[0].isdecimal()):
+                continue
+            is_name = len(words) == 2 and words[0].isdecimal() and len(words[0]) <= 10
+            direction = _DIRECTION.get(words[-1])
+            if not is_name or direction is None:
+                rule = "must be node,direction with a direction x, y, z, rx, ry, rz or 1 to 6"
+                raise ValueError(f"{path.name}: line {number} {rule} (got {shown(line)})")
+            names.append((int(words[0]), direction))
+            if len(names) > MOST_DOFS:
+                raise ValueError(f"{path.name}: must have at most {MOST_DOFS} lines")
+    return tuple(names)
 
 
-def placed(matrix: Any, rows: Sequence[int], n_dof: int) -> Any:
-    """Return a matrix whose row i becomes rows[i] of n_dof, a csr_array; other rows are zero."""
-    entries, at = matrix.tocoo(), np.asarray(rows)
-    return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
+def require_nodes(dofs: Sequence[DofName], motions: Collection[DofName], mesh: Mesh) -> None:
+    """Raise ValueError unless a mesh has a node of the matrices."""
+    known = set(mesh.nodes.tolist())
+    named = [node for node, _ in motions] + [node for node, _ in dofs]
+    if not known.intersection(named):
+        raise ValueError(f"mesh: must have the nodes of the matrices, such as {named[0]} (it has none of them)")
 
 
-def _mass_beside(path: Path) -> Path:
+def _matrix(path: Path, variable: str | None) -> Labelled:
+    return read_labelled(path, variable, fill=True)
+
+
+def _both(path: Path) -> tuple[str, str]:
+    """Return the names of stiffness and mass in a file."""
+    try:
+        read_labelled(path)
+    except ValueError as error:
+        if not isinstance(error.__cause__, SeveralError):
+            raise
+        names = error.__cause__.names
+        pairs = [(K, M) for K in names for M in names if (K[0], M[0]) in _INITIALS and K[1:] == M[1:]]
+        pairs += [(K, M) for K in names for M in names if (K.lower(), M.lower()) == ("stiffness", "mass")]
+        if len(pairs) == 1:
+            return pairs[0]
+        rule = (
+            "must name stiffness and mass (variables)"
+            if pairs
+            else "must have K and M (or name them in variables)"
+        )
+        raise ValueError(f"{path.name} {rule}, it has {names_shown(names)}") from None
+    raise ValueError(f"{path.name} holds one matrix: give the other as mass")
+
+
+def _mass_beside(path: Path) -> Path | None:
+    """Return the file of the mass that a program writes beside that of the stiffness; None if both are in one."""
     if path.suffix.lower() == ".sti":
         return path.with_suffix(".mas")
     if path.suffix.lower() == ".mtx" and "_STIF" in path.name:
         return path.with_name(path.name.replace("_STIF", "_MASS"))
-    raise ValueError("mass: must be given")
+    return None
 
 
-def _matrix(argument: str, path: Path) -> Labelled:
-    return _told(argument, lambda: read_labelled(path))
+def _require_file(path: Path) -> None:
+    why = why_no_file(path)
+    if why:
+        raise ValueError(f"must be a file ({why})")
+    if too_large(path, LARGEST_FILE):
+        raise ValueError(too_large(path, LARGEST_FILE))
 
 
-def _told(argument: str, read: Any) -> Any:
+def _told(argument: str, read: Callable[[], Any]) -> Any:
+    """Return what `read` returns; the text of its ValueError begins with the argument."""
     try:
         return read()
     except ValueError as error:
-        raise ValueError(f"{argument}: {error}") from error
+        text = str(error).removeprefix("variable: ")
+        raise ValueError(f"{argument}: {text}") from error

@@ -1,0 +1,98 @@
+"""The stiffness and mass of Ansys in its ``.full`` file, read by ansys-mapdl-reader in a process of its own.
+
+A modal analysis leaves ``file.full`` (``WRFULL,1`` stops after writing it). Rows that supports hold are empty.
+The library crashes the process on broken files, and so does mapdl-archive.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices.isolated import isolated
+from fmu.formats.matrices.limits import (
+    Labelled,
+    MatrixFormat,
+    RefusedError,
+    chosen,
+    entries_within,
+    rows_within,
+)
+from fmu.types import DIRECTIONS
+
+LIBRARY = "ansys.mapdl.reader"
+EXTRA = "ansys"
+NAMES = ("stiffness", "mass")
+
+
+def full_arrays(path: Path) -> dict[str, Any]:
+    """Return what a ``.full`` file holds, as arrays; needs ansys-mapdl-reader.
+
+    Raises
+    ------
+    ValueError
+        If it is cut short, or has constraint equations, which the library does not apply.
+    """
+    from ansys.mapdl.reader.common import read_table
+    from ansys.mapdl.reader.full import FullFile
+
+    full = FullFile(str(path))
+    rows_within(int(full.neqn))
+    header = full._header
+    if 4 * header["ptrEND"] > path.stat().st_size:
+        raise ValueError("it is cut short")
+    if header["ncefull"] or header["nceGprime"]:
+        raise ValueError(
+            f"it has {max(header['ncefull'], header['nceGprime'])} constraint equations (CE, CP, RBE3, contact), "
+            "which are not applied to its matrices"
+        )
+    names, K, M = full.load_km(sort=False)
+    with open(path, "rb") as file:
+        for _ in range(2):
+            read_table(file, skip=True)
+        kinds = read_table(file)
+    found = {"nodes": names[:, 0], "directions": names[:, 1], "kinds": kinds, "counts": full.ndof}
+    for name, matrix in zip(NAMES, (K, M), strict=True):
+        if matrix is not None:
+            entries = matrix.tocoo()
+            found |= {f"{name}_row": entries.row, f"{name}_column": entries.col, f"{name}_entry": entries.data}
+    return found
+
+
+@lru_cache(maxsize=1)
+def _arrays(path: Path, _modified: int, _size: int) -> dict[str, Any]:
+    """Return the arrays of a file, of which the stiffness and the mass are asked for one after the other."""
+    return isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
+
+
+def _read(path: Path, variable: str | None) -> Labelled:
+    """Return one of the matrices, both triangles filled, with the names of its rows."""
+    status = path.stat()
+    found = _arrays(path, status.st_mtime_ns, status.st_size)
+    name = chosen([name for name in NAMES if f"{name}_row" in found], variable)
+    nodes, directions, kinds = (found[key].astype(np.int64) for key in ("nodes", "directions", "kinds"))
+    n = len(nodes)
+    rows_within(n)
+    entries = found[f"{name}_entry"]
+    entries_within(2 * len(entries))
+    if len(np.unique(nodes)) < n and np.any(directions >= len(kinds)):
+        raise RefusedError("must name the direction of each row (it does not)")
+    numbers = kinds[directions]
+    if np.any(numbers < 1) or np.any(numbers > len(DIRECTIONS)):
+        raise RefusedError(
+            f"must have displacements and rotations only (got degree of freedom {numbers.max()} of Ansys)"
+        )
+    row, column = found[f"{name}_row"], found[f"{name}_column"]
+    matrix = sp.csr_array((entries, (row, column)), shape=(n, n))
+    upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
+    if upper.nnz and lower.nnz and upper.multiply(lower.T).nnz:
+        raise RefusedError("must have each pair of entries once (it has both of some)")
+    dofs = tuple((int(node), DIRECTIONS[k - 1]) for node, k in zip(nodes, numbers, strict=True))
+    return Labelled(matrix + upper.T + lower.T, dofs)
+
+
+FORMAT = MatrixFormat((".full",), _read, has_names=True)

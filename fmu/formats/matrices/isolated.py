@@ -1,0 +1,103 @@
+"""Readers of libraries that crash on broken files, each called in a process of its own."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmu.formats.matrices.limits import LARGEST_CONTENT, RefusedError
+from fmu.formats.shown import one_line
+
+LONGEST = 300.0
+"""Seconds that a reader may take."""
+LARGEST_MEMORY = 2**33
+"""Bytes of addresses that a reader may use, where the system can limit them."""
+_TOLD = 3
+"""Exit code of a reader that says what is wrong."""
+
+
+def isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, Any]:
+    """Return the arrays that ``reader(path)`` returns, called in another process.
+
+    Parameters
+    ----------
+    reader : str
+        ``"module:function"``.
+    path : Path
+    library : str
+        The module that the reader imports.
+    extra : str
+        The extra of fmu that installs it.
+
+    Returns
+    -------
+    dict of str to ndarray
+
+    Raises
+    ------
+    RefusedError
+        If the library is not installed, or the reader's process raises an error, crashes or takes too long.
+    """
+    if not _is_installed(library):
+        raise RefusedError(f"needs a library that is not installed: pip install 'fmu[{extra}]'")
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "arrays.npz"
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            f"import {__name__} as m; m.main()",
+            reader,
+            str(path.resolve()),
+            str(out),
+        ]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        try:
+            done = subprocess.run(
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=LONGEST
+            )
+        except subprocess.TimeoutExpired:
+            raise RefusedError(f"{library} took more than {LONGEST:.0f} s to read it") from None
+        if done.returncode == _TOLD:
+            raise RefusedError(one_line(done.stderr.decode(errors="replace").splitlines()[-1], 300))
+        if done.returncode or not out.exists():
+            raise RefusedError(f"{library} crashed on it: it is broken, or of a kind that {library} does not know")
+        if out.stat().st_size > LARGEST_CONTENT:
+            raise RefusedError(f"must hold at most {LARGEST_CONTENT} bytes (got {out.stat().st_size})")
+        with np.load(out, allow_pickle=False) as content:
+            return {name: content[name] for name in content.files}
+
+
+def main() -> None:
+    """Call the reader that the command line names, and save what it returns."""
+    name, path, out = sys.argv[1:]
+    module, _, function = name.partition(":")
+    warnings.simplefilter("ignore")
+    try:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (LARGEST_MEMORY, LARGEST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    except (ImportError, ValueError, OSError):  # not a system that has such limits
+        pass
+    try:
+        np.savez(out, **getattr(importlib.import_module(module), function)(Path(path)))
+    except Exception as error:
+        print(f"\n{error or type(error).__name__}".replace("\n", " "), file=sys.stderr)
+        sys.exit(_TOLD)
+
+
+def _is_installed(library: str) -> bool:
+    try:
+        return importlib.util.find_spec(library) is not None
+    except ModuleNotFoundError:  # of a package above it
+        return False

@@ -1,0 +1,155 @@
+"""Matrices on the same degrees of freedom, by name and along global axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices.abaqus import HELD
+from fmu.formats.matrices.limits import Labelled
+from fmu.formats.models.exported import NO_MESH, DofName, Mesh
+from fmu.formats.shown import names_shown
+from fmu.types import DIRECTIONS, FloatArray
+
+Motions = Mapping[DofName, Mapping[DofName, float]]
+
+
+class Assembled(NamedTuple):
+    """Matrices on the same rows.
+
+    Attributes
+    ----------
+    matrices : list of csr_array, shape (n_dof, n_dof)
+    dofs : list of (node, direction)
+        Ascending.
+    motions : mapping
+        See `fmu.formats.models.exported.ExportedModel`.
+    notes : list of str
+        What was left out or assumed, a sentence each.
+    """
+
+    matrices: list[Any]
+    dofs: list[DofName]
+    motions: Motions
+    notes: list[str]
+
+
+def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH) -> Assembled:
+    """Return matrices on the same degrees of freedom, without those that are held or empty.
+
+    Parameters
+    ----------
+    read : sequence of Labelled
+        A matrix with names of its rows may lack rows at which it is zero. A matrix without names has those of a
+        set of `mesh` with as many rows.
+    n_stiffness : int
+        How many of them, at the beginning, are of stiffness.
+    where : sequence of str
+        Where each was given, for messages.
+    mesh : Mesh, optional
+        Where its nodes have axes of their own, matrices are rotated to global axes if all three displacements (or
+        rotations) of a node are there. If not, the row keeps its axis, and the global motions are weighted sums.
+
+    Raises
+    ------
+    ValueError
+        If rows have no names, two matrices have no row in common, or no row is left.
+    """
+    named = [_named(one, at, mesh) for one, at in zip(read, where, strict=True)]
+    for names, at in zip(named, where, strict=True):
+        if not set(names) & set(named[0]):
+            rule = f"must have degrees of freedom that {where[0]} has"
+            raise ValueError(f"{at}: {rule} (got {_shown(names)}; {where[0]} has {_shown(named[0])})")
+    dofs = sorted({dof for names in named for dof in names}, key=_order)
+    index = {dof: i for i, dof in enumerate(dofs)}
+    matrices = [
+        _placed(one.matrix, [index[dof] for dof in names], len(dofs))
+        for one, names in zip(read, named, strict=True)
+    ]
+    largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[:n_stiffness]], axis=0)
+    is_held = largest >= HELD
+    is_empty = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) == 0.0
+    rows = np.flatnonzero(~is_held & ~is_empty)
+    if len(rows) == 0:
+        raise ValueError(f"{where[0]}: must have a row that is neither held nor empty")
+    notes = [
+        f"{np.sum(which)} degrees of freedom are left out: {why}."
+        for which, why in ((is_held, "held by supports"), (is_empty & ~is_held, "without stiffness and mass"))
+        if np.any(which)
+    ]
+    matrices, dofs = [matrix[rows][:, rows] for matrix in matrices], [dofs[i] for i in rows]
+    turn, motions, told = _turned(dofs, mesh.axes)
+    if turn is not None:
+        matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
+    means = {name: weights for one in read for name, weights in one.motions.items()}
+    return Assembled(matrices, dofs, means | motions, notes + told)
+
+
+def _named(one: Labelled, where: str, mesh: Mesh) -> tuple[DofName, ...]:
+    """Return the names of the rows of a matrix."""
+    n = one.matrix.shape[0]
+    if one.dofs is not None and len(one.dofs) != n:
+        raise ValueError(f"{where}: must name {n} degrees of freedom (got {len(one.dofs)})")
+    if one.dofs is not None:
+        if len(set(one.dofs)) < n:
+            seen: set[DofName] = set()
+            twice = next(dof for dof in one.dofs if dof in seen or seen.add(dof))  # type: ignore[func-returns-value]
+            raise ValueError(f"{where}: must name each degree of freedom once (got {_shown([twice])} twice)")
+        return one.dofs
+    for names in mesh.sets.values():
+        if len(names) == n:
+            return names
+    known = ", ".join(f"{len(names)} of the {name}-set" for name, names in mesh.sets.items())
+    rule = f"has {n} rows without names: give them in a file of node,direction a row (dofs)"
+    raise ValueError(f"{where}: {rule}{', as the mesh has other numbers of rows, ' + known if known else ''}")
+
+
+def _order(dof: DofName) -> tuple[int, int]:
+    return dof[0], DIRECTIONS.index(dof[1])
+
+
+def _shown(names: Sequence[DofName]) -> str:
+    return names_shown([f"{node} {direction}" for node, direction in names[:3]])
+
+
+def _placed(matrix: Any, rows: Sequence[int], n_dof: int) -> Any:
+    """Return a matrix whose row i becomes rows[i] of n_dof, a csr_array; other rows are zero."""
+    entries, at = sp.coo_array(matrix), np.asarray(rows)
+    return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
+
+
+def _turned(
+    dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
+) -> tuple[Any, dict[DofName, dict[DofName, float]], list[str]]:
+    """Return T of u = T u_global, None for none, the global motions of nodes that keep their axes, and notes."""
+    index = {dof: i for i, dof in enumerate(dofs)}
+    place: dict[tuple[int, int], float] = {}
+    motions: dict[DofName, dict[DofName, float]] = {}
+    kept: dict[int, None] = {}
+    for node, own in axes.items():
+        for three in (DIRECTIONS[:3], DIRECTIONS[3:]):
+            there = [(k, index[node, d]) for k, d in enumerate(three) if (node, d) in index]
+            if len(there) == 3:
+                place |= {(row, column): own[k, j] for k, row in there for j, column in there}
+            elif there:
+                kept[node] = None
+                for j, d in enumerate(three):
+                    motions[node, d] = {dofs[row]: float(own[k, j]) for k, row in there if abs(own[k, j]) > 1e-14}
+    told = [
+        f"Rows of {len(kept)} nodes with supports along axes of their own stay so: {names_shown(list(kept))}."
+    ] * bool(kept)
+    if not place:
+        return None, {name: weights for name, weights in motions.items() if weights}, told
+    rows, columns = np.array(list(place)).T
+    rest = np.setdiff1d(np.arange(len(dofs)), rows)
+    turn = sp.csr_array(
+        (
+            np.concatenate([np.array(list(place.values())), np.ones(len(rest))]),
+            (np.concatenate([rows, rest]), np.concatenate([columns, rest])),
+        ),
+        shape=(len(dofs),) * 2,
+    )
+    return turn, {name: weights for name, weights in motions.items() if weights}, told
