@@ -1,7 +1,6 @@
 """Problems from TOML files.
 
-Reading order: tables, problem; then a module for each table of the file: parameters, frame, matrices, python,
-measurement, errors.
+Reading order: tables, problem; then a module for each table of the file: models/, parameters, measurement, errors.
 """
 
 from __future__ import annotations

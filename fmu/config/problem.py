@@ -10,12 +10,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from fmu.config.errors import ErrorTable, beside_tests, built_errors, vanishing
-from fmu.config.frame import FrameTable
-from fmu.config.matrices import MatricesTable
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
+from fmu.config.models.frame import FrameTable
+from fmu.config.models.matrices import MatricesTable
+from fmu.config.models.python import PythonTable
 from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
-from fmu.config.python import PythonTable
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, moved, variations
 from fmu.engines.base import Engine

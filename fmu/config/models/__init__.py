@@ -1,0 +1,1 @@
+"""``[model]``: the structure, a module for each type."""
