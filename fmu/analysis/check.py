@@ -20,6 +20,7 @@ from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.fem.frame.drawing import changed_elements, drawn, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.joint.joint_problem import JointProblem
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 _MOST_ELEMENTS = 5000
 _MOST_BLOCKS = 6
+_MOST_SENSORS = 8
 _TRANSLATIONS = ("x", "y", "z")
 
 
@@ -199,7 +201,13 @@ class Check:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What to look into before sampling, a sentence each."""
-        found = [*self.priors, *self.modes.doubts, *self.tests, *filter(None, [self.rounding])]
+        found = [
+            *self.priors,
+            *self.modes.doubts,
+            *self.sensor_doubts,
+            *self.tests,
+            *filter(None, [self.rounding]),
+        ]
         if self.identifiability is not None:
             found += doubts_of_information(self.identifiability)
         if not self.gradient.agrees:
@@ -208,10 +216,17 @@ class Check:
             found += self.prior.sentences()
         return tuple(found)
 
+    @property
+    def sensor_doubts(self) -> tuple[str, ...]:
+        """Sensors at which test and model disagree most, a sentence each."""
+        found = self.modes.correlation
+        return () if found is None else tuple(found.doubts_of_sensors())
+
     def sentences(self) -> list[str]:
         """Return all findings in words: model, pairing, gradient, identifiability, prior prediction."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
-        said = [*self.model, *assumed, *self.priors, *self.modes.notes, *self.modes.doubts, *self.tests]
+        said = [*self.model, *assumed, *self.priors, *self.modes.notes, *self.modes.doubts]
+        said += [*self.sensor_doubts, *self.tests]
         said += filter(None, [self.rounding])
         said.append(self.gradient.sentence())
         if self.identifiability is not None:
@@ -221,6 +236,11 @@ class Check:
     def mode_table(self) -> pd.DataFrame:
         """Return the computed modes as text; three or more in a row that move no sensor share a row."""
         return modes_as_text(self.modes)
+
+    def sensor_table(self) -> pd.DataFrame:
+        """Return CoMAC and ECoMAC of each sensor as text, the largest ECoMAC first."""
+        assert self.modes.correlation is not None  # there are measured shapes
+        return self.modes.correlation.table().map(fixed, places=2).reset_index()
 
     def prior_table(self) -> pd.DataFrame:
         """Return the prior predictions beside the measured frequencies, as text."""
@@ -241,12 +261,21 @@ class Check:
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumed(),
             ("Modes at the start", self.modes.notes, self.mode_table()),
+            *self._sensors(),
             ("Gradient", (self.gradient.sentence(),), None),
         ]
         if self.identifiability is not None:
             blocks.append(("Identifiability", self.identifiability.sentences(), None))
         title = f"Prior prediction for {self.measurement}, Hz"
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
+
+    def _sensors(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+        if self.modes.correlation is None:
+            return []
+        worst = self.sensor_table()[:_MOST_SENSORS]
+        every = len(worst) == len(self.modes.correlation.sensors)
+        title = "Sensors" if every else f"The {len(worst)} sensors with the largest ECoMAC"
+        return [(title, (LOOK_AT_SENSORS,), worst)]
 
     def _assumed(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
         import pandas as pd
@@ -284,7 +313,7 @@ class Check:
         return f'<div class="fmu-check">{"".join(parts)}</div>'
 
 
-_WORDS = ("", "unit", "prior", "changes", "measured mode", "moves", "mode")
+_WORDS = ("", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
 """Columns that hold words."""
 
 

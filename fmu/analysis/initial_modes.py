@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import frequency_hz, is_rigid, mac, single_thread
 from fmu.fem.modes.separable import selection
+from fmu.fem.pairing.correlation import ALIKE, CLOSE, Correlation, close_groups
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.rules import assign
 from fmu.numbers import MISSING, apart, change, fixed, given, hertz, share
@@ -21,15 +22,12 @@ from fmu.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     import pandas as pd
 
+    from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
 
 
-ALIKE = 0.8
-"""With a MAC below this, two shapes hardly belong to the same mode."""
 RIVAL = 0.1
 """The MAC of the paired mode must exceed that of any other by this much."""
-CLOSE = 0.01
-"""Two frequencies closer than this, relatively, are hard to tell apart."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,17 @@ class ComputedMode:
     moves: str = ""
 
 
-def unlike(labels: tuple[str, ...], paired: list[int], alike: FloatArray | None) -> list[str]:
-    """Return warnings on measured shapes that match no computed mode, or two: by MAC (n_modes, n_computed)."""
+def unlike(
+    labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
+) -> list[str]:
+    """Return warnings on measured shapes that match no computed mode, or two: by MAC (n_modes, n_computed).
+
+    Close modes that match as a space are left out.
+    """
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):
+        if found is not None and found.subspace.get(k, 0.0) >= ALIKE:
+            continue
         row = alike[k]  # type: ignore[index]  # there is one, or there is no column
         others = np.delete(np.arange(len(row)), column)
         if row[column] < ALIKE:
@@ -157,6 +162,10 @@ class InitialModes:
         Warnings on the pairing, a sentence each.
     notes : tuple of str
         Further remarks on the pairing.
+    correlation : Correlation or None
+        Measured and computed shapes at the sensors, compared; None if no shapes were measured.
+    mpc : ndarray, shape (n_modes,), or None
+        Modal phase collinearity of measured shapes that were complex.
     """
 
     labels: tuple[str, ...]
@@ -165,6 +174,8 @@ class InitialModes:
     mac: FloatArray | None = None
     doubts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    correlation: Correlation | None = None
+    mpc: FloatArray | None = None
     _column: dict[int, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -179,8 +190,16 @@ class InitialModes:
         """Return the error of the computed frequency of measured mode `k`, in % of the measured one."""
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
+    def subspace_mac(self, k: int) -> float:
+        """Return the subspace MAC of the group of close modes that measured mode `k` is in; NaN if in none."""
+        return np.nan if self.correlation is None else self.correlation.subspace.get(k, np.nan)
+
     def table(self) -> pd.DataFrame:
-        """Return one row per computed mode: number, Hz, measured mode, error in %, MAC, energy, seen or not."""
+        """Return one row per computed mode: number, Hz, measured mode, error in %, MAC, energy, seen or not.
+
+        ``subspace_mac`` is that of a group of close modes (`fmu.fem.pairing.correlation`), ``mpc`` that of
+        measured shapes which were complex.
+        """
         import pandas as pd
 
         rows = []
@@ -194,6 +213,8 @@ class InitialModes:
                     "measured_hz": np.nan if k is None else float(self.measured_hz[k]),
                     "error_percent": np.nan if k is None else self.error_percent(k),
                     "mac": np.nan if k is None or self.mac is None else float(self.mac[k, c]),
+                    "subspace_mac": np.nan if k is None else self.subspace_mac(k),
+                    "mpc": np.nan if k is None or self.mpc is None else float(self.mpc[k]),
                     "moves": mode.moves,
                     "seen": mode.seen,
                 }
@@ -249,14 +270,18 @@ def _of_structure(
         ComputedMode(i + 1, float(frequencies[i]), answers.get(i), bool(seen[i]), moves[i])
         for i in range(len(frequencies))
     )
-    alike = None
+    alike = correlation = None
     if problem.data.shapes is not None and observation is not None:
         alike = mac(observation @ shapes, np.asarray(problem.data.shapes))
+        correlation = correlated(problem.data, (observation @ shapes)[:, paired], frequencies[paired])
     by_number = not model.by_shape
-    doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, by_number)]
+    doubts = [*unlike(labels, paired, alike, correlation), *close(labels, paired, frequencies, seen, by_number)]
     given = bool(problem.data.counterparts) and not by_number
     doubts += [] if given else disordered(labels, paired, measured)
-    return InitialModes(labels, measured, found, alike, tuple(doubts), tuple(unmeasured(found)))
+    notes = unmeasured(found)
+    return _compared(
+        InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation), problem
+    )
 
 
 def _of_function(
@@ -268,10 +293,11 @@ def _of_function(
 ) -> InitialModes:
     """Return all modes that a function gives, in its order, and which are paired with the measured ones."""
     answer = function.at(point)
-    alike = None
+    alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
         alike = mac(answer.shapes, np.asarray(problem.data.shapes))
         paired = [int(column) for column in assign(alike[None])[0]]
+        correlation = correlated(problem.data, answer.shapes[:, paired], answer.frequencies[paired])
     else:
         paired = [number - 1 for number in problem.data.numbers]
     answers = {number: k for k, number in enumerate(paired)}
@@ -279,11 +305,28 @@ def _of_function(
     found = tuple(ComputedMode(i + 1, float(f), answers.get(i)) for i, f in enumerate(frequencies))
     alike = None if alike is None else alike[:, : len(found)]
     seen = np.ones(len(found), dtype=bool)
-    doubts = [*unlike(labels, paired, alike), *close(labels, paired, frequencies, seen, alike is None)]
+    doubts = [*unlike(labels, paired, alike, correlation)]
+    doubts += close(labels, paired, frequencies, seen, alike is None)
     doubts += disordered(labels, paired, measured)
     how = "by number, in the order of the function" if alike is None else "by MAC with the measured shapes"
     notes = (f"Modes are paired {how}.", *(unmeasured(found) if alike is not None else ()))
-    return InitialModes(labels, measured, found, alike, tuple(doubts), notes)
+    return _compared(InitialModes(labels, measured, found, alike, tuple(doubts), notes, correlation), problem)
+
+
+def correlated(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
+    """Return measured shapes beside those computed at the sensors (n_sensors, n_modes), paired with them."""
+    sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
+    groups = close_groups(data.frequencies_hz, frequencies_hz)
+    return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
+
+
+def _compared(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
+    """Return the modes with what their shapes at the sensors show."""
+    mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
+    if found.correlation is None:
+        return replace(found, mpc=mpc)
+    doubts = (*found.doubts, *found.correlation.doubts_of_modes())
+    return replace(found, doubts=doubts, notes=(*found.notes, *found.correlation.notes()), mpc=mpc)
 
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]]:
@@ -330,6 +373,7 @@ def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> lis
 
 
 _MANY = 3
+_OF_PAIRS = ("measured, Hz", "error", "MAC", "subspace MAC", "MPC")
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
@@ -346,6 +390,8 @@ def modes_as_text(found: InitialModes) -> pd.DataFrame:
     table = pd.DataFrame(rows, dtype=object).fillna(MISSING)
     unknown = [] if found.modes[0].number is not None else ["number"]
     unknown += [] if found.mac is not None else ["MAC"]
+    unknown += [] if found.correlation is not None and found.correlation.subspace else ["subspace MAC"]
+    unknown += [] if found.mpc is not None else ["MPC"]
     unknown += [] if any(mode.moves for mode in found.modes) else ["moves"]
     return table.drop(columns=unknown)
 
@@ -354,13 +400,15 @@ def _one(found: InitialModes, mode: ComputedMode) -> dict[str, str]:
     row = {"number": str(mode.number), "computed, Hz": _hz(mode.frequency_hz)}
     if mode.measured is None:
         row["measured mode"] = "not measured" if mode.seen else "moves no sensor"
-        return row | {"measured, Hz": MISSING, "error": MISSING, "MAC": MISSING, "moves": mode.moves}
+        return row | dict.fromkeys(_OF_PAIRS, MISSING) | {"moves": mode.moves}
     k = mode.measured
     measured = found.measured_hz[k]
     row["computed, Hz"] = hertz(mode.frequency_hz, measured=measured)[0]
     row |= {"measured mode": found.labels[k], "measured, Hz": given(measured)}
     row["error"] = change(found.error_percent(k) / 100.0)
     row["MAC"] = MISSING if found.mac is None else fixed(found.mac[k, found.modes.index(mode)], 2)
+    row["subspace MAC"] = fixed(found.subspace_mac(k), 2)
+    row["MPC"] = MISSING if found.mpc is None else fixed(found.mpc[k], 2)
     return row | {"moves": mode.moves}
 
 
@@ -370,10 +418,7 @@ def _many(modes: Sequence[ComputedMode]) -> dict[str, str]:
         "number": f"{first.number}–{last.number}",
         "computed, Hz": f"{_hz(first.frequency_hz)} to {_hz(last.frequency_hz)}",
         "measured mode": f"{len(modes)} move no sensor",
-        "measured, Hz": MISSING,
-        "error": MISSING,
-        "MAC": MISSING,
-        "moves": MISSING,
+        **dict.fromkeys((*_OF_PAIRS, "moves"), MISSING),
     }
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.convergence.effective import mcse_mean
-from fmu.analysis.initial_modes import ALIKE
 from fmu.analysis.trace.conversion import ONE_MORE_TEST
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import (
@@ -21,6 +20,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
+from fmu.fem.pairing.correlation import ALIKE
 from fmu.numbers import apart, fixed, share, with_unit
 from fmu.tables import data_frame
 from fmu.types import FloatArray

@@ -13,7 +13,8 @@ from markupsafe import Markup
 from fmu.analysis.check import Check
 from fmu.analysis.identifiability import Identifiability
 from fmu.analysis.identifiability import doubts as doubts_of_information
-from fmu.numbers import MISSING, change, given, hertz, listed, significant, with_sd
+from fmu.fem.pairing.correlation import LOOK_AT_SENSORS, LOOK_AT_SHAPES
+from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
 from fmu.report.document import (
     Details,
     Items,
@@ -29,6 +30,7 @@ from fmu.report.document import (
 )
 from fmu.report.files import OutputDirectory
 from fmu.report.pages import INDEX, render
+from fmu.report.plots.correlation import plot_mac_matrix, plot_sensors
 from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
 from fmu.report.plots.modes import plot_mode
 from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure, turned
@@ -71,7 +73,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 def check_page(found: Check) -> Page:
     """Return the page: verdicts, structure, modes, prior prediction, identifiability and gradient."""
-    sections = [_model(found), _modes(found), _prior(found)]
+    sections = [_model(found), _modes(found), *_sensors(found), _prior(found)]
     if found.identifiability is not None:
         sections.append(_informed(found.identifiability))
     sections.append(_gradient(found))
@@ -92,6 +94,10 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     doubts = found.modes.doubts
     answer = "No warnings" if not doubts else f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''}"
     verdicts = [Verdict("Are the modes paired correctly?", answer, not doubts, "Warnings on the pairing", doubts)]
+    if found.modes.correlation is not None:
+        odd = found.sensor_doubts
+        answer = "Yes" if not odd else f"{len(odd)} {'stands' if len(odd) == 1 else 'stand'} out"
+        verdicts.append(Verdict("Do the sensors agree with the model?", answer, not odd, "Which do not", odd))
     far = int(found.prior.is_far.sum())
     covered = not far and not found.prior.failed
     expected = covered and not found.priors
@@ -155,6 +161,27 @@ def _modes(found: Check) -> PageSection:
     if found.shapes is not None:
         parts.append(Pictures(_shapes(found, found.shapes)))
     return PageSection("modes", "Modes at the start", tuple(parts))
+
+
+def _sensors(found: Check) -> list[PageSection]:
+    """Return where test and model disagree, if shapes were measured."""
+    alike = found.modes.correlation
+    if alike is None:
+        return []
+    sensors, table = alike.sensors, found.sensor_table()
+    worst = ", ".join(f"{row.sensor} {row.ecomac}" for row in table[:3].itertuples())
+    along = plot_sensors(sensors, {"at the start": (alike.comac, alike.ecomac)})
+    alt = f"CoMAC and ECoMAC of {len(sensors)} sensors. The largest ECoMAC: {worst}."
+    pictures = [picture(along, "sensors", alt, LOOK_AT_SENSORS)]
+    if len(alike.labels) > 1:
+        most = fixed(float(np.triu(alike.auto_mac, 1).max()), 2)
+        axes = plot_mac_matrix(alike.auto_mac, alike.labels, alike.labels)
+        pictures.append(picture(axes, "automac", f"AutoMAC: at most {most} off the diagonal.", LOOK_AT_SHAPES))
+    rows = tuple(tuple(map(str, row)) for row in table.itertuples(index=False))
+    every = Details(
+        "Sensor by sensor", (PageTable("The largest ECoMAC first.", ("sensor", "CoMAC", "ECoMAC"), rows),)
+    )
+    return [PageSection("sensors", "Test and model at the sensors", (Pictures(tuple(pictures)), every))]
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:

@@ -10,8 +10,8 @@ from fmu.analysis.convergence.diagnosis import UNSEARCHED
 from fmu.analysis.held_out.modes import leave_one_out
 from fmu.analysis.identifiability import kept_identifiability
 from fmu.analysis.information import CRITERION, information, left_along
-from fmu.analysis.initial_modes import ALIKE
 from fmu.analysis.trace.modal_states import MEASURED
+from fmu.fem.pairing.correlation import ALIKE
 from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating

@@ -35,11 +35,11 @@ from scipy.special import chdtrc, stdtrit
 
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
-from fmu.analysis.initial_modes import ALIKE
 from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
+from fmu.fem.pairing.correlation import ALIKE
 from fmu.numbers import apart, given, share, significant, with_sd
 from fmu.tables import data_frame
 from fmu.types import FloatArray

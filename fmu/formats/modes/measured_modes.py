@@ -63,6 +63,8 @@ class MeasuredModes:
         Numbers of the modes in the spectrum of the model, if they are given.
     use : tuple of bool
         Which modes are used in updating, if it is said.
+    mpc : ndarray, shape (n_modes,), optional
+        Modal phase collinearity of shapes that were complex.
     """
 
     frequencies_hz: FloatArray
@@ -72,6 +74,7 @@ class MeasuredModes:
     shapes: FloatArray | None = None
     numbers: tuple[int, ...] = ()
     use: tuple[bool, ...] = ()
+    mpc: FloatArray | None = None
 
 
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:

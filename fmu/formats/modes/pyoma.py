@@ -94,7 +94,7 @@ def pyoma_modes(
     if found:
         raise ModesError(source, found)
     try:
-        shapes = real_shapes(phi[:, columns], least_mpc)[0]
+        shapes, mpc = real_shapes(phi[:, columns], least_mpc)
     except ValueError as error:
         raise ModesError(source, [str(error)]) from None
     labels = tuple(map(str, chosen))
@@ -104,6 +104,7 @@ def pyoma_modes(
         None if sd is None else sd[columns],
         tuple((place, str(direction)) for place, direction in sensors),
         shapes,
+        mpc=mpc if np.iscomplexobj(given["Phi"]) else None,
     )
 
 

@@ -105,13 +105,14 @@ def read_uff(
     if not seen:
         raise ModesError(file.name, ["shapes: must move at one of the nodes (got zeros)"])
     try:
-        shapes = real_shapes(table, least_mpc)[0]
+        shapes, mpc = real_shapes(table, least_mpc)
     except ValueError as error:
         raise ModesError(file.name, [str(error)]) from None
     is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
-    return MeasuredModes(
-        frequencies, tuple(map(str, chosen)), None, tuple(seen), shapes if is_complex else table.real
-    )
+    labels, sensors = tuple(map(str, chosen)), tuple(seen)
+    if not is_complex:
+        return MeasuredModes(frequencies, labels, None, sensors, table.real)
+    return MeasuredModes(frequencies, labels, None, sensors, shapes, mpc=mpc)
 
 
 def write_uff(

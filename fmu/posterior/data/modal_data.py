@@ -54,6 +54,8 @@ class ModalData:
     use : tuple of bool, optional
         Which modes the parameters are updated with, all by default. The others are paired and predicted like them,
         but are not in the likelihood: they test the updated model on what it has not seen.
+    mpc : ndarray, shape (n_modes,), optional
+        Modal phase collinearity of measured shapes that were complex, to be shown.
 
     Raises
     ------
@@ -74,6 +76,7 @@ class ModalData:
     counterparts: tuple[int, ...] = ()
     tests: RepeatedTests | None = None
     use: tuple[bool, ...] = ()
+    mpc: FloatArray | None = None
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)

@@ -11,6 +11,8 @@ from fmu.report.plots.chains import plot_running_means as plot_running_means
 from fmu.report.plots.chains import plot_running_rhat as plot_running_rhat
 from fmu.report.plots.chains import plot_traces as plot_traces
 from fmu.report.plots.corner import plot_corner as plot_corner
+from fmu.report.plots.correlation import plot_mac_matrix as plot_mac_matrix
+from fmu.report.plots.correlation import plot_sensors as plot_sensors
 from fmu.report.plots.frequencies import Frequencies as Frequencies
 from fmu.report.plots.frequencies import plot_frequency_errors as plot_frequency_errors
 from fmu.report.plots.frequencies import plot_frequency_updates as plot_frequency_updates

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import has
-from fmu.numbers import fixed, hertz
+from fmu.numbers import hertz
+from fmu.report.plots.correlation import plot_mac_matrix
 from fmu.report.plots.style import (
     BLACK,
     COLOURS,
@@ -21,7 +22,6 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    spaced,
     stacked,
     turned,
 )
@@ -36,12 +36,6 @@ if TYPE_CHECKING:
 _FLAT = 1e-6
 _SWING = 0.12
 """Largest displacement drawn, relative to the size of the structure."""
-_READABLE = 12
-"""With at most so many modes, the MAC is written into each cell."""
-_CELL = 0.42
-"""The least width of a cell, inches."""
-_SHORT = 3
-"""Letters of the longest label that fits below a cell."""
 _ONE_COLUMN = 6
 """At most so many modes of a structure in space are drawn in one column."""
 
@@ -71,31 +65,10 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     if state not in modes["state"]:
         raise ValueError(f"state: must be one of {', '.join(map(str, modes['state'].to_numpy()))} (got {state!r})")
     values = modes["mac"].sel(state=state).transpose("reference_mode", "mode").to_numpy()
-    n, m = values.shape
-    labels = [literal(str(label)) for label in modes["mode"].to_numpy()]
-    is_long = max(map(len, labels)) > _SHORT  # those of the rows need room beside the cells
+    rows, columns = (modes[name].to_numpy().astype(str).tolist() for name in ("reference_mode", "mode"))
     is_measured = modes["mac"].attrs["reference"] == MEASURED
-    side = max(0.75 * NARROW, _CELL * m)
-    figure = figure or new_figure(side + (2.4 if is_long else 0.25 * NARROW), 0.6 + side * n / m + 0.8 * is_long)
-    axes = figure.subplots()
-    # drawn cell by cell, to stay sharp in an SVG
-    mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0)
-    if max(n, m) <= _READABLE:
-        # of many modes most are zeros, which are left out
-        for i, j in np.argwhere(values >= (0.005 if max(n, m) > _ONE_COLUMN else 0.0)).tolist():
-            axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
-                      color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
-    axes.set_xticks(np.arange(m) + 0.5, spaced(labels), **turned(labels, side))
-    axes.set_yticks(
-        np.arange(n) + 0.5, spaced([literal(str(label)) for label in modes["reference_mode"].to_numpy()])
-    )
-    axes.invert_yaxis()
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"mode of the model, {literal(state)}", fontsize=FONT)
-    axes.set_ylabel("measured shape" if is_measured else "mode of the model before updating", fontsize=FONT)
-    figure.colorbar(mesh, ax=axes, shrink=0.8, label="MAC")
-    finish(axes)
-    return axes
+    y = "measured shape" if is_measured else "mode of the model before updating"
+    return plot_mac_matrix(values, rows, columns, figure, f"mode of the model, {literal(state)}", y)
 
 
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:

@@ -21,6 +21,7 @@ OF_A_SAMPLER = (
     "structure.mac",
     "structure.pairing",
     "structure.shapes",
+    "sensors.sensors",
     "fit.checks",
     "prediction.predictive",
     "prediction.left_out",

@@ -1,0 +1,227 @@
+"""Where test and model agree: among measured modes, close modes as a subspace, and sensor by sensor.
+
+After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. The measured
+ones are scaled to the computed ones by least absolute differences (`scaled`), on which a single wrong sensor has
+little influence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
+
+from fmu.fem.modes.modal import mac
+from fmu.numbers import fixed, names_in_words
+from fmu.tables import data_frame
+from fmu.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CLOSE = 0.01
+"""Two frequencies closer than this, relatively, are hard to tell apart."""
+ALIKE = 0.8
+"""With a MAC below this, two shapes hardly belong to the same mode."""
+ALIASED = 0.5
+"""With an AutoMAC above this, the sensors hardly tell two measured shapes apart."""
+SUSPECT, TIMES = 0.1, 3.0
+"""A sensor is doubted if its ECoMAC exceeds this, and the median over all sensors so many times."""
+LOOK_AT_SENSORS = (
+    "CoMAC is 1 and ECoMAC 0 at a sensor where measured and computed motion agree over the paired modes: look for "
+    "single sensors that stand out. CoMAC near 1 with a large ECoMAC is a wrong sign or scale."
+)
+LOOK_AT_SHAPES = (
+    "AutoMAC, the MAC of the measured shapes with each other, should be small off the diagonal: look for modes "
+    "that the sensors cannot tell apart."
+)
+_FEWEST_SENSORS, _FEWEST_MODES = 4, 2
+_MOST_NAMED = 5
+_DEPENDENT = 1e-8
+"""Shapes of unit length whose singular value is below this are linearly dependent."""
+
+
+def scaled(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return both sets of shapes (n_sensors, n_modes), the computed ones with a mean square of 1 over the sensors.
+
+    Each measured shape is multiplied by the factor c that makes Σ_j |c φ_j − ψ_j| smallest, ψ being the computed
+    one: the median of ψ_j/φ_j with weights |φ_j|.
+    """
+    size = np.sqrt(np.mean(computed**2, axis=0))
+    psi = np.divide(computed, size, out=np.zeros_like(computed), where=size > 0)
+    return np.stack([_factor(phi, ref) * phi for phi, ref in zip(measured.T, psi.T, strict=True)], axis=1), psi
+
+
+def _factor(phi: FloatArray, psi: FloatArray) -> float:
+    moves = phi != 0.0
+    ratio, weight = psi[moves] / phi[moves], np.abs(phi[moves])
+    order = np.argsort(ratio)
+    passed = np.cumsum(weight[order])
+    return float(ratio[order][np.searchsorted(passed, 0.5 * passed[-1])])
+
+
+def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
+    """Return the coordinate modal assurance criterion of each sensor (Lieven & Ewins 1988), shape (n_sensors,).
+
+    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k: 1 if measured and computed motion
+    of the sensor are in proportion, whatever their signs; 1 for a sensor that moves in neither.
+    """
+    phi, psi = scaled(measured, computed)
+    size = np.sum(phi**2, axis=1) * np.sum(psi**2, axis=1)
+    still = np.all(phi == 0, axis=1) & np.all(psi == 0, axis=1)
+    return np.divide(np.sum(np.abs(phi * psi), axis=1) ** 2, size, out=still.astype(float), where=size > 0)
+
+
+def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
+    """Return the enhanced CoMAC of each sensor (Hunt 1992, IMAC X), shape (n_sensors,).
+
+    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the root mean square of the computed shape:
+    0 where the shapes are equal, sign and size included; as large as the motion itself where the sign is wrong.
+    """
+    phi, psi = scaled(measured, computed)
+    return np.asarray(0.5 * np.mean(np.abs(phi - psi), axis=1))
+
+
+def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
+    """Return cos² of the principal angles between the spaces of two sets of shapes, the largest first.
+
+    The least is 1 if every measured shape is a combination of the computed ones, as those of close modes are that
+    differ only in how they rotate into each other (Björck & Golub 1973). Of single shapes it is the MAC.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (n_sensors, m)
+    computed : ndarray, shape (n_sensors, r)
+
+    Returns
+    -------
+    ndarray, shape (min(m, r),)
+    """
+    cosines = np.linalg.svd(_orthonormal(measured).T @ _orthonormal(computed), compute_uv=False)
+    return np.clip(cosines, 0.0, 1.0) ** 2
+
+
+def _orthonormal(shapes: FloatArray) -> FloatArray:
+    """Return a basis of the space of shapes, one column each, zero where they are linearly dependent."""
+    size = np.linalg.norm(shapes, axis=0)
+    unit = np.divide(shapes, size, out=np.zeros_like(shapes), where=size > 0)
+    U, s, _ = np.linalg.svd(unit, full_matrices=False)
+    return np.asarray(U * (s > _DEPENDENT))
+
+
+def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[int, ...], ...]:
+    """Return the groups of two or more modes that are closer than `within`, relatively, to the next in the group.
+
+    Parameters
+    ----------
+    *frequencies : array_like, shape (n_modes,)
+        Of the same modes: measured, computed. It is enough that they are close in one of them.
+    """
+    near = np.zeros((len(np.asarray(frequencies[0])),) * 2, dtype=bool)
+    for f in map(np.asarray, frequencies):
+        near |= np.abs(f[:, None] / f - 1.0) < within
+    label = connected_components(near)[1]
+    groups = (np.flatnonzero(label == k) for k in range(label.max() + 1))
+    return tuple(tuple(group.tolist()) for group in groups if len(group) > 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Measured and computed shapes of paired modes, compared.
+
+    Attributes
+    ----------
+    sensors : tuple of str
+        Place and direction of each sensor, in words.
+    labels : tuple of str
+        Of the measured modes.
+    measured, computed : ndarray, shape (n_sensors, n_modes)
+    groups : tuple of tuple of int
+        Modes (from 0) that are close in frequency, see `close_groups`.
+    """
+
+    sensors: tuple[str, ...]
+    labels: tuple[str, ...]
+    measured: FloatArray
+    computed: FloatArray
+    groups: tuple[tuple[int, ...], ...] = ()
+
+    @cached_property
+    def comac(self) -> FloatArray:
+        """CoMAC of each sensor, shape (n_sensors,)."""
+        return comac(self.measured, self.computed)
+
+    @cached_property
+    def ecomac(self) -> FloatArray:
+        """ECoMAC of each sensor, shape (n_sensors,)."""
+        return ecomac(self.measured, self.computed)
+
+    @cached_property
+    def auto_mac(self) -> FloatArray:
+        """MAC of the measured shapes with each other, shape (n_modes, n_modes)."""
+        return mac(self.measured, self.measured)
+
+    @cached_property
+    def subspace(self) -> dict[int, float]:
+        """For each mode of a group, the least cos² of the angles between the measured and the computed space.
+
+        Groups of as many modes as there are sensors span everything, and are left out.
+        """
+        few = (list(group) for group in self.groups if len(group) < len(self.sensors))
+        least = {tuple(g): float(subspace_mac(self.measured[:, g], self.computed[:, g])[-1]) for g in few}
+        return {k: value for group, value in least.items() for k in group}
+
+    @property
+    def suspects(self) -> IntArray:
+        """The sensors that stand out, the worst first, shape (n_suspects,)."""
+        if len(self.sensors) < _FEWEST_SENSORS or len(self.labels) < _FEWEST_MODES:
+            return np.zeros(0, dtype=np.int64)
+        least = max(SUSPECT, TIMES * float(np.median(self.ecomac)))
+        order = np.argsort(-self.ecomac, kind="stable")
+        return order[self.ecomac[order] > least]
+
+    def doubts_of_sensors(self) -> list[str]:
+        """Return a warning for each of the sensors that `suspects` names, the worst five of them."""
+        phi, psi = scaled(self.measured, self.computed)
+        middle, found = float(np.median(self.ecomac)), []
+        for j in self.suspects[:_MOST_NAMED]:
+            turned = 0.5 * float(np.mean(np.abs(phi[j] + psi[j])))
+            look = "look at its place and direction, and at the model there"
+            if turned < max(SUSPECT, TIMES * middle):
+                look = "with the opposite sign it would agree"
+            found.append(
+                f"Sensor {self.sensors[j]}: test and model disagree (ECoMAC {fixed(self.ecomac[j], 2)}, median of "
+                f"all sensors {fixed(middle, 2)}; CoMAC {fixed(self.comac[j], 2)}); {look}."
+            )
+        return found
+
+    def doubts_of_modes(self) -> list[str]:
+        """Return a warning for every two modes that the sensors hardly tell apart, whatever the model."""
+        above = np.argwhere(np.triu(self.auto_mac, 1) > ALIASED).tolist()
+        return [
+            f"The measured shapes of modes {self.labels[i]} and {self.labels[k]} are alike at the sensors "
+            f"(AutoMAC {fixed(self.auto_mac[i, k], 2)}): other sensors would tell the modes apart."
+            for i, k in above
+        ]
+
+    def notes(self) -> list[str]:
+        """Return a sentence on every group of close modes whose shapes agree as a space, not one by one."""
+        found = []
+        for group in self.groups:
+            alike = [float(mac(self.computed[:, [k]], self.measured[:, [k]])[0, 0]) for k in group]
+            if self.subspace.get(group[0], 0.0) >= ALIKE and min(alike) < ALIKE:
+                found.append(
+                    f"Modes {names_in_words([self.labels[k] for k in group])} are close: their measured shapes "
+                    f"lie in the space of the computed ones (subspace MAC {fixed(self.subspace[group[0]], 2)}), "
+                    f"turned into each other (MAC {names_in_words([fixed(x, 2) for x in alike])})."
+                )
+        return found
+
+    def table(self) -> pd.DataFrame:
+        """Return one row per sensor, the largest ``ecomac`` first; ``comac``."""
+        columns = {"comac": self.comac, "ecomac": self.ecomac}
+        return data_frame(columns, "sensor", self.sensors).sort_values("ecomac", ascending=False, kind="stable")
