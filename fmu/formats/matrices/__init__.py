@@ -4,6 +4,7 @@ Reading order: read, limits; then one file a format.
 """
 
 from fmu.formats.matrices import ansys, calculix, harwell_boeing, hdf5, matlab, matrix_market, numpy_files
+from fmu.formats.matrices.nastran import dmig, op4
 
 FORMATS = (
     matrix_market.FORMAT,
@@ -15,4 +16,6 @@ FORMATS = (
     numpy_files.CSV,
     calculix.FORMAT,
     ansys.FORMAT,
+    op4.FORMAT,
+    dmig.FORMAT,
 )

@@ -3,7 +3,7 @@
 Reading order: exported, read; then one file a format of meshes. The matrices are read by `fmu.formats.matrices`.
 """
 
-from fmu.formats.models import ansys, inp
+from fmu.formats.models import ansys, bulk, inp
 
-FORMATS = (inp.FORMAT, ansys.CDB, ansys.RST)
+FORMATS = (inp.FORMAT, ansys.CDB, ansys.RST, bulk.FORMAT)
 """Of files with nodes and elements."""

@@ -53,7 +53,7 @@ NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())
 
 
 def mesh_of(
-    places: Mapping[int, Sequence[float]],
+    places: Mapping[int, Any],
     elements: Sequence[tuple[int, ...]],
     kinds: Sequence[str],
     notes: Sequence[str] = (),

@@ -1,0 +1,116 @@
+"""Entries of Nastran's bulk data: small, large and free fields, with their continuations."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from fmu.formats.matrices.limits import RefusedError
+from fmu.formats.shown import shown
+
+MOST_FIELDS = 2**20
+"""Of one entry with its continuations."""
+LARGEST_ID = 10**9
+
+
+def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield the name and the fields of each entry, in upper case and without blanks around them.
+
+    Continuations are taken to follow the entry that they continue. What stands before the bulk data is yielded
+    too: its lines do not begin with the names of entries that have a meaning here.
+
+    Raises
+    ------
+    RefusedError
+        If other files are included, superelements begin, or an entry is too long.
+    """
+    name, fields = "", list[str]()
+    for line in lines:
+        line = line.partition("$")[0].rstrip()
+        if not line:
+            continue
+        if "\t" in line:
+            line = line.expandtabs(8)
+        upper = line.upper().lstrip()
+        if upper.startswith("INCLUDE"):
+            raise RefusedError("the files that INCLUDE names are not followed: put their lines in its place")
+        if upper.startswith("BEGIN") and "SUPER" in upper:
+            raise RefusedError("must be one structure (it has superelements)")
+        if upper.startswith("ENDDATA"):
+            break
+        first, rest = _fields(line)
+        if first and first[0] not in "+*":
+            if name:
+                yield name, fields
+            name, fields = first.rstrip("*"), rest
+        elif name:
+            fields += rest
+            if len(fields) > MOST_FIELDS:
+                raise RefusedError(f"must have entries of at most {MOST_FIELDS} fields ({name} has more)")
+    if name:
+        yield name, fields
+
+
+def _fields(line: str) -> tuple[str, list[str]]:
+    """Return the first field of a line, and those of its data: 8 in small and free format, 4 in large format."""
+    if "," in line:
+        first, *words = (word.strip().upper() for word in line.split(","))
+        many = 4 if "*" in first else 8
+        return first, (words + [""] * many)[:many]
+    first = line[:8].strip().upper()
+    many, wide = (4, 16) if "*" in first else (8, 8)
+    return first, [line[8 + wide * k : 8 + wide * (k + 1)].strip().upper() for k in range(many)]
+
+
+def whole(field: str, what: str, default: int | None = None) -> int:
+    """Return a whole number of a field; ValueError if it is none, or empty without a default."""
+    if not field and default is not None:
+        return default
+    if not re.fullmatch(r"[+-]?\d{1,10}", field):
+        raise ValueError(f"{what} must be a whole number (got {shown(field)})")
+    return int(field)
+
+
+def identity(field: str, what: str) -> int:
+    """Return the number of a node, element or system; ValueError if it is not positive."""
+    number = whole(field, what)
+    if not 1 <= number <= LARGEST_ID:
+        raise ValueError(f"{what} must be a number from 1 to {LARGEST_ID} (got {number})")
+    return number
+
+
+def number(field: str, what: str, default: float | None = None) -> float:
+    """Return a real number as Nastran writes it, ``7.1-3`` and ``7.1D-3`` too."""
+    if not field and default is not None:
+        return default
+    found = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d{1,4})|[ED](\d{1,4}))?", field)
+    if found is None:
+        raise ValueError(f"{what} must be a real number (got {shown(field)})")
+    return float(f"{found[1]}E{found[2] or found[3] or 0}")
+
+
+def components(field: str, what: str) -> list[int]:
+    """Return the components 1 to 6 that a field such as ``123456`` lists; 0 or empty of a scalar point is 1."""
+    if field in ("", "0"):
+        return [1]
+    if not re.fullmatch("[1-6]{1,6}", field):
+        raise ValueError(f"{what} must be components 1 to 6 (got {shown(field)})")
+    return sorted({int(digit) for digit in field})
+
+
+def listed(fields: list[str], what: str) -> list[int]:
+    """Return the numbers of a list with ``THRU``; empty fields are left out."""
+    words = [field for field in fields if field]
+    found: list[int] = []
+    at = 0
+    while at < len(words):
+        first = identity(words[at], what)
+        last = first
+        if at + 2 < len(words) and words[at + 1] == "THRU":
+            last = identity(words[at + 2], what)
+            at += 2
+        if last - first >= MOST_FIELDS - len(found):
+            raise RefusedError(f"{what} must be at most {MOST_FIELDS} numbers")
+        found += range(first, last + 1)
+        at += 1
+    return found

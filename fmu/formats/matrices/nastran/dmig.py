@@ -1,0 +1,81 @@
+"""Matrices as DMIG entries of Nastran: in the bulk data, or in the punch file (``PARAM,EXTOUT,DMIGPCH``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.matrices.limits import (
+    MOST_NAMES,
+    Labelled,
+    MatrixFormat,
+    RefusedError,
+    chosen,
+    entries_within,
+    rows_within,
+    text_lines,
+)
+from fmu.formats.matrices.nastran.cards import cards, components, identity, number, whole
+from fmu.types import DIRECTIONS
+
+SYMMETRIC = 6
+"""The form of a matrix of which each pair of entries is given once."""
+
+
+def _read(path: Path, variable: str | None) -> Labelled:
+    """Return a matrix with the nodes and components that its entries name, ascending."""
+    forms: dict[str, int] = {}
+    found: dict[str, tuple[list[int], list[int], list[float]]] = {}
+    n = 0
+    with open(path, "rb") as file:
+        for entry, fields in cards(text_lines(file)):
+            if entry != "DMIG":
+                continue
+            name = fields[0]
+            if fields[1] == "0":
+                forms[name] = whole(fields[2], f"DMIG {name}: the form")
+                if whole(fields[3], f"DMIG {name}: the type") not in (1, 2) and variable in (None, name):
+                    raise RefusedError(f"must hold a real matrix ({name} is complex)")
+                if len(forms) > MOST_NAMES:
+                    raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
+                continue
+            if variable is not None and name != variable:
+                found.setdefault(name, ([], [], []))
+                continue
+            rows, columns, entries = found.setdefault(name, ([], [], []))
+            column = _place(fields[1], fields[2], name)
+            for at in range(4, len(fields) - 2, 4):
+                if fields[at]:
+                    rows.append(_place(fields[at], fields[at + 1], name))
+                    columns.append(column)
+                    entries.append(number(fields[at + 2], f"DMIG {name}: an entry"))
+            n += (len(fields) - 4) // 4
+            entries_within(n)
+    name = chosen([name for name in forms if name in found], variable)
+    if not found[name][2]:
+        raise RefusedError(f"must have entries of {name} (it has none)")
+    places, index = np.unique(np.array(found[name][:2], dtype=np.int64), return_inverse=True)
+    rows_within(len(places))
+    row_and_column = index.reshape(2, -1)
+    matrix = sp.csr_array((found[name][2], tuple(row_and_column)), shape=(len(places),) * 2)
+    if forms[name] == SYMMETRIC:
+        upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
+        if upper.multiply(lower.T).nnz:
+            raise RefusedError(
+                f"must have each pair of entries once, as {name} is symmetric (it has both of some)"
+            )
+        matrix = matrix + upper.T + lower.T
+    return Labelled(matrix, tuple((int(at) // 8, DIRECTIONS[int(at) % 8]) for at in places))
+
+
+def _place(node: str, component: str, name: str) -> int:
+    """Return 8 times the node and its direction from 0, to be sorted by."""
+    directions = components(component, f"DMIG {name}: a component")
+    if len(directions) != 1:
+        raise ValueError(f"DMIG {name}: a component must be one of 0 to 6 (got {component})")
+    return 8 * identity(node, f"DMIG {name}: a node") + directions[0] - 1
+
+
+FORMAT = MatrixFormat((".pch", ".dmig", ".bdf", ".dat", ".nas"), _read, has_names=True)

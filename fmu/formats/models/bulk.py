@@ -1,0 +1,168 @@
+"""Nodes, elements, axes and rows of the bulk data of Nastran, ``.bdf``, ``.dat`` or ``.nas``.
+
+Matrices have the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: those of the
+g-set are the nodes in ascending order with six components each, scalar points with one. Of smaller sets this
+module knows the a-set where ASET entries give it, and else the f-set: g without what GRID, SPC and SPC1 hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fmu.formats.matrices.limits import MOST_DOFS, RefusedError, text_lines
+from fmu.formats.matrices.nastran.cards import cards, components, identity, listed, number, whole
+from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
+from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, DofName, Mesh, MeshFormat, mesh_of
+from fmu.formats.shown import names_shown
+from fmu.types import DIRECTIONS, FloatArray
+
+_HEXAHEDRON = (*range(12), *range(16, 20), *range(12, 16))
+_WEDGE = (*range(9), *range(12, 15), *range(9, 12))
+_ELEMENTS: dict[str, tuple[int, tuple[tuple[str, int], ...]]] = {
+    **dict.fromkeys(("CQUAD4", "CQUADR", "CSHEAR"), (2, (("quad", 4),))),
+    **dict.fromkeys(("CTRIA3", "CTRIAR"), (2, (("triangle", 3),))),
+    **dict.fromkeys(("CBAR", "CBEAM", "CROD", "CTUBE", "CBUSH", "CBEND"), (2, (("line", 2),))),
+    "CONROD": (1, (("line", 2),)),
+    "CQUAD8": (2, (("quad8", 8), ("quad", 4))),
+    "CTRIA6": (2, (("triangle6", 6), ("triangle", 3))),
+    "CTETRA": (2, (("tetra10", 10), ("tetra", 4))),
+    "CPYRAM": (2, (("pyramid13", 13), ("pyramid", 5))),
+    "CPENTA": (2, (("wedge15", 15), ("wedge", 6))),
+    "CHEXA": (2, (("hexahedron20", 20), ("hexahedron", 8))),
+}
+"""The field of the first node, and what it is with all midside nodes and without."""
+_ORDER = {"hexahedron20": _HEXAHEDRON, "wedge15": _WEDGE}
+_SET = ("ASET", "ASET1", "SPC", "SPC1")
+
+
+@dataclass(eq=False)
+class _Deck:
+    """What is found of a deck."""
+
+    grids: dict[int, tuple[int, FloatArray]] = field(default_factory=dict)
+    outputs: dict[int, int] = field(default_factory=dict)
+    held: dict[int, set[int]] = field(default_factory=dict)
+    kept: dict[int, set[int]] = field(default_factory=dict)
+    scalars: set[int] = field(default_factory=set)
+    systems: dict[int, Definition] = field(default_factory=dict)
+    elements: list[tuple[int, ...]] = field(default_factory=list)
+    kinds: list[str] = field(default_factory=list)
+
+
+def _read(path: Path) -> Mesh:
+    deck, defaults, dependent = _Deck(), ("", "", ""), 0
+    with open(path, "rb") as file:
+        for name, fields in cards(text_lines(file)):
+            fields = fields + [""] * (8 - len(fields))
+            if name == "GRDSET":
+                defaults = fields[1], fields[5], fields[6]
+            elif name == "GRID":
+                _grid(deck, fields)
+            elif name in _ELEMENTS:
+                _element(deck, name, fields)
+            elif name[:4] == "CORD" and name[4:5] in ("1", "2") and name[5:] in ("R", "C", "S"):
+                _system(deck, name[4], name[5], fields)  # type: ignore[arg-type]
+            elif name == "SPOINT":
+                deck.scalars |= set(listed(fields, "SPOINT"))
+            elif name in _SET:
+                _members(deck, name, fields)
+            elif name in ("MPC", "RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT", "OMIT", "OMIT1"):
+                dependent += 1
+            if len(deck.grids) + len(deck.scalars) > MOST_NODES or len(deck.elements) > MOST_ELEMENTS:
+                raise RefusedError(f"must have at most {MOST_NODES} nodes and {MOST_ELEMENTS} elements")
+    return _mesh(deck, defaults, dependent)
+
+
+def _grid(deck: _Deck, fields: list[str]) -> None:
+    node = identity(fields[0], "GRID: its number")
+    what = f"GRID {node}"
+    place = np.array([number(word, f"{what}: a coordinate", 0.0) for word in fields[2:5]])
+    if node in deck.grids:
+        raise RefusedError(f"must have each node once (it has {what} twice)")
+    deck.grids[node] = whole(fields[1], f"{what}: CP", -2), place
+    deck.outputs[node] = whole(fields[5], f"{what}: CD", -2)
+    if fields[6]:
+        deck.held[node] = set(components(fields[6], f"{what}: PS"))
+
+
+def _element(deck: _Deck, name: str, fields: list[str]) -> None:
+    first, kinds = _ELEMENTS[name]
+    for kind, count in kinds:
+        nodes = fields[first : first + count]
+        if len(nodes) == count and all(nodes):
+            found = [identity(node, f"{name} {fields[0]}: a node") for node in nodes]
+            deck.elements.append(tuple(found[k] for k in _ORDER.get(kind, range(count))))
+            deck.kinds.append(kind)
+            return
+    if name not in ("CBUSH",):  # which may end at the ground
+        raise ValueError(f"{name} {fields[0]} must have {kinds[-1][1]} nodes (it lacks some)")
+
+
+def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) -> None:
+    what = f"CORD{way}{kind}"
+    if way == "1":
+        for at in (0, 4):
+            if fields[at]:
+                nodes = tuple(identity(word, f"{what} {fields[at]}: a node") for word in fields[at + 1 : at + 4])
+                deck.systems[identity(fields[at], what)] = Definition(kind, nodes=nodes)
+        return
+    own, reference = identity(fields[0], what), whole(fields[1], f"{what} {fields[0]}: RID", 0)
+    words = (fields[2:] + [""] * 9)[:9]
+    points = np.array([number(word, f"{what} {own}: a coordinate", 0.0) for word in words])
+    deck.systems[own] = Definition(kind, points.reshape(3, 3), reference)
+
+
+def _members(deck: _Deck, name: str, fields: list[str]) -> None:
+    """Take in members of the sets of rows that are kept, or held."""
+    into = deck.kept if name.startswith("ASET") else deck.held
+    skipped = 0 if name.startswith("ASET") else 1
+    if name.endswith("1"):
+        which = components(fields[skipped], name)
+        for node in listed(fields[skipped + 1 :], name):
+            into.setdefault(node, set()).update(which)
+        return
+    for at in range(skipped, len(fields) - 1, 2 if name == "ASET" else 3):
+        if fields[at]:
+            into.setdefault(identity(fields[at], name), set()).update(components(fields[at + 1], name))
+
+
+def _mesh(deck: _Deck, defaults: tuple[str, str, str], dependent: int) -> Mesh:
+    position, output, permanent = defaults
+    default_in, default_out = whole(position, "GRDSET: CP", 0), whole(output, "GRDSET: CD", 0)
+    fluid = [node for node, system in deck.outputs.items() if system == -1]
+    if fluid:
+        raise RefusedError(f"must have structural nodes only (of fluid: {names_shown(fluid)})")
+    grids = {node: (default_in if cp == -2 else cp, place) for node, (cp, place) in deck.grids.items()}
+    systems = Systems(deck.systems, grids)
+    places = {node: systems.place(node) for node in grids}
+    own = {node: default_out if cd == -2 else cd for node, cd in deck.outputs.items()}
+    axes = {node: systems.axes(cd, node) for node, cd in own.items() if cd}
+    if permanent:
+        for node in set(grids) - set(deck.held):
+            deck.held[node] = set(components(permanent, "GRDSET: PS"))
+    both = deck.scalars & set(grids)
+    if both:
+        raise RefusedError(f"must have each point once (as GRID and SPOINT: {names_shown(sorted(both))})")
+    order = sorted([*grids, *deck.scalars])
+    if 6 * len(order) > 6 * MOST_DOFS:
+        raise RefusedError(f"must have at most {MOST_DOFS} points")
+    every = [(node, k) for node in order for k in ([1] if node in deck.scalars else range(1, 7))]
+    chosen = {"g": every}
+    if deck.kept:
+        chosen["a"] = [(node, k) for node, k in every if k in deck.kept.get(node, ())]
+    elif deck.held:
+        chosen["f"] = [(node, k) for node, k in every if k not in deck.held.get(node, ())]
+    sets: dict[str, tuple[DofName, ...]] = {
+        name: tuple((node, DIRECTIONS[k - 1]) for node, k in rows) for name, rows in chosen.items()
+    }
+    notes = []
+    if dependent:
+        notes.append(f"Of {dependent} MPC, rigid elements and OMIT entries the mesh knows nothing.")
+    return mesh_of(places, deck.elements, deck.kinds, notes, axes, sets)
+
+
+FORMAT = MeshFormat((".bdf", ".dat", ".nas"), _read)

@@ -1,0 +1,129 @@
+"""Coordinate systems of Nastran: places and axes of rectangular, cylindrical and spherical ones.
+
+MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on z, the
+third in the plane of x and z. In cylindrical ones coordinates are r, θ, z, in spherical ones r, θ from z, φ about
+z; angles in degrees. The axes of a node at which r or θ has no direction are those of θ = φ = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from fmu.formats.matrices.limits import RefusedError
+from fmu.types import FloatArray
+
+Kind = Literal["R", "C", "S"]
+_NOWHERE = 1e-12
+DEEPEST = 200
+"""Systems that refer to each other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """A system by three points.
+
+    Attributes
+    ----------
+    kind : {"R", "C", "S"}
+        Rectangular, cylindrical or spherical.
+    points : ndarray, shape (3, 3), optional
+        In the system `reference`.
+    reference : int
+        0 for the basic system.
+    nodes : tuple of int
+        The nodes that are the points, where they are not given.
+    """
+
+    kind: Kind
+    points: FloatArray | None = None
+    reference: int = 0
+    nodes: tuple[int, ...] = ()
+
+
+@dataclass(eq=False)
+class Systems:
+    """The systems and nodes of a deck, found in global axes when they are asked for.
+
+    Attributes
+    ----------
+    definitions : mapping of int to Definition
+    given : mapping of int to (system, ndarray of shape (3,))
+        Of each node.
+    """
+
+    definitions: Mapping[int, Definition]
+    given: Mapping[int, tuple[int, FloatArray]]
+    _frames: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    _places: dict[int, FloatArray] = field(default_factory=dict)
+
+    def place(self, node: int, depth: int = 0) -> FloatArray:
+        """Return the place of a node in global axes, shape (3,)."""
+        if node not in self._places:
+            if node not in self.given:
+                raise RefusedError(f"must have the node {node}, a point of a coordinate system (it has not)")
+            system, coordinates = self.given[node]
+            self._places[node] = self._from(system, coordinates, depth)
+        return self._places[node]
+
+    def axes(self, system: int, node: int) -> FloatArray:
+        """Return the unit vectors (rows) of a system at a node, in global axes, shape (3, 3)."""
+        if system == 0:
+            return np.eye(3)
+        origin, own = self._frame(system, 0)
+        kind = self.definitions[system].kind
+        x, y, z = own @ (self.place(node) - origin)
+        r = np.hypot(x, y)
+        small = _NOWHERE * max(1.0, float(np.linalg.norm(self.place(node))))
+        c, s = (x / r, y / r) if r > small else (1.0, 0.0)
+        if kind == "R":
+            return own
+        about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        if kind == "C":
+            return np.asarray(about_z @ own)
+        length = np.hypot(r, z)
+        sine, cosine = (r / length, z / length) if length > small else (0.0, 1.0)
+        tilted = np.array([[sine, 0.0, cosine], [cosine, 0.0, -sine], [0.0, 1.0, 0.0]])
+        return np.asarray(tilted @ about_z @ own)
+
+    def _from(self, system: int, coordinates: FloatArray, depth: int) -> FloatArray:
+        """Return the place, in global axes, of a point given in a system."""
+        if system == 0:
+            return np.asarray(coordinates, dtype=float)
+        origin, own = self._frame(system, depth + 1)
+        a, b, c = coordinates
+        match self.definitions[system].kind:
+            case "R":
+                local = np.array([a, b, c])
+            case "C":
+                angle = np.radians(b)
+                local = np.array([a * np.cos(angle), a * np.sin(angle), c])
+            case "S":
+                theta, phi = np.radians(b), np.radians(c)
+                local = a * np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+        return np.asarray(origin + local @ own)
+
+    def _frame(self, system: int, depth: int) -> tuple[FloatArray, FloatArray]:
+        """Return the origin (3,) and the unit vectors (rows) of a system, in global axes."""
+        if system in self._frames:
+            return self._frames[system]
+        if system not in self.definitions:
+            raise RefusedError(f"must have the coordinate system {system} (it has not)")
+        if depth > DEEPEST:
+            raise RefusedError(f"must have coordinate systems that do not refer to themselves (got {system})")
+        one = self.definitions[system]
+        if one.points is None:
+            points = [self.place(node, depth + 1) for node in one.nodes]
+        else:
+            points = [self._from(one.reference, point, depth + 1) for point in one.points]
+        origin, on_z, in_xz = points
+        z, towards = on_z - origin, in_xz - origin
+        y = np.cross(z, towards)
+        if not np.linalg.norm(y) > _NOWHERE * np.linalg.norm(z) * np.linalg.norm(towards):
+            raise RefusedError(f"must have coordinate systems of three points not in line (got {system})")
+        own = np.array([np.cross(y, z), y, z])
+        self._frames[system] = origin, own / np.linalg.norm(own, axis=1)[:, None]
+        return self._frames[system]
