@@ -1,0 +1,154 @@
+"""Measured shapes at all degrees of freedom of a model, for pictures.
+
+SEREP fits the measured shapes by the model's modes: noise at single sensors is averaged out, any sensors will do,
+and what the modes cannot represent is left over and says how far to trust the picture. It is the default.
+Dynamic expansion keeps what was measured to the last digit and lets the model's inertia and stiffness fill in the
+rest: noise stays, as kinks at the sensors, and where a measured frequency is one of the model with its sensors
+held, the rest has no bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as ssl
+from numpy.typing import ArrayLike
+
+from fmu.fem.modes.separable import SeparableModel
+from fmu.types import FloatArray
+
+METHODS = ("serep", "dynamic")
+
+
+@dataclass(frozen=True, eq=False)
+class Expanded:
+    """Measured shapes at all degrees of freedom.
+
+    Attributes
+    ----------
+    shapes : ndarray, shape (n_dof, n_modes)
+        In the scale of the measured ones.
+    kept : ndarray, shape (n_modes,)
+        Which part of the sum of squares of a measured shape they have at the sensors; 1 if they are the same.
+    """
+
+    shapes: FloatArray
+    kept: FloatArray
+
+
+def serep(measured: FloatArray, rows: Any, modes: FloatArray) -> FloatArray:
+    """Return Φ (C Φ)⁺ φ, the combination of modes that is closest to each measured shape at the sensors.
+
+    The system equivalent reduction expansion process (O'Callahan, Avitabile & Riemer 1989, IMAC VII), smoothed.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (n_sensors, m)
+        φ.
+    rows : sparse, shape (n_sensors, n_dof)
+        C: `fmu.fem.modes.separable.SeparableModel.observation`.
+    modes : ndarray, shape (n_dof, r)
+        Φ.
+
+    Returns
+    -------
+    ndarray, shape (n_dof, m)
+
+    Raises
+    ------
+    ValueError
+        If the sensors cannot tell the modes apart: they are fewer, or see two as one.
+    """
+    seen = rows @ modes
+    size = np.linalg.norm(seen, axis=0)
+    unit = np.divide(seen, size, out=np.zeros_like(seen), where=size > 0)
+    rank = np.linalg.matrix_rank(unit, tol=1e-6)
+    if rank < modes.shape[1]:
+        raise ValueError(f"sensors: must tell {modes.shape[1]} modes apart to expand shapes (they tell {rank})")
+    weights = np.linalg.lstsq(unit, measured, rcond=None)[0] / size[:, None]
+    return np.asarray(modes @ weights)
+
+
+def dynamic(measured: FloatArray, frequencies_hz: ArrayLike, rows: Any, K: Any, M: Any) -> FloatArray:
+    """Return shapes that are as measured at the sensors, with no force anywhere else.
+
+    Dynamic expansion (Kidder 1973, AIAA Journal 11, 251). Of every mode (K − ω²M) u = Cᵀ f and C u = φ, with ω as
+    measured and f the forces at the sensors.
+
+    Parameters
+    ----------
+    measured : ndarray, shape (n_sensors, m)
+    frequencies_hz : array_like, shape (m,)
+    rows : sparse, shape (n_sensors, n_dof)
+        C, of full rank.
+    K, M : sparse, shape (n_dof, n_dof)
+
+    Returns
+    -------
+    ndarray, shape (n_dof, m)
+
+    Raises
+    ------
+    ValueError
+        If two sensors see the same motion, or a measured frequency is one of the model with its sensors held.
+    """
+    n = rows.shape[1]
+    shapes = np.empty((n, measured.shape[1]))
+    scale = float(np.mean(np.abs(K.diagonal())))  # the forces in units of it: rows of one size
+    for k, frequency in enumerate(np.asarray(frequencies_hz, dtype=float)):
+        Z = (K - (2.0 * np.pi * frequency) ** 2 * M) / scale
+        system = sp.block_array([[Z, rows.T], [rows, None]], format="csc")
+        try:
+            u = ssl.splu(system).solve(np.concatenate([np.zeros(n), measured[:, k]]))[:n]
+        except RuntimeError:
+            u = np.full(n, np.nan)
+        if not np.linalg.norm(rows @ u - measured[:, k]) <= 1e-6 * np.linalg.norm(measured[:, k]):
+            raise ValueError(
+                f"sensors: must be distinct, and the model must not resonate at {frequency:g} Hz with them held, "
+                "to expand shapes by the dynamic stiffness; use method='serep'"
+            )
+        shapes[:, k] = u
+    return shapes
+
+
+def expand(
+    model: SeparableModel,
+    theta: ArrayLike,
+    modes: FloatArray,
+    sensors: Sequence[tuple[Any, str]],
+    measured: ArrayLike,
+    frequencies_hz: ArrayLike,
+    method: str = "serep",
+) -> Expanded:
+    """Return measured shapes at all degrees of freedom of a model.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    theta : array_like, shape (n_parameters,)
+    modes : ndarray, shape (n_dof, r)
+        Those of the model at `theta` that are paired with the measured ones.
+    sensors : sequence of (place, direction)
+    measured : array_like, shape (n_sensors, n_modes)
+    frequencies_hz : array_like, shape (n_modes,)
+        Measured.
+    method : {"serep", "dynamic"}
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown or fails, see `serep` and `dynamic`.
+    """
+    rows, phi = model.observation(sensors), np.asarray(measured, dtype=float)
+    if method == "serep":
+        shapes = serep(phi, rows, modes)
+    elif method == "dynamic":
+        shapes = dynamic(phi, frequencies_hz, rows, model.K(theta), model.M(theta))
+    else:
+        raise ValueError(f"method: must be one of {', '.join(METHODS)} (got {method!r})")
+    kept = 1.0 - np.sum((rows @ shapes - phi) ** 2, axis=0) / np.sum(phi**2, axis=0)
+    return Expanded(shapes, kept)

@@ -1,0 +1,189 @@
+"""Points of a test on a mesh: turned, moved, in other units, mirrored, and mistaken in ways that must be told."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fmu.fem.pairing.matching import kabsch, match
+
+rng = np.random.default_rng(5)
+
+
+def bracket():
+    """Return nodes and places of an L of two plates with a fin: no rotation carries it to itself."""
+    grid = np.arange(0.0, 1.01, 0.1)
+    x, y = np.meshgrid(grid, np.arange(0.0, 0.61, 0.1), indexing="ij")
+    floor = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    wall = np.stack([0 * x.ravel(), y.ravel(), 0.8 * x.ravel()], axis=1)
+    fin = np.stack([grid, 0 * grid, 0.1 + 0 * grid], axis=1)
+    places = np.unique(np.round(np.concatenate([floor, wall, fin]), 9), axis=0)
+    return [int(k) for k in 100 + rng.permutation(len(places))], places
+
+
+NODES, PLACES = bracket()
+PICKED = rng.choice(len(PLACES), 25, replace=False)
+AXIAL = list(Rotation.create_group("O"))
+
+
+def points_of(rotation, shift, noise=0.0, factor=1.0):
+    """Return the points in the axes of a test: the inverse of the alignment that is to be found."""
+    moved = (PLACES[PICKED] - shift) @ rotation.as_matrix()  # Rᵀ (y − t)
+    moved = factor * (moved + noise * np.random.default_rng(6).normal(size=moved.shape))
+    return {f"P{k}": place for k, place in enumerate(moved)}
+
+
+def expected():
+    return tuple(NODES[k] for k in PICKED)
+
+
+def test_kabsch_finds_the_rotation_and_no_reflection():
+    x = rng.normal(size=(6, 3))
+    R = Rotation.from_rotvec([0.3, -1.2, 2.0]).as_matrix()
+    found = kabsch(x, x @ R.T + [1.0, 2.0, 3.0])
+    assert found[0] == pytest.approx(R, abs=1e-9)
+    assert found[1] == pytest.approx([1.0, 2.0, 3.0], abs=1e-9)
+    assert np.linalg.det(kabsch(x, x * [1.0, 1.0, -1.0])[0]) == pytest.approx(1.0)
+
+
+def test_points_on_a_line_are_not_turned_about_it():
+    x = np.outer(np.arange(5.0), [1.0, 0.0, 0.0])
+    R = kabsch(x, np.outer(np.arange(5.0), [0.0, 1.0, 0.0]))[0]
+    assert np.allclose(R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
+
+
+@pytest.mark.parametrize("k", range(24))
+def test_every_turn_of_axes_is_found_with_the_sensors_turned_too(k):
+    rotation = AXIAL[k]
+    found = match(points_of(rotation, [3.0, -2.0, 0.5]), NODES, PLACES)
+    assert found.nodes == expected()
+    assert found.rotation == pytest.approx(rotation.as_matrix(), abs=1e-6)
+    assert found.distances == pytest.approx(np.zeros(25), abs=1e-9)
+    for axis, direction in enumerate("xyz"):
+        node, turned = found.sensor("P3", direction)
+        column = rotation.as_matrix()[:, axis]
+        at = int(np.argmax(np.abs(column)))
+        assert (node, turned) == (expected()[3], ("-" if column[at] < 0 else "") + "xyz"[at])
+        assert found.sensor("P3", f"-{direction}")[1] == (turned[1:] if turned.startswith("-") else f"-{turned}")
+        assert found.sensor("P3", f"r{direction}")[1].replace("r", "") == turned
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_turn_is_found_with_inaccurate_points(seed):
+    rotation = Rotation.random(rng=np.random.default_rng(seed))
+    found = match(points_of(rotation, [10.0, 20.0, -5.0], noise=0.01), NODES, PLACES)
+    assert found.nodes == expected()
+    assert (Rotation.from_matrix(found.rotation) * rotation.inv()).magnitude() < np.radians(2)
+    assert 0.005 < found.distances.max() < 0.05
+    assert "turned by" in found.notes[0]
+    with pytest.raises(ValueError, match=r"must be along an axis of the model .* off in the alignment"):
+        found.sensor("P0", "x")
+
+
+def test_points_in_the_axes_of_the_model_are_left_alone():
+    found = match(points_of(Rotation.identity(), 0.0, noise=0.01), NODES, PLACES)
+    assert found.nodes == expected()
+    assert np.array_equal(found.rotation, np.eye(3))
+    assert not np.any(found.shift)
+    assert found.doubts == ()
+    assert len(found.notes) == 1
+    assert found.sensor("P7", "-y") == (expected()[7], "-y")
+    assert found.table().loc["P7", "node"] == expected()[7]
+
+
+def test_nodes_in_another_order_are_the_same_nodes():
+    order = rng.permutation(len(NODES))
+    points = points_of(AXIAL[5], [1.0, 0.0, 0.0])
+    assert match(points, [NODES[k] for k in order], PLACES[order]).nodes == expected()
+
+
+def test_units_are_told_and_not_applied():
+    points = points_of(AXIAL[3], [0.5, 0.0, 0.0], factor=1e3)
+    with pytest.raises(ValueError, match=r"must fit the mesh .* extend over .* they fit in mm: unit = 'mm'"):
+        match(points, NODES, PLACES)
+    assert match(points, NODES, PLACES, "mm").nodes == expected()
+
+
+def test_a_mirrored_geometry_is_no_rigid_motion():
+    points = {name: place * [1.0, -1.0, 1.0] for name, place in points_of(AXIAL[3], [5.0, 0.0, 0.0]).items()}
+    with pytest.raises(ValueError, match="they fit mirrored: the axes of the test must be right-handed"):
+        match(points, NODES, PLACES)
+
+
+def test_other_points_do_not_fit():
+    points = {str(k): place for k, place in enumerate(np.random.default_rng(1).normal(size=(20, 3)))}
+    with pytest.raises(ValueError, match=r"must fit the mesh \(the nearest nodes are up to"):
+        match(points, NODES, PLACES)
+
+
+def plate():
+    x, y = np.meshgrid(np.arange(0.0, 1.01, 0.1), np.arange(0.0, 0.61, 0.1), indexing="ij")
+    return list(range(x.size)), np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+
+
+def test_on_a_symmetric_structure_every_alignment_is_told_and_known_points_decide():
+    nodes, places = plate()
+    picked = [0, 6, 12, 38, 70, 76]  # three corners among them, but the plate has four
+    turn = AXIAL[
+        next(k for k, R in enumerate(AXIAL) if np.allclose(R.as_matrix(), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+    ]
+    points = {f"P{k}": (places[k] - [4.0, 4.0, 0.0]) @ turn.as_matrix() for k in picked}
+    found = match(points, nodes, places)
+    assert any(
+        "other alignments fit the mesh as well" in doubt or "Another alignment" in doubt for doubt in found.doubts
+    )
+    known = match(points, nodes, places, known={"P0": 0, "P6": 6, "P70": "70"})
+    assert known.nodes == tuple(picked)
+    assert known.doubts == ()
+
+
+def test_points_far_from_nodes_between_nodes_and_on_one_node_are_named():
+    points = points_of(Rotation.identity(), 0.0)
+    points["far"] = np.array([0.5, 0.3, 0.07])
+    points["between"] = np.array([0.45, 0.3, 0.0])
+    points["twin"] = points["P4"] + [0.01, 0.0, 0.0]
+    doubts = match(points, NODES, PLACES).doubts
+    assert any(doubt.startswith("Point far is 0.07 m from the nearest node") for doubt in doubts)
+    assert any(doubt.startswith("Point between is nearly as near to another node") for doubt in doubts)
+    assert any(doubt.startswith("Points P4 and twin are on one node") for doubt in doubts)
+    assert len(doubts) == 3
+
+
+def test_nodes_at_one_place_are_named():
+    found = match(points_of(Rotation.identity(), 0.0), [*NODES, 999], np.concatenate([PLACES, PLACES[PICKED[:1]]]))
+    assert any(f"is at nodes {expected()[0]} and 999, which are at one place" in doubt for doubt in found.doubts)
+    assert found.spacing.min() > 0.01
+
+
+def test_a_beam_may_turn_about_its_axis():
+    """Sensors along a line say nothing of the directions across it; the least turn is taken, and told."""
+    places = np.outer(np.linspace(0, 2, 21), [1.0, 0.0, 0.0])
+    points = {str(k): [0.0, 5.0 + places[k, 0], 0.0] for k in (0, 3, 9, 20)}
+    found = match(points, range(21), places)
+    assert found.nodes == (0, 3, 9, 20)
+    assert found.sensor(3, "z") == (3, "z")
+    assert found.sensor("3", "x") == (3, "-y")
+    assert any("alignment" in doubt for doubt in found.doubts)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"unit": "km"}, r"unit: must be one of m, mm, cm, in, ft \(got 'km'\)"),
+        (
+            {"known": {"P0": 1, "Q": 2, "P2": 3}},
+            r"nodes: must be points of the test and nodes of the model \(got Q, 1",
+        ),
+        (
+            {"known": {"P0": NODES[0], "P1": NODES[1]}},
+            r"nodes: must be of three points, not on one line \(got P0, P1\)",
+        ),
+        ({"coordinates": PLACES[:-1]}, r"coordinates: must be finite"),
+        ({"points": {"a": [0.0, np.nan, 0.0]}}, "points: must be one or more, with three finite coordinates"),
+        ({"points": {}}, "points: must be one or more"),
+        ({"points": {"a": [1.0, 2.0]}}, "points: must be one or more"),
+    ],
+)
+def test_what_cannot_be_matched(change, message):
+    given = {"points": points_of(Rotation.identity(), 0.0), "nodes": NODES, "coordinates": PLACES} | change
+    with pytest.raises(ValueError, match=message):
+        match(**given)
