@@ -30,6 +30,7 @@ from .fem.frame.updates import Factor as Factor
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
 from .fem.modes.separable import Term as Term
+from .fem.pairing.matching import match_points as match_points
 from .formats.models.read import read_mesh as read_mesh
 from .formats.models.read import read_model as read_model
 from .posterior.data.modal_data import ModalData as ModalData

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from fmu.fem.pairing.matching import Matching
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -180,6 +181,8 @@ class Check:
         What the posterior rests on (`fmu.posterior.assumptions`).
     priors : tuple of str
         Warnings about priors that hardly fit their bounds, a sentence each.
+    points : Matching or None
+        The points of the test on the nodes of the model, if their coordinates were given.
     """
 
     name: str
@@ -197,6 +200,7 @@ class Check:
     shapes: xr.Dataset | None = None
     assumptions: Assumptions | None = None
     priors: tuple[str, ...] = ()
+    points: Matching | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -218,9 +222,9 @@ class Check:
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:
-        """Sensors at which test and model disagree most, a sentence each."""
-        found = self.modes.correlation
-        return () if found is None else tuple(found.doubts_of_sensors())
+        """Points that hardly fit the mesh, and sensors at which test and model disagree most, a sentence each."""
+        found, placed = self.modes.correlation, () if self.points is None else self.points.doubts
+        return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
         """Return all findings in words: model, pairing, gradient, identifiability, prior prediction."""
@@ -260,6 +264,7 @@ class Check:
         blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumed(),
+            *self._points(),
             ("Modes at the start", self.modes.notes, self.mode_table()),
             *self._sensors(),
             ("Gradient", (self.gradient.sentence(),), None),
@@ -268,6 +273,24 @@ class Check:
             blocks.append(("Identifiability", self.identifiability.sentences(), None))
         title = f"Prior prediction for {self.measurement}, Hz"
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
+
+    def point_table(self) -> pd.DataFrame:
+        """Return node and distance of each point of the test as text, the farthest first."""
+        assert self.points is not None  # there are coordinates
+        table = self.points.table().sort_values("distance", ascending=False, kind="stable").reset_index()
+        lengths = {f"{key}, m": table[key].map(significant) for key in ("distance", "spacing")}
+        return table[["point", "node"]].assign(**lengths)
+
+    def _points(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+        if self.points is None:
+            return []
+        return [
+            (
+                "Points of the test, the farthest from its node first",
+                self.points.notes,
+                self.point_table()[:_MOST_SENSORS],
+            )
+        ]
 
     def _sensors(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
         if self.modes.correlation is None:
@@ -313,7 +336,7 @@ class Check:
         return f'<div class="fmu-check">{"".join(parts)}</div>'
 
 
-_WORDS = ("", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
+_WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
 """Columns that hold words."""
 
 
@@ -373,6 +396,7 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
         assumptions=assumptions(problem.configuration(), _tolerance(problem)),
         priors=tuple(prior_doubts(problem.parameters)),
+        points=problem.data.points,
     )
 
 

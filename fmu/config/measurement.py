@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
+from fmu.config.geometry import GeometryTable
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.tables import (
     Built,
@@ -28,6 +29,7 @@ from fmu.config.tables import (
     required,
     with_keys,
 )
+from fmu.fem.pairing.matching import Matching
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, Place, Sensors
@@ -102,6 +104,8 @@ class MeasurementTable(TomlTable):
     sensors: Annotated[list[SensorTable], Field(max_length=MOST_SENSORS)] = []
     """Place and direction of each sensor: x, y, z, rx, ry, rz, with a minus if positive readings point the other
     way."""
+    geometry: GeometryTable | None = None
+    """Coordinates of the points of the test, where these are not the nodes or places of the model."""
     shapes: Annotated[list[list[float]], one_length("sensor")] | None = None
     """One row per mode, one value per sensor, in any scale."""
     shapes_file: FileName | None = None
@@ -185,7 +189,9 @@ class MeasurementTable(TomlTable):
             Whether no error model says how large errors are.
         """
         given = self._read(folder)
-        given["sensors"] = self._sensors(given.get("sensors", ()), built)
+        if self.geometry is not None:
+            given["points"] = self.geometry.build(folder, built)
+        given["sensors"] = self._sensors(given.get("sensors", ()), built, given.get("points"))
         n, most = len(given["frequencies_hz"]), built.most_modes
         if n > most:
             rule = f"must have at most {most} modes, one per degree of freedom of the model (got {n})"
@@ -204,14 +210,21 @@ class MeasurementTable(TomlTable):
             rule = re.sub(r"^(\w+)_hz2?", r"\1", str(error))  # keys of the file have no units in their names
             raise BrokenError([Mistake.of("measurement", rule)]) from None
 
-    def _sensors(self, given: tuple[tuple[Any, str], ...], built: Built) -> tuple[tuple[Any, str], ...]:
+    def _sensors(
+        self, given: tuple[tuple[Any, str], ...], built: Built, points: Matching | None
+    ) -> tuple[tuple[Any, str], ...]:
         """Return sensors of the model for those of the file."""
         sensors, found = [], []
         for i, (place, direction) in enumerate(given):
+            where = f"sensors.{i}" if self.sensors else self._source if self._reads_shapes else "shapes_file"
             sensor = (built.places.get(str(place), place), str(direction))
+            try:
+                sensor = sensor if points is None else points.sensor(place, str(direction))
+            except ValueError as error:
+                found.append(Mistake(f"measurement.{where}", str(error)))
+                continue
             sensors.append(sensor)
             if not built.model.sees(sensor):
-                where = f"sensors.{i}" if self.sensors else self._source if self._reads_shapes else "shapes_file"
                 rule = got("must be a point and a direction that are free to move", [place, direction])
                 found.append(Mistake(f"measurement.{where}", rule))
         if found:

@@ -94,10 +94,12 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     doubts = found.modes.doubts
     answer = "No warnings" if not doubts else f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''}"
     verdicts = [Verdict("Are the modes paired correctly?", answer, not doubts, "Warnings on the pairing", doubts)]
-    if found.modes.correlation is not None:
+    if found.modes.correlation is not None or found.points is not None:
         odd = found.sensor_doubts
-        answer = "Yes" if not odd else f"{len(odd)} {'stands' if len(odd) == 1 else 'stand'} out"
-        verdicts.append(Verdict("Do the sensors agree with the model?", answer, not odd, "Which do not", odd))
+        answer = "Yes" if not odd else f"{len(odd)} warning{'s' if len(odd) > 1 else ''}"
+        verdicts.append(
+            Verdict("Do the sensors agree with the model?", answer, not odd, "Warnings on the sensors", odd)
+        )
     far = int(found.prior.is_far.sum())
     covered = not far and not found.prior.failed
     expected = covered and not found.priors
@@ -132,6 +134,12 @@ def _model(found: Check) -> PageSection:
             found.parameters.index, found.colours, found.drawing
         )
         parts.append(Pictures((Picture(drawing, caption, _DRAWN),)))
+    if found.points is not None:
+        table = found.point_table()
+        rows = tuple(tuple(map(str, row)) for row in table.itertuples(index=False))
+        caption = "Points of the test on the nodes of the mesh, the farthest first. Spacing: to the next node."
+        matched = PageTable(caption, tuple(table.columns), rows)
+        parts += [Items(found.points.notes), Details("Points of the test", (matched,))]
     words = ("prior", "changes") if "changes" in found.parameters else ("prior",)
     header = ("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds", *words[1:])
     rows = tuple(

@@ -53,7 +53,7 @@ def verdict(found):
 def test_the_verdict_turns_with_one_wrong_sensor():
     good, bad = (fmu.check(building(change), draws=10) for change in (None, reversed_sensor))
     assert (verdict(good).answer, verdict(good).is_good, verdict(good).reasons) == ("Yes", True, ())
-    assert (verdict(bad).answer, verdict(bad).is_good) == ("1 stands out", False)
+    assert (verdict(bad).answer, verdict(bad).is_good) == ("1 warning", False)
     assert verdict(bad).reasons[0].startswith(f"Sensor f{WRONG + 1} x: test and model disagree")
     assert bad.sensor_table().sensor[0] == f"f{WRONG + 1} x"
     assert verdict(bad).reasons[0] in bad.doubts

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import listed, names_in_words, significant
 from fmu.tables import data_frame
 from fmu.types import FloatArray, IntArray
@@ -221,6 +222,43 @@ def match(
     return replace(found, notes=tuple(_notes(found)), doubts=tuple(doubts))
 
 
+def match_points(
+    points: Mapping[Any, ArrayLike],
+    model: SeparableModel,
+    unit: str = "m",
+    known: Mapping[Any, Any] | None = None,
+) -> Matching:
+    """Return the node of a model nearest to each point of a test, after a rigid alignment if one is needed.
+
+    ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` then has the sensors at these nodes, in
+    the directions that the axes of the test have in the model.
+
+    Parameters
+    ----------
+    points : mapping of name to array_like, shape (3,)
+        Coordinates in `unit`, in the axes of the test.
+    model : SeparableModel
+        With its geometry.
+    unit : {"m", "mm", "cm", "in", "ft"}
+    known : mapping of point to node, optional
+        Three points or more, not on one line, whose nodes are known: they alone give the alignment.
+
+    Returns
+    -------
+    Matching
+        The node of each point with its distance, the alignment, and what to look at.
+
+    Raises
+    ------
+    ValueError
+        As `match`; or the model does not know where its nodes are.
+    """
+    if model.geometry is None:
+        raise ValueError("model: must know the coordinates of its nodes (it has no geometry)")
+    places = np.asarray(model.geometry.nodes, dtype=float)
+    return match(points, range(len(places)), places, unit, known)
+
+
 def _by_known(
     points: Mapping[str, FloatArray], mesh: _Mesh, known: Mapping[Any, Any]
 ) -> tuple[FloatArray, FloatArray]:
@@ -237,7 +275,9 @@ def _by_known(
 def _aligned(x: FloatArray, mesh: _Mesh) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
     """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
     R, t = _closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS)
-    best = np.argsort(_rms(x, mesh, R, t), kind="stable")[:_BEST]
+    which = np.concatenate([_places(x, mesh, R, t), np.round(4.0 * R.reshape(-1, 9))], axis=1)
+    once = np.unique(which, axis=0, return_index=True)[1]
+    best = once[np.argsort(_rms(x, mesh, R[once], t[once]), kind="stable")[:_BEST]]
     R, t = _closest(x, mesh, R[best], t[best], _STEPS)
     # the neighbours of a place on a regular mesh
     first = int(np.argmin(_rms(x, mesh, R, t)))
@@ -298,6 +338,11 @@ def _closest(
         if np.abs(t - before).max() < 1e-12 * mesh.size and np.abs(turn - np.eye(3)).max() < 1e-12:
             break
     return R, t
+
+
+def _places(x: FloatArray, mesh: _Mesh, R: FloatArray, t: FloatArray) -> IntArray:
+    """Return the places nearest to the points after each alignment, shape (n, n_points)."""
+    return np.asarray(mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1])
 
 
 def _rms(x: FloatArray, mesh: _Mesh, R: FloatArray, t: FloatArray) -> FloatArray:

@@ -20,6 +20,11 @@ number or a time, may be left out. A cell is empty or ``nan`` where a test misse
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
+Points of a test, one row per point, in any unit of length::
+
+    point,x,y,z
+    tip,2.0,0.0,0.1
+
 Values are separated by commas, semicolons or tabs, as in the first line; empty lines and lines that start with
 ``#`` are skipped.
 """
@@ -119,6 +124,32 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
         for place, row in zip(places, rows, strict=True)
     ]
     return MeasuredModes(np.full(len(labels), np.nan), labels, None, tuple(sensors), np.array(shapes))
+
+
+def read_points(path: Path) -> dict[str, FloatArray]:
+    """Return the coordinates of the points in a table, by name.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        Lists every mistake with its line and column.
+    """
+    header, rows = _table(path)
+    wanted = ("point", "x", "y", "z")
+    _refuse(path, [f"column {name}: is missing" for name in wanted if name not in header])
+    _refuse(path, [f"column {name}: must be one of {', '.join(wanted)}" for name in header if name not in wanted])
+    found: list[str] = []
+    points: dict[str, FloatArray] = {}
+    for row in rows:
+        name = row.values["point"]
+        if not name or name in points:
+            rule = f"must be a name that no other point has (got {shown(name)})"
+            found.append(f"line {row.line}, column point: {rule}")
+        points[name] = np.array([_number(row, axis, found) for axis in "xyz"])
+    _refuse(path, found)
+    return points
 
 
 def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:

@@ -1,4 +1,6 @@
-"""Mode shapes in universal files: dataset 55, "Data at Nodes", by way of pyuff.
+"""Mode shapes and points in universal files, by way of pyuff.
+
+Shapes are in dataset 55, "Data at Nodes"; coordinates of nodes in dataset 15 or 2411, elements in dataset 2412.
 
 The format is that of the Structural Dynamics Research Corporation (University of Cincinnati, *Universal File
 Formats for Modal Analysis Testing*). Its numbers have six significant digits, so frequencies and shapes are
@@ -11,7 +13,7 @@ pyuff accepts any number of values, whatever a header announces, and does not sa
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,9 +33,10 @@ from fmu.formats.modes.measured_modes import (
     real_shapes,
 )
 from fmu.formats.shown import in_words, shown
-from fmu.types import DIRECTIONS
+from fmu.types import DIRECTIONS, FloatArray
 
 SHAPES = 55
+NODES = (15, 2411)
 REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
 MOST_DATASETS = 10_000
@@ -231,12 +234,49 @@ def datasets(path: Path) -> list[dict[str, Any]]:
     ModesError
         If the file is not a universal file, is too large, or has datasets that do not match their headers.
     """
+    sets = _sets(path, (SHAPES,), "modes", _wrong)
+    return [one for one in sets if one["analysis_type"] in REAL + COMPLEX]
+
+
+def read_uff_points(path: Path) -> dict[str, FloatArray]:
+    """Return the coordinates of the nodes in datasets 15 and 2411, by node number, in the unit of the file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ImportError, ModesError
+        See `datasets`; or there are no nodes, or one twice at different places.
+    """
+    points: dict[str, FloatArray] = {}
+    for one in _sets(checked_file(path), NODES, "nodes", _wrong_nodes):
+        for node, *place in zip(*(one[key] for key in ("node_nums", "x", "y", "z")), strict=True):
+            if np.any(points.setdefault(str(int(node)), np.array(place)) != place):
+                raise ModesError(path.name, [f"must have each node once (got node {int(node)} at two places)"])
+    if not points:
+        raise ModesError(path.name, ["must have nodes, dataset 15 or 2411 (it has none)"])
+    return points
+
+
+def _wrong_nodes(one: Mapping[str, Any]) -> list[str]:
+    columns = [np.asarray(one[key], dtype=float) for key in ("node_nums", "x", "y", "z")]
+    if len({len(column) for column in columns}) > 1:
+        return ["must have a number and three coordinates of each node"]
+    if not all(np.all(np.isfinite(column)) for column in columns) or np.any(columns[0] % 1):
+        return ["must have whole node numbers and finite coordinates"]
+    return []
+
+
+def _sets(
+    path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Mapping[str, Any]], list[str]]
+) -> list[dict[str, Any]]:
+    """Return the datasets of some types; ModesError if one is broken, or `wrong` says so."""
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:
         raise ModesError(path.name, [f"must have at most {MOST_DATASETS} datasets"])
-    kind = [str(SHAPES).encode()]
-    if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] == kind for part in content.split(_TAG)):
-        raise ModesError(path.name, [f"must have modes in datasets of at most {LARGEST_DATASET} bytes"])
+    names = [[str(kind).encode()] for kind in kinds]
+    if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] in names for part in content.split(_TAG)):
+        raise ModesError(path.name, [f"must have {what} in datasets of at most {LARGEST_DATASET} bytes"])
     with imported_pyuff() as pyuff:
         try:
             file = pyuff.UFF(str(path))
@@ -246,17 +286,17 @@ def datasets(path: Path) -> list[dict[str, Any]]:
         if not types:
             raise ModesError(path.name, ["must be a universal file (it has no dataset)"])
         sets, found = [], []
-        for i in (i for i, kind in enumerate(types) if kind == SHAPES):
+        for i in (i for i, kind in enumerate(types) if kind in kinds):
             try:
                 one = file.read_sets(i)
-                found += [f"dataset {i + 1}: {rule}" for rule in _wrong(one)]
+                found += [f"dataset {i + 1}: {rule}" for rule in wrong(one)]
                 sets.append(one)
             except Exception:
-                where = f"its dataset {i + 1}, of type {SHAPES}"
+                where = f"its dataset {i + 1}, of type {types[i]}"
                 found.append(f"must be a universal file ({where}, has lines of another format)")
     if found:
         raise ModesError(path.name, found)
-    return [one for one in sets if one["analysis_type"] in REAL + COMPLEX]
+    return sets
 
 
 def _wrong(one: Mapping[str, Any]) -> list[str]:

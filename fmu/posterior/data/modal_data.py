@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.fem.pairing.matching import Matching
 from fmu.formats.modes.csv import read_frequencies, read_shapes
 from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
 from fmu.formats.modes.pyoma import pyoma_modes
@@ -56,6 +57,8 @@ class ModalData:
         but are not in the likelihood: they test the updated model on what it has not seen.
     mpc : ndarray, shape (n_modes,), optional
         Modal phase collinearity of measured shapes that were complex, to be shown.
+    points : Matching, optional
+        How the nodes of the sensors were found from the coordinates of the test (`fmu.match_points`), to be shown.
 
     Raises
     ------
@@ -77,6 +80,7 @@ class ModalData:
     tests: RepeatedTests | None = None
     use: tuple[bool, ...] = ()
     mpc: FloatArray | None = None
+    points: Matching | None = None
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)

@@ -1,0 +1,70 @@
+"""``[measurement.geometry]``: where the points of a test are, to find their nodes in the model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from fmu.config.mistakes import BrokenError, Mistake
+from fmu.config.tables import Built, FileName, Name, TomlTable, Vector
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.matching import Matching, match_points
+from fmu.formats.modes.csv import read_points
+from fmu.formats.modes.measured_modes import ModesError, Place
+from fmu.formats.modes.uff import read_uff_points
+
+WHERE = "measurement.geometry"
+_UNIVERSAL = (".uff", ".unv")
+
+
+class GeometryTable(TomlTable):
+    """Coordinates of the points at which a test measured; sensors then name points, in the axes of the test.
+
+    They are turned and moved to fit the model, never scaled or mirrored, and each sensor is at the nearest node.
+    """
+
+    file: FileName | None = None
+    """CSV table with columns point, x, y and z, or a universal file (.uff, .unv) with dataset 15 or 2411."""
+    points: Annotated[dict[Name, Vector], Field(min_length=1)] | None = None
+    """Coordinates by point, instead of a file."""
+    unit: Literal["m", "mm", "cm", "in", "ft"] = "m"
+    """Of the coordinates."""
+    nodes: dict[Name, Place] = {}
+    """Nodes of three or more points, where the fit alone does not decide, as on a symmetric structure."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.file is None) == (self.points is None):
+            raise ValueError("must have either file or points")
+        return self
+
+    def build(self, folder: Path, built: Built) -> Matching:
+        """Return the points on the nodes of a model; BrokenError if there are none or they do not fit."""
+        model = built.model
+        if not isinstance(model, SeparableModel) or model.geometry is None:
+            rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"
+            raise BrokenError([Mistake(WHERE, rule)])
+        known = {point: built.places.get(str(place), place) for point, place in self.nodes.items()}
+        try:
+            return match_points(self._read(folder), model, self.unit, known)
+        except ValueError as error:
+            key, _, rule = str(error).partition(": ")
+            at = (
+                f"{WHERE}.{key}"
+                if key in ("nodes", "points")
+                else f"{WHERE}.{'points' if self.points else 'file'}"
+            )
+            raise BrokenError([Mistake(at, rule if key in ("nodes", "points") else str(error))]) from None
+
+    def _read(self, folder: Path) -> dict[str, Any]:
+        if self.points is not None:
+            return dict(self.points)
+        path = folder / str(self.file)
+        try:
+            return read_uff_points(path) if path.suffix.lower() in _UNIVERSAL else read_points(path)
+        except ModesError as error:
+            raise BrokenError([Mistake(f"{WHERE}.file", mistake) for mistake in error.mistakes]) from None
+        except (OSError, ImportError) as error:
+            raise BrokenError([Mistake(f"{WHERE}.file", str(error).removeprefix("path: "))]) from None
