@@ -58,7 +58,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     if 1 < len(sizes) <= _MOST_BLOCKS:
         parts += f" of {names_in_words(sizes)}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
-    said += _masses(problem, structure)
+    said += [*structure.notes, *_masses(problem, structure)]
     if model.reduced_sizes:
         said.append(f"Its reduced model has {' + '.join(map(str, model.reduced_sizes))} unknowns.")
     said.append(f"Its matrices are factorised by {model.solver}.")

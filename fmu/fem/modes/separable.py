@@ -221,6 +221,8 @@ class SeparableModel:
     ----------
     names : tuple of str or None
         The parameters, if they were named; see `from_terms`.
+    notes : tuple of str
+        What is known of where its matrices come from, a sentence each.
 
     Raises
     ------
@@ -248,6 +250,7 @@ class SeparableModel:
         self.arms = dict(arms or {})
         self.ties = dict(ties or {})
         self.names: tuple[str, ...] | None = None
+        self.notes: tuple[str, ...] = ()
         _check_terms(self)
 
     @classmethod

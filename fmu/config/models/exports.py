@@ -1,0 +1,89 @@
+"""``[model] type = "exports"``: K(θ) and M(θ) from another program's matrices at several values of the parameters.
+
+`fmu.fem.modes.exports` says how they are recovered, `fmu.formats.models.read` which files are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.parameters import ParameterTable, without_targets
+from fmu.config.tables import Built, FileName, Name, TomlTable
+from fmu.fem.frame.stability import require_stable
+from fmu.fem.modes.exports import Export, from_exports
+from fmu.formats.models.read import read_model
+from fmu.formats.shown import names_shown
+
+MOST_EXPORTS = 1000
+
+
+class ExportedTable(TomlTable):
+    """Matrices that the program exported, and the values of its parameters in that run, SI units."""
+
+    stiffness: FileName
+    """From the folder of this file: the stiffness, or both matrices."""
+    mass: FileName | None = None
+    """The mass, if it is in a file that is not beside the stiffness under the program's own name."""
+    values: dict[Name, float] = {}
+    """Of the parameters: all in the first export, those that differ from it in the others."""
+    check: bool = False
+    """Not used, but to be reproduced by what is recovered from the others."""
+
+
+class ExportsTable(TomlTable):
+    """Matrices at first values, and with each parameter changed; ``free = true`` if nothing holds it."""
+
+    type: Literal["exports"]
+    exports: Annotated[list[ExportedTable], Field(min_length=2, max_length=MOST_EXPORTS)]
+    mesh: FileName | None = None
+    """Nodes and elements, for pictures."""
+    free: bool = False
+
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return the mistakes between tables: values of unknown parameters, and parameters without a value."""
+        names = [parameter.name for parameter in parameters]
+        found = [
+            Mistake(f"model.exports.{i}.values", got(f"must be of {names_shown(names)}", name))
+            for i, one in enumerate(self.exports)
+            for name in one.values
+            if name not in names
+        ]
+        for i, name in enumerate(names):
+            if name not in self.exports[0].values:
+                rule = "must have a value in the first of model.exports"
+                found.append(Mistake(f"parameters.{i}.name", got(rule, name)))
+        return found + without_targets(parameters)
+
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Read the exports and return the model; BrokenError if it cannot be built."""
+        nominal = self.exports[0].values
+        mesh = None if self.mesh is None else folder / self.mesh
+        exports, found = list[Export](), list[Mistake]()
+        for i, one in enumerate(self.exports):
+            values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
+            try:
+                mass = None if one.mass is None else folder / one.mass
+                read = read_model(folder / one.stiffness, mass, mesh if i == 0 else None)
+                exports.append(Export(values, read, one.check, one.stiffness))
+            except ValueError as error:
+                argument, _, rule = str(error).partition(": ")
+                key = {"path": f"exports.{i}.stiffness", "mass": f"exports.{i}.mass"}.get(argument, argument)
+                found.append(Mistake(f"model.{key}", rule))
+        if found:
+            raise BrokenError(found)
+        ends = ((p.name, p.lower, p.upper) for p in parameters)
+        try:
+            model = from_exports(exports, {n: (a, b) for n, a, b in ends if a is not None and b is not None})
+        except ValueError as error:
+            place, _, rule = str(error).partition(": ")
+            raise BrokenError([Mistake(f"model.{place}", rule)]) from error
+        try:
+            require_stable(model, [table.start for table in parameters], self.free)
+        except ValueError as error:
+            raise BrokenError([Mistake("model", f"{error}, at the start")]) from error
+        return Built(model, {}, model.n_dof)

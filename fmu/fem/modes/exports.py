@@ -1,0 +1,504 @@
+"""K(θ) and M(θ) from the matrices that a program exports at several values of its parameters.
+
+An entry of an assembled matrix is a sum over elements, and that of an element is a polynomial of most properties:
+Young's modulus and density enter once, the thickness of a plate with its first power (membrane, mass) and its
+third (bending, rotary inertia); that of a solid element with its powers 1, 0 and -1. The matrices of a few exports
+therefore give the terms K_k of
+
+    K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
+
+by least squares, entry by entry. The powers are those of the fewest terms that reproduce every export; a length
+or Poisson's ratio, of which entries are no such polynomials, is refused. Parameters may multiply one another, as E
+and t of one plate do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, islice, product
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.modal import frequency_hz, is_rigid
+from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.formats.models.exported import ExportedModel
+from fmu.numbers import hertz, names_in_words, significant
+from fmu.types import BoolArray, FloatArray
+
+POWERS = (1, 2, 3, -1)
+REPRODUCED = 1e-8
+"""Largest error of an entry, relative to √(a_ii a_jj), in an export that was not used."""
+FREQUENCY_ROUNDING = 1e-6
+"""Standard deviation of the lowest frequency, relative, above which rounding of the exports is told."""
+_FITTED = 1e-9
+_RIGID = 6
+_ROUNDING = 1e-14
+"""Of assembly in double precision."""
+_SAFETY = 10.0
+_RANK = {0: 0, 1: 1, 2: 3, 3: 2, -1: 4}
+"""What is tried first: elements with a square are rare."""
+_FACTORS = 3
+"""Most parameters in one term."""
+_MOST_TRIED = 30_000
+_MOST_SAMPLED = 1000
+_MOST_COMPARED = 2000
+_MOST_CORNERS = 4096
+_WORST_CONDITION = 1e12
+_TOLD = 3
+
+Powers = tuple[int, ...]
+Dof = tuple[Any, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """Matrices of another program, and the values of the parameters with which it made them.
+
+    Attributes
+    ----------
+    values : mapping of str to float
+        Of the parameters, SI units. What the first export has is not repeated.
+    model : ExportedModel
+        See `fmu.read_model`.
+    check : bool
+        Whether it is not used, but to be reproduced by what is recovered from the others.
+    name : str
+        For messages, such as that of its file.
+    """
+
+    values: Mapping[str, float]
+    model: ExportedModel
+    check: bool = False
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """How one of the two matrices was recovered.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+    fitted, checked : float or None
+        Largest error of an entry, relative to √(a_ii a_jj): in the exports used, and in those that were not.
+    digits : int
+        Significant digits of the exported numbers; 17 of binary files.
+    rounding : float
+        Bound of the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
+        √(a_ii a_jj).
+    decided : bool
+        Whether several sets of powers reproduced the exports used, and the check told which are right.
+    """
+
+    terms: tuple[Term, ...]
+    fitted: float
+    checked: float | None
+    digits: int
+    rounding: float
+    decided: bool
+
+    def sentences(self, what: str, names: Sequence[str]) -> list[str]:
+        """Return what there is to say of the `what` (``"stiffness"``), parameters by their names."""
+        terms = names_in_words([_in_words(term.powers, names) for term in self.terms])
+        said = [f"The {what} is a sum of {len(self.terms)} terms: {terms}."]
+        if self.checked is None:
+            said.append(f"No export checks the {what}: nothing shows that its powers are right.")
+        else:
+            said.append(f"The {what} of the exports kept for checking is reproduced to {self.checked:.1g}.")
+        if self.decided:
+            said.append(f"Without it the powers of the {what} would be open: one more export would check them.")
+        return said
+
+
+def from_exports(
+    exports: Sequence[Export], bounds: Mapping[str, tuple[float, float]] | None = None
+) -> SeparableModel:
+    """Return the structure as a function of the parameters, from matrices at several of their values.
+
+    Parameters
+    ----------
+    exports : sequence of Export
+        The first gives all parameters, in the order of theta. In at least one other, which is no check, each is
+        changed alone. An export with ``check=True`` in which all are changed tells whether the powers are right.
+    bounds : mapping of str to (float, float), optional
+        Of the parameters, for the rounding error; half and twice the first values if not given.
+
+    Returns
+    -------
+    SeparableModel
+        Its `notes` say which terms were recovered, and how well.
+
+    Raises
+    ------
+    ValueError
+        If an export is missing or of another mesh, a parameter changes nothing, or an export is not reproduced by
+        powers from -1 to 3; the text says which entries.
+
+    Examples
+    --------
+    ``fmu.from_exports([fmu.Export({"E": 7e10, "t": 3e-3}, fmu.read_model("plate.sti")), fmu.Export({"E": 8e10},
+    fmu.read_model("plate-E.sti")), …])``
+    """
+    names, values = _points(exports)
+    _on_one_mesh(exports)
+    first = values[0]
+    ends = [(bounds or {}).get(name, (0.5 * x, 2.0 * x)) for name, x in zip(names, first.tolist(), strict=True)]
+    used = ~np.array([one.check for one in exports])
+    alone = _changed_alone(names, values, used)
+    found, touched = {}, np.zeros(len(names), dtype=bool)
+    for what in ("stiffness", "mass"):
+        entries = _Entries.of([getattr(one.model, what) for one in exports], exports[0].model.dofs)
+        changed = np.array([entries.changed_between(0, others) for others in alone])
+        touched |= changed.any(axis=1)
+        found[what] = _recovery(what, names, exports, values, used, entries, changed, np.array(ends).T)
+    if not touched.all():
+        name = names[int(np.argmin(touched))]
+        raise ValueError(f"exports: {name} must change the matrices (they are the same where it alone differs)")
+    model = SeparableModel(found["stiffness"].terms, found["mass"].terms, exports[0].model.dofs)
+    model.names = names
+    said = [sentence for what, one in found.items() for sentence in one.sentences(what, names)]
+    model.notes = (*said, *_of_digits(exports[0].model, found["stiffness"]))
+    return model
+
+
+def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
+    """Return what the digits of the exported stiffness K leave of the lowest frequency; nothing if that is enough.
+
+    Errors e_ij of the entries, independent and uniform, change λ by φᵀ e φ / φᵀ M φ: relative to f their standard
+    deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
+    """
+    K, M = nominal.stiffness, nominal.mass
+    eigenvalues, shapes = eigen(K, M, min(_RIGID + 1, K.shape[0]))
+    elastic = np.flatnonzero(~is_rigid(eigenvalues))
+    if not len(elastic):
+        return []
+    phi = shapes[:, elastic[0]]
+    entries = sp.coo_array(K)
+    energy = entries.data * phi[entries.row] * phi[entries.col]
+    sd = 0.5 * found.rounding * float(np.sqrt(2.0 * np.sum(energy**2) / 3.0) / abs(energy.sum()))
+    if sd <= FREQUENCY_ROUNDING:
+        return []
+    f = hertz(float(frequency_hz(eigenvalues[elastic[:1]])[0]))[0]
+    return [
+        f"The {found.digits} digits of the exported stiffness give the lowest frequency, {f} Hz, to {sd:.0e}: "
+        "larger steps of the parameters, files with more digits, or elements that are less thin make it better."
+    ]
+
+
+def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the parameters' names, and their values in each export, shape (n_exports, n_parameters)."""
+    if len(exports) < 2:
+        raise ValueError(f"exports: must be at least 2 (got {len(exports)})")
+    names = tuple(exports[0].values)
+    if not names:
+        raise ValueError("exports.0.values: must give the parameters (got none)")
+    if exports[0].check:
+        raise ValueError("exports.0.check: must not be true: the first export is the one that others differ from")
+    for i, one in enumerate(exports):
+        for name, value in one.values.items():
+            if name not in names:
+                raise ValueError(f"exports.{i}.values: must be of {names_in_words(list(names))} (got {name})")
+            if not np.isfinite(value) or (i == 0 and value == 0):
+                raise ValueError(f"exports.{i}.values.{name}: must be finite, and not zero at first (got {value})")
+    nominal = exports[0].values
+    return names, np.array(
+        [[one.values.get(name, nominal[name]) for name in names] for one in exports], dtype=float
+    )
+
+
+def _on_one_mesh(exports: Sequence[Export]) -> None:
+    """Refuse exports whose degrees of freedom are not those of the first."""
+    first = exports[0].model.dofs
+    for i, one in enumerate(exports):
+        if one.model.dofs != first:
+            here, there = set(one.model.dofs), set(first)
+            which = [f"node {node} {direction}" for node, direction in sorted(here ^ there)[:_TOLD]]
+            raise ValueError(
+                f"exports.{i}: must have the degrees of freedom of the first export, {len(there)} of one mesh "
+                f"(got {len(here)}; only one of the two has {names_in_words(which)})"
+            )
+
+
+def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:
+    """Return for each parameter the exports in which it alone differs from the first."""
+    differs = values != values[0]
+    found = []
+    for j, name in enumerate(names):
+        alone = np.flatnonzero(used & differs[:, j] & (differs.sum(axis=1) == 1)).tolist()
+        if not alone:
+            raise ValueError(
+                f"exports: must have one, not kept for checking, in which only {name} differs from the first"
+            )
+        found.append(alone)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Entries:
+    """The entries above and on the diagonal that are not zero in every export, each divided by √(a_ii a_jj)."""
+
+    entry: FloatArray  # (n_exports, n)
+    scale: FloatArray  # (n,)
+    row: Any
+    column: Any
+    dofs: Sequence[Dof]
+    digits: int
+
+    @classmethod
+    def of(cls, matrices: Sequence[Any], dofs: Sequence[Dof]) -> _Entries:
+        n = len(dofs)
+        upper = [sp.coo_array(sp.triu(matrix)) for matrix in matrices]
+        keys = [half.row.astype(np.int64) * n + half.col for half in upper]
+        pattern = np.unique(np.concatenate(keys))
+        entry = np.zeros((len(matrices), len(pattern)))
+        for k, (half, key) in enumerate(zip(upper, keys, strict=True)):
+            entry[k, np.searchsorted(pattern, key)] = half.data
+        row, column = pattern // n, pattern % n
+        root = np.sqrt(np.max([np.abs(matrix.diagonal()) for matrix in matrices], axis=0))
+        scale = root[row] * root[column]
+        scale = np.where(scale > 0, scale, np.maximum(np.abs(entry).max(axis=0), np.finfo(float).tiny))
+        return cls(entry / scale, scale, row, column, dofs, _digits(entry))
+
+    @property
+    def noise(self) -> float:
+        """Rounding error of an entry."""
+        return max(_ROUNDING, 0.5 * 10.0 ** (1 - self.digits))
+
+    def changed_between(self, first: int, others: Sequence[int]) -> BoolArray:
+        """Return which entries differ between an export and others by more than rounding, shape (n,)."""
+        away = np.abs(self.entry[others] - self.entry[first])
+        large = np.maximum(np.abs(self.entry[others]), np.abs(self.entry[first]))
+        return np.asarray(np.any(away > _SAFETY * np.maximum(self.noise * large, _ROUNDING), axis=0))
+
+    def place(self, at: int) -> str:
+        """Return the degrees of freedom of an entry, in words."""
+        row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
+        return f"node {row}" if row == column else f"node {row}, node {column}"
+
+    def _pair(self, at: int) -> tuple[int, int]:
+        return int(self.row[at]), int(self.column[at])
+
+    def matrix(self, entry: FloatArray) -> Any:
+        """Return the symmetric matrix with these entries (n,), times their scale."""
+        keep = entry != 0
+        row, column, data = self.row[keep], self.column[keep], (entry * self.scale)[keep]
+        off = row != column
+        return sp.csr_array(
+            (
+                np.concatenate([data, data[off]]),
+                (np.concatenate([row, column[off]]), np.concatenate([column, row[off]])),
+            ),
+            shape=(len(self.dofs),) * 2,
+        )
+
+
+def _digits(entry: FloatArray) -> int:
+    """Return the significant decimal digits of numbers; 17 where decimals do not give them back."""
+    numbers = entry[entry != 0]
+    numbers = numbers[:: max(len(numbers) // _MOST_SAMPLED, 1)]
+    for digits in range(3, 16):
+        if all(float(f"{x:.{digits - 1}e}") == x for x in numbers.tolist()):
+            return digits
+    return 17
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The least squares of one set of terms; parameters relative to their values in the first export."""
+
+    powers: tuple[Powers, ...]
+    inverse: FloatArray  # (n_terms, n_used)
+    of_exports: FloatArray  # (n_exports, n_terms)
+
+    @classmethod
+    def of(cls, powers: Sequence[Powers], relative: FloatArray, used: BoolArray) -> _Fit | None:
+        """Return the fit; None if the exports used cannot tell the terms apart."""
+        X = monomials(relative, powers)
+        if len(powers) > used.sum() or np.linalg.cond(X[used]) > _WORST_CONDITION:
+            return None
+        return cls(tuple(powers), np.linalg.pinv(X[used]), X)
+
+    def amplification(self, X: FloatArray) -> FloatArray:
+        """Return how much larger errors are at points with monomials X (n, n_terms) than in the exports, (n,)."""
+        return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
+
+    def error(self, entry: FloatArray, used: BoolArray) -> FloatArray:
+        """Return the largest error in each export, shape (n_exports,)."""
+        return np.asarray(self.missed(entry, used).max(axis=1, initial=0.0))
+
+    def missed(self, entry: FloatArray, used: BoolArray) -> FloatArray:
+        """Return the error of each entry in each export, shape (n_exports, n)."""
+        return np.asarray(np.abs(entry - self.of_exports @ (self.inverse @ entry[used])))
+
+    def reproduces(self, entry: FloatArray, used: BoolArray, which: BoolArray, noise: float) -> bool:
+        """Say whether the exports in `which` are reproduced, as far as rounding lets one say."""
+        allowed = np.where(used, _FITTED, REPRODUCED)
+        allowed = np.maximum(allowed, _SAFETY * noise * (1.0 + self.amplification(self.of_exports)))
+        return bool(np.all((self.error(entry, used) <= allowed)[which]))
+
+
+def monomials(relative: FloatArray, powers: Sequence[Powers]) -> FloatArray:
+    """Return Π θ_j ** p_j at points (n, n_parameters), shape (n, n_terms)."""
+    return np.asarray(np.prod(relative[:, None, :] ** np.array(powers)[None], axis=2))
+
+
+def _recovery(
+    what: str,
+    names: Sequence[str],
+    exports: Sequence[Export],
+    values: FloatArray,
+    used: BoolArray,
+    entries: _Entries,
+    changed: BoolArray,
+    bounds: FloatArray,
+) -> Recovery:
+    """Return one matrix as a sum of terms; `changed` (n_parameters, n) tells which entries a parameter changes.
+
+    Entries changed by the same parameters have the same terms. Where a parameter alone changes an element, and
+    another one its neighbour, the entries between them have the terms of both, which are known by then.
+    """
+    relative, everything = values / values[0], np.ones(len(used), dtype=bool)
+    corners = _corners(bounds / values[0])
+    found: dict[Powers, FloatArray] = {}
+    decided, error, rounding = False, np.zeros(len(used)), 0.0
+    by_parameters, of_entry = np.unique(changed, axis=1, return_inverse=True)
+    for k in np.argsort(by_parameters.sum(axis=0), kind="stable"):
+        group, own = np.flatnonzero(by_parameters[:, k]).tolist(), np.flatnonzero(of_entry == k)
+        sample = entries.entry[:, own[:: max(len(own) // _MOST_SAMPLED, 1)]]
+        known = [powers for powers in found if any(powers) and set(np.flatnonzero(powers)) <= set(group)]
+        chosen, first = _fewest(known, group, relative, used, sample, entries.noise)
+        fit = None if chosen is None else _Fit.of(chosen, relative, used)
+        if fit is None:
+            raise ValueError(_refusal(what, names, known, group, relative, used, exports, entries, own))
+        if not fit.reproduces(entries.entry[:, own], used, everything, entries.noise):
+            raise ValueError(
+                f"exports: the {what} must be the sum of what its parameters change "
+                f"({_worst(fit, used, exports, entries, own)})"
+            )
+        decided |= chosen != first
+        error = np.maximum(error, fit.error(entries.entry[:, own], used))
+        rounding = max(rounding, float(entries.noise * fit.amplification(monomials(corners, fit.powers)).max()))
+        least = _SAFETY * entries.noise * np.abs(fit.inverse).sum(axis=1)
+        for powers, entry, small in zip(
+            fit.powers, fit.inverse @ entries.entry[np.ix_(used, own)], least, strict=True
+        ):
+            found.setdefault(powers, np.zeros(len(entries.scale)))[own] = np.where(
+                np.abs(entry) > small, entry, 0.0
+            )
+    terms = [
+        Term(entries.matrix(entry / float(np.prod(values[0] ** np.array(powers, dtype=float)))), powers)
+        for powers, entry in found.items()
+        if entry.any()
+    ]
+    checked = None if used.all() else float(error[~used].max())
+    return Recovery(tuple(terms), float(error[used].max()), checked, entries.digits, rounding, decided)
+
+
+def _corners(bounds: FloatArray) -> FloatArray:
+    """Return corners of a box of bounds (2, n_parameters), shape (n, n_parameters)."""
+    return np.array(list(islice(product(*bounds.T.tolist()), _MOST_CORNERS)))
+
+
+def _fewest(
+    known: Sequence[Powers],
+    group: Sequence[int],
+    relative: FloatArray,
+    used: BoolArray,
+    entry: FloatArray,
+    noise: float,
+) -> tuple[tuple[Powers, ...] | None, tuple[Powers, ...] | None]:
+    """Return the terms known and the fewest more that reproduce all exports, and those used; None if none do."""
+    first = None
+    everything = np.ones(len(used), dtype=bool)
+    for powers in _sets_of_powers(known, group, relative.shape[1], int(used.sum())):
+        fit = _Fit.of(powers, relative, used)
+        if fit is None or not fit.reproduces(entry, used, used, noise):
+            continue
+        first = first or powers
+        if fit.reproduces(entry, used, everything, noise):
+            return powers, first
+    return None, first
+
+
+def _sets_of_powers(
+    known: Sequence[Powers], group: Sequence[int], n_parameters: int, most: int
+) -> Iterator[tuple[Powers, ...]]:
+    """Yield the terms known with more of a group of parameters: the fewest first, and of these the simplest."""
+    choices = []
+    for size in range(min(len(group), _FACTORS) + 1):
+        for those in combinations(group, size):
+            for some in product(POWERS, repeat=size):
+                powers = np.zeros(n_parameters, dtype=int)
+                powers[list(those)] = some
+                choices.append(tuple(powers.tolist()))
+    choices = sorted((one for one in choices if one not in known), key=_complexity)
+    sets = ((*known, *some) for size in range(most - len(known) + 1) for some in _simplest(choices, size))
+    yield from islice((one for one in sets if one), _MOST_TRIED)
+
+
+def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ...]]:
+    """Return sets of a size, the simplest first, as far as they will be tried."""
+    some = islice(combinations(choices, size), 10 * _MOST_TRIED)
+    return sorted(some, key=lambda one: sum(map(_complexity, one)))
+
+
+def _complexity(powers: Powers) -> int:
+    """Return a number by which sets of equally many terms are ordered, the simplest first."""
+    return sum(_RANK[power] for power in powers)
+
+
+def _refusal(
+    what: str,
+    names: Sequence[str],
+    known: Sequence[Powers],
+    group: Sequence[int],
+    relative: FloatArray,
+    used: BoolArray,
+    exports: Sequence[Export],
+    entries: _Entries,
+    own: Any,
+) -> str:
+    """Return why no terms of a group of parameters reproduce the exports, with the entries that say so.
+
+    They are those that the terms miss which suit most of the entries.
+    """
+    best, least = None, np.inf
+    sample = entries.entry[:, own[:: max(len(own) // _MOST_SAMPLED, 1)]]
+    for powers in islice(_sets_of_powers(known, group, relative.shape[1], int(used.sum())), _MOST_COMPARED):
+        fit = _Fit.of(powers, relative, used)
+        error = np.inf if fit is None else float(np.median(fit.missed(sample, used).max(axis=0)))
+        if error < 0.1 * least:
+            best, least = fit, error
+    those = names_in_words([names[j] for j in group]) or "nothing"
+    if best is None:
+        told = names_in_words([_in_words(powers, names) for powers in known])
+        return (
+            f"exports: more are needed, not kept for checking, in which {those} are changed together: there are "
+            f"entries of the {what} that several of them change, and {told} cannot be told apart there"
+        )
+    return (
+        f"exports: what {those} changes of the {what} must be a sum of products of powers from {min(POWERS)} to "
+        f"{max(POWERS)} ({_worst(best, used, exports, entries, own)})"
+    )
+
+
+def _worst(fit: _Fit, used: BoolArray, exports: Sequence[Export], entries: _Entries, own: Any) -> str:
+    """Return the entries that are reproduced worst, in the export where they are."""
+    error = fit.missed(entries.entry[:, own], used)
+    at = int(np.argmax(error.max(axis=1)))
+    worst = np.argsort(error[at])[::-1][:_TOLD]
+    told = "; ".join(f"{entries.place(int(own[k]))} by {significant(float(error[at, k]))}" for k in worst)
+    return f"{exports[at].name or f'export {at}'} is missed, relative to the diagonal, at {told}"
+
+
+def _in_words(powers: Sequence[float], names: Sequence[str]) -> str:
+    """Return a term as ``"E t³"``; that without parameters is ``"constant"``."""
+    raised: Mapping[float, str] = {1: "", 2: "²", 3: "³", -1: "⁻¹"}
+    factors = [
+        f"{name}{raised.get(power, f'^{power:g}')}" for name, power in zip(names, powers, strict=True) if power
+    ]
+    return " ".join(factors) or "constant"
