@@ -113,7 +113,11 @@ FRAME = [
         "parameters.1.groups: E of legs is already updated by E legs",
     ),
     ('pairing = "index"', 'pairing = "ear"', "pairing: must be 'shape', 'index' or 'soft' (got 'ear')"),
-    ('type = "frame"', 'type = "shell"', "model.type: must be one of frame, matrices, python (got 'shell')"),
+    (
+        'type = "frame"',
+        'type = "shell"',
+        "model.type: must be one of frame, matrices, exports, python (got 'shell')",
+    ),
     ('name = "portal"\n', "", "name: is missing"),
     ("[measurement]", "[measurement", "is not valid TOML"),
 ]

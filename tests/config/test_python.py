@@ -207,7 +207,11 @@ BROKEN = [
     ('modes"', 'modes"\nbatched = "yes"', "model.batched: must be a valid boolean (got 'yes')"),
     ('modes"', 'modes"\nstep = 0.5', "model.step: must be less than or equal to 0.1 (got 0.5)"),
     ('modes"', 'modes"\ncolour = 1', "model.colour: is not a known key"),
-    ('type = "python"', 'type = "pyhton"', "model.type: must be one of frame, matrices, python (got 'pyhton')"),
+    (
+        'type = "python"',
+        'type = "pyhton"',
+        "model.type: must be one of frame, matrices, exports, python (got 'pyhton')",
+    ),
     ('name = "k1"', 'name = "k1"\nproperty = "E"', "parameters.0.property: is allowed for frames only"),
     (
         'sensors = [["first", "x"], ["second", "x"]]',
