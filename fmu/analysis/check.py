@@ -116,6 +116,9 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
             f"[model]), so the total mass is not known."
         ]
     directions = np.array([direction for _, direction in structure.dofs])
+    if structure.geometry is not None and structure.geometry.ids is not None:
+        known = {i: direction for _, direction, seen in structure.located() for i in seen}
+        directions = np.array([known.get(i, "") for i in range(structure.n_dof)])  # of nodes, none inside elements
     rigid = [(directions == name).astype(float) for name in _TRANSLATIONS if name in directions]
     if not rigid:
         return []

@@ -318,8 +318,9 @@ def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
         "direction": [direction for _, direction in model.dofs],
     }
     if model.geometry is not None:
-        coordinates = np.asarray(model.geometry.nodes)
-        columns |= {axis: [coordinates[node][i] for node in nodes] for i, axis in enumerate("xyz")}
+        coordinates, row_of = np.asarray(model.geometry.nodes), model.geometry.row_of
+        at = np.array([coordinates[row_of[node]] if node in row_of else [np.nan] * 3 for node in nodes])
+        columns |= dict(zip("xyz", at.T, strict=True))
     return pd.DataFrame(columns)
 
 

@@ -124,10 +124,12 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
     if structure.geometry is None:
         return variables | _components(structure, data, shapes)
     sketched = sketch(structure, data.sensors)
+    row_of_drawn = {int(row): i for i, row in enumerate(structure.geometry.drawn)}
     moved = np.zeros((len(shapes), shapes.shape[2], len(sketched.nodes), 3))
-    for (node, direction), i in structure.dof_of.items():
-        if direction in _AXES:
-            moved[:, :, node, _AXES.index(direction)] = shapes[:, i]
+    for row, direction, seen_by in structure.located():
+        if direction in _AXES and row in row_of_drawn:
+            motion = sum(weight * shapes[:, i] for i, weight in seen_by.items())
+            moved[:, :, row_of_drawn[row], _AXES.index(direction)] = motion
     size = np.max(np.linalg.norm(moved, axis=3), axis=2)
     size[size == 0] = 1.0
     variables |= _sketch_variables(sketched) | _components(structure, data, shapes, size)

@@ -10,17 +10,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-import scipy.sparse as sp
 from pydantic import Field, model_validator
 
 from fmu.config.mistakes import BrokenError, Mistake, got
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, one_length
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.separable import SeparableModel, Term, selection
+from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
+from fmu.formats.models.assembly import Motions, assembled
+from fmu.formats.models.exported import NO_MESH, Mesh
+from fmu.formats.models.read import read_mesh, require_nodes
 from fmu.formats.shown import names_shown
 from fmu.numbers import typed
 from fmu.types import DIRECTIONS
@@ -71,6 +73,8 @@ class MatricesTable(TomlTable):
     stiffness: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
     mass: Annotated[list[TermTable], Field(min_length=1, max_length=MOST_TERMS)]
     dofs: list[SensorTable] | None = None
+    mesh: FileName | None = None
+    """Nodes and elements for the pictures, in a file of CalculiX, Abaqus, Ansys or Nastran."""
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
@@ -100,16 +104,22 @@ class MatricesTable(TomlTable):
                 key, _, rule = str(error).partition(": ")
                 at = (key, rule) if key in ("variable", "triangle") else (table.source, str(error))
                 found.append(Mistake(f"{where}.{at[0]}", at[1]))
+        mesh = NO_MESH
+        if self.mesh is not None:
+            try:
+                mesh = read_mesh(folder / self.mesh)
+            except ValueError as error:
+                found.append(Mistake("model.mesh", str(error)))
         if found:
             raise BrokenError(found)
-        matrices, dofs = self._on_the_same_dofs(read)
+        matrices, dofs, motions = self._on_the_same_dofs(read, mesh)
         terms = [
             Term(matrix * table.factor, tuple(table.powers.get(p.name, 0.0) for p in parameters))
             for matrix, (_, table) in zip(matrices, self._terms(), strict=True)
         ]
         n = len(self.stiffness)
         try:
-            model = SeparableModel(terms[:n], terms[n:], dofs)
+            model = SeparableModel(terms[:n], terms[n:], dofs, Geometry.of_mesh(mesh), motions=motions)
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
             raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error
@@ -144,39 +154,50 @@ class MatricesTable(TomlTable):
             seen.add((node, direction))
         return found
 
-    def _on_the_same_dofs(self, read: Sequence[Labelled]) -> tuple[list[Any], list[tuple[Any, str]]]:
-        """Return the matrices on the same degrees of freedom, and the names of these.
+    def _on_the_same_dofs(
+        self, read: Sequence[Labelled], mesh: Mesh
+    ) -> tuple[list[Any], list[tuple[Any, str]], Motions]:
+        """Return the matrices on the same degrees of freedom, the names of these, and further motions.
 
-        Where files name them, a matrix may lack degrees of freedom at which it is zero. Those that Abaqus marks as
-        held by a support, with 1e36 in the stiffness, are removed.
+        Where files name them, a matrix may lack degrees of freedom at which it is zero; those at which all are
+        zero are removed. So are those that Abaqus marks as held by a support, with 1e36 in the stiffness.
         """
-        labels = [one.dofs for one in read if one.dofs is not None]
+        rows = [one.matrix.shape[0] for one in read]
+        is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None
+        self._check(read, any(one.dofs is not None for one in read) or is_known, is_known)
+        named: list[tuple[Any, str]] = [(node, str(direction)) for node, direction in self.dofs or []]
+        if self.mesh is not None and self.dofs is not None:
+            if not all(isinstance(node, int) for node, _ in named):
+                raise BrokenError([Mistake("model.dofs", "must be nodes of the mesh, by their numbers")])
+            read = [one._replace(dofs=tuple(named)) for one in read]
+        if self.mesh is not None or read[0].dofs is not None:
+            try:
+                found = assembled(read, len(self.stiffness), [self._at(k) for k in range(len(read))], mesh)
+                if self.mesh is not None:
+                    require_nodes(found.dofs, found.motions, mesh)
+            except ValueError as error:
+                where, _, rule = str(error).partition(": ")
+                raise BrokenError([Mistake("model.mesh" if where == "mesh" else where, rule)]) from error
+            return found.matrices, list(found.dofs), found.motions
         matrices = [one.matrix for one in read]
-        self._check(read, bool(labels))
-        if labels:
-            everything = {dof for names in labels for dof in names}
-            dofs: list[tuple[Any, str]] = sorted(everything, key=lambda dof: (dof[0], DIRECTIONS.index(dof[1])))
-            index = {dof: i for i, dof in enumerate(dofs)}
-            at = ([index[dof] for dof in names] for names in labels)
-            rows = [selection(rows, len(dofs)) for rows in at]
-            matrices = [
-                sp.csr_array(place.T @ matrix @ place) for place, matrix in zip(rows, matrices, strict=True)
-            ]
-        else:
-            named = self.dofs or [[i, "x"] for i in range(matrices[0].shape[0])]
-            dofs = [(node, str(direction)) for node, direction in named]
+        dofs = named or [(i, "x") for i in range(rows[0])]
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
             raise BrokenError([Mistake("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")])
-        return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free]
+        return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}
 
-    def _check(self, read: Sequence[Labelled], are_named: bool) -> None:
+    def _at(self, k: int) -> str:
+        """Return the place of the matrix of a term in the file."""
+        where, table = self._terms()[k]
+        return f"{where}.{table.source}"
+
+    def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
         """Refuse matrices that are not on the same degrees of freedom; files name those of all or of none."""
         n, found = read[0].matrix.shape[0], []
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]
-            if are_named and one.dofs is None:
+            if are_named and one.dofs is None and not by_mesh:
                 rule = "must name its degrees of freedom, as the other files do"
                 found.append(Mistake(f"{where}.{table.source}", rule))
             elif not are_named and rows != n:

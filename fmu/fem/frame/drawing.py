@@ -20,6 +20,8 @@ WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
 _FLAT = 1e-6
 _BALANCED = 1e-9
 """Largest rest of forces in equilibrium, relative to the stiffness that they come from."""
+_MOST_LINES = 300
+"""Each in an element of its own."""
 _AXES = ("x", "y", "z")
 _ROTATIONS = ("rx", "ry", "rz")
 
@@ -60,16 +62,20 @@ def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sk
     """
     geometry, nowhere = _geometry(model), np.full(3, np.nan)
     nodes = np.asarray(geometry.nodes, dtype=float)
-    tips = {name: nodes[arm.node] + arm.offset for name, arm in model.arms.items()}
-    place = dict(enumerate(nodes)) | tips
-    symbols = [("arm", nodes[model.arms[name].node], tip) for name, tip in tips.items()]
+    at = {name: nodes[row] for name, row in geometry.row_of.items()}
+    tips = {name: at[arm.node] + arm.offset for name, arm in model.arms.items()}
+    place = at | tips  # a sensor may be at a node that the mesh lacks
+    symbols = [("arm", at[model.arms[name].node], tip) for name, tip in tips.items()]
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
     symbols += [("support", nodes[node], nowhere) for node in _supported(model)]
     symbols += [("mass", nodes[node], nowhere) for node in geometry.masses]
-    symbols += [("sensor", place[n], nowhere if d[-2:] in _ROTATIONS else _pointing(d)) for n, d in sensors]
+    symbols += [
+        ("sensor", place.get(n, nowhere), nowhere if d[-2:] in _ROTATIONS else _pointing(d)) for n, d in sensors
+    ]
     kinds = tuple(kind for kind, *_ in symbols)
     places, ends = (np.array([symbol[k] for symbol in symbols]).reshape(-1, 3) for k in (1, 2))
-    return Sketch(nodes, np.asarray(geometry.elements), changed_elements(model), kinds, places, ends)
+    lines = np.searchsorted(geometry.drawn, geometry.elements)
+    return Sketch(nodes[geometry.drawn], lines, changed_elements(model), kinds, places, ends)
 
 
 def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
@@ -101,9 +107,7 @@ def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "
     place, places, ends = (fit(x @ view) for x in (structure.nodes, structure.places, structure.ends))
     colours = element_colours(structure.changed) if colours is None else colours
     parts = [_line(a, b, UNCHANGED, 1.5) for a, b in zip(places[kinds == "arm"], fit(tips @ view), strict=True)]
-    parts += [
-        _line(place[a], place[b], colour, 4) for (a, b), colour in zip(structure.elements, colours, strict=True)
-    ]
+    parts += _lines(place[structure.elements], colours)
     for kind, a, b, pointing in zip(structure.kinds, places, ends, structure.ends @ view, strict=True):
         if kind == "spring":
             parts.append(_spring(a, b))
@@ -111,7 +115,7 @@ def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "
             parts.append(_support(a))
         elif kind == "mass":
             parts.append(_dot(a, 6, UNCHANGED))
-        elif kind == "sensor" and not np.isnan(pointing).any():
+        elif kind == "sensor" and not np.isnan([*a, *pointing]).any():
             parts.append(_arrow(a, pointing))
     words = said or f"{n} nodes, {len(structure.elements)} elements, {np.sum(kinds == 'sensor')} sensors"
     height = np.concatenate([place, fit(tips @ view)])[:, 1].max() + _MARGIN
@@ -147,7 +151,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     """
     geometry = _geometry(model)
     a, b = np.asarray(geometry.elements).T
-    nodes, dofs = [node for node, _ in model.dof_of], list(model.dof_of.values())
+    nodes, dofs = np.array([(row, i) for row, _, seen in model.located() for i in seen]).T
     has = sp.csr_array((np.ones(len(dofs)), (nodes, dofs)), shape=(len(geometry.nodes), model.n_dof))
     free = has.sum(axis=1) > 0
     changed = np.zeros((len(a), model.n_parameters), dtype=bool)
@@ -212,13 +216,30 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _supported(model: SeparableModel) -> list[int]:
-    """Return the nodes of elements that cannot move in every direction that others can."""
-    free: dict[Any, set[str]] = {}
-    for node, direction in model.dof_of:
-        free.setdefault(node, set()).add(direction)
-    most = max(len(directions) for directions in free.values())
-    nodes = np.unique(_geometry(model).elements)
-    return [int(node) for node in nodes if len(free.get(int(node), ())) < most]
+    """Return the rows of nodes of elements that cannot move in every direction that others can.
+
+    Nodes of another program's mesh may have no rotations without being held.
+    """
+    geometry = _geometry(model)
+    free: dict[int, set[str]] = {}
+    for row, direction, _ in model.located():
+        if geometry.ids is None or direction in _AXES:
+            free.setdefault(row, set()).add(direction)
+    most = max((len(directions) for directions in free.values()), default=0)
+    return [int(row) for row in np.unique(geometry.elements) if len(free.get(int(row), ())) < most]
+
+
+def _lines(ends: FloatArray, colours: Sequence[str]) -> list[str]:
+    """Draw lines (n, 2, 2): each by itself, or many as one path a colour."""
+    if len(ends) <= _MOST_LINES:
+        return [_line(a, b, colour, 4) for (a, b), colour in zip(ends, colours, strict=True)]
+    parts: dict[str, list[str]] = {}
+    for (a, b), colour in zip(ends, colours, strict=True):
+        parts.setdefault(colour, []).append(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}")
+    return [
+        f'<path d="{"".join(part)}" fill="none" stroke="{colour}" stroke-width="1.2" stroke-linecap="round"/>'
+        for colour, part in parts.items()
+    ]
 
 
 def _line(a: FloatArray, b: FloatArray, colour: str, width: float) -> str:

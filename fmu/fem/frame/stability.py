@@ -236,19 +236,21 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     """
     if model.geometry is None:
         return None
-    nodes = np.asarray(model.geometry.nodes, dtype=float)
-    places = {node for node, _ in model.dof_of}
-    if not all(isinstance(node, int | np.integer) and 0 <= node < len(nodes) for node in places):
+    geometry, row_of = model.geometry, model.geometry.row_of
+    nodes = np.asarray(geometry.nodes, dtype=float)
+    if model.motions or not all(node in row_of for node, _ in model.dof_of):
         return None
     centre, length = nodes.mean(axis=0), _length(model)
 
-    def row(node: int, direction: str) -> list[float]:
-        arm = RigidArm(None, tuple((nodes[node] - centre).tolist())).motion(direction)
+    def row(node: Any, direction: str) -> list[float]:
+        arm = RigidArm(None, tuple((nodes[row_of[node]] - centre).tolist())).motion(direction)
         return [arm.get(d, 0.0) / (length if d.startswith("r") else 1.0) for d in DIRECTIONS]
 
     moved = np.array([row(node, d) for node, d in model.dofs])
-    used = np.unique(model.geometry.elements).tolist()
-    known = [d for d in DIRECTIONS if any(direction == d for _, direction in model.dofs)]
+    rows = np.unique(geometry.elements)
+    used = rows.tolist() if geometry.ids is None else np.asarray(geometry.ids)[rows].tolist()
+    # in another program's mesh, nodes may have no rotations without being held
+    known = [d for d in DIRECTIONS[: 6 if geometry.ids is None else 3] if any(d == e for _, e in model.dofs)]
     held = [row(node, d) for node in used for d in known if (node, d) not in model.dof_of]
     return moved, np.array(held).reshape(-1, 6)
 

@@ -66,7 +66,13 @@ def changed_model(
         at[0, list(known)] = list(known.values())
         K_terms, M_terms = (_without(terms, at, kept) for terms in (K_terms, M_terms))
     other = SeparableModel(
-        merge_terms(K_terms), merge_terms(M_terms), model.dofs, model.geometry, model.arms, model.ties
+        merge_terms(K_terms),
+        merge_terms(M_terms),
+        model.dofs,
+        model.geometry,
+        model.arms,
+        model.ties,
+        model.motions,
     )
     if model.names is not None:
         other.names = tuple(model.names[j] for j in kept)

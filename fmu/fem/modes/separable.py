@@ -7,7 +7,7 @@ monomials of the parameters, so that derivatives are exact.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
+from fmu.formats.models.edges import edges
+from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.numbers import typed
 from fmu.types import FloatArray, IntArray
 
@@ -160,19 +162,39 @@ class Geometry:
     Attributes
     ----------
     nodes : ndarray, shape (n_nodes, 3), m
-        A degree of freedom named ``(node, direction)`` belongs to row `node`.
+        A degree of freedom named ``(node, direction)`` belongs to row `node`, or to the row of that id.
     elements : ndarray of int, shape (n_elements, 2)
-        Both ends of each line to draw.
+        Rows of both ends of each line to draw.
     masses : sequence of int
-        Nodes with a point mass.
+        Rows of nodes with a point mass.
     springs : sequence of (int, int or None)
-        Both ends of each spring, the second one None for the ground.
+        Rows of both ends of each spring, the second one None for the ground.
+    ids : ndarray of int, shape (n_nodes,), optional
+        Names of the nodes in the degrees of freedom, where they are not the rows.
     """
 
     nodes: FloatArray
     elements: IntArray
     masses: Sequence[int] = ()
     springs: Sequence[tuple[int, int | None]] = ()
+    ids: IntArray | None = None
+
+    @classmethod
+    def of_mesh(cls, mesh: Mesh | ExportedModel) -> Geometry | None:
+        """Return the geometry of another program's mesh, with the lines that draw it; None if it is empty."""
+        lines = edges(mesh)
+        return cls(mesh.coordinates, lines, ids=mesh.nodes) if len(lines) else None
+
+    @cached_property
+    def drawn(self) -> IntArray:
+        """Rows of the nodes that are drawn: all, or of another program's mesh those at the lines."""
+        return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
+
+    @cached_property
+    def row_of(self) -> dict[Any, int]:
+        """Row of each node by its name."""
+        names = range(len(self.nodes)) if self.ids is None else np.asarray(self.ids).tolist()
+        return {name: row for row, name in enumerate(names)}
 
 
 @dataclass(frozen=True)
@@ -216,6 +238,9 @@ class SeparableModel:
         Places beside the nodes at which sensors may sit, by name.
     ties : mapping of tuple to tuple, optional
         Further names (node, direction) of degrees of freedom: those tied to one of `dofs`.
+    motions : mapping of tuple to mapping of tuple to float, optional
+        Motions (node, direction) that are weighted sums of `dofs`, and go before a degree of freedom of that name:
+        those of a node whose degrees of freedom are not along global axes.
 
     Attributes
     ----------
@@ -238,6 +263,7 @@ class SeparableModel:
         geometry: Geometry | None = None,
         arms: Mapping[Any, RigidArm] | None = None,
         ties: Mapping[tuple[Any, str], tuple[Any, str]] | None = None,
+        motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> None:
         if not K_terms or not M_terms:
             raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
@@ -249,6 +275,7 @@ class SeparableModel:
         self.geometry = geometry
         self.arms = dict(arms or {})
         self.ties = dict(ties or {})
+        self.motions = dict(motions or {})
         self.names: tuple[str, ...] | None = None
         self.notes: tuple[str, ...] = ()
         _check_terms(self)
@@ -261,6 +288,7 @@ class SeparableModel:
         mass: Sequence[Any],
         dofs: Sequence[tuple[Any, str]] | None = None,
         geometry: Geometry | None = None,
+        motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> SeparableModel:
         """Return the model of matrices with the parameters that multiply them, by name.
 
@@ -274,7 +302,7 @@ class SeparableModel:
         stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
             A matrix alone is constant; with a name it is multiplied by that parameter; with powers by name, by
             their product.
-        dofs, geometry : optional
+        dofs, geometry, motions : optional
             See the class.
 
         Returns
@@ -291,7 +319,7 @@ class SeparableModel:
             [named_term(term, names, f"{key}.{k}") for k, term in enumerate(given)]
             for key, given in (("stiffness", stiffness), ("mass", mass))
         )
-        model = cls(K_terms, M_terms, dofs, geometry)
+        model = cls(K_terms, M_terms, dofs, geometry, motions=motions)
         model.names = names
         return model
 
@@ -387,6 +415,8 @@ class SeparableModel:
     def _seen_by(self, sensor: tuple[Any, str]) -> dict[int, float]:
         place, direction = sensor
         sign, direction = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+        if (place, direction) in self.motions:
+            return {self.dof(*dof): sign * weight for dof, weight in self.motions[place, direction].items()}
         if place not in self.arms:
             return {self.dof(place, direction): sign}
         arm = self.arms[place]
@@ -398,6 +428,13 @@ class SeparableModel:
         if not seen:
             raise ValueError(f"sensor: sees no free degree of freedom (got {place!r}, {direction!r})")
         return seen
+
+    def located(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
+        """Yield the motions of the geometry's nodes: row, direction, and weights of degrees of freedom."""
+        row_of = {} if self.geometry is None else self.geometry.row_of
+        for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
+            if node in row_of:
+                yield row_of[node], direction, self._seen_by((node, direction))
 
     @cached_property
     def dof_of(self) -> dict[tuple[Any, str], int]:

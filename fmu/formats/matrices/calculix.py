@@ -8,12 +8,13 @@ In the step of the input deck::
 Each line of a matrix has row, column and entry, each pair of entries once; line i of ``job.dof`` is
 ``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can have the name
 of one node: they are given numbers of their own above those of the file, and the node's motion is their mean.
+``job.12d`` says which nodes these are; where it is missing, every name that is there several times is one.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,11 +29,14 @@ from fmu.formats.matrices.limits import (
     rows_within,
     tables,
     text_blocks,
+    text_lines,
 )
 from fmu.formats.shown import shown
 from fmu.types import DIRECTIONS
 
 LARGEST_NODE = 10**9
+_MOST_NODES = 100
+"""Of an element."""
 
 
 def parse(file: BinaryIO, n_dof: int) -> Any:
@@ -104,11 +108,59 @@ def _read(path: Path, variable: str | None) -> Labelled:
     except ValueError as error:
         raise RefusedError(f"must have the names of its rows in {beside.name} beside it ({error})") from error
     with open(path, "rb") as file:
-        return Labelled(parse(file, len(read)), *_apart(read))
+        return Labelled(parse(file, len(read)), *_apart(read, _expansion(path.with_suffix(".12d"))))
 
 
-def _apart(read: list[tuple[int, str]]) -> tuple[Any, Any]:
-    """Return names of rows, no two the same, and the motions that are means of several rows."""
+class _Expansion(NamedTuple):
+    """How nodes of shells and beams became nodes of solids.
+
+    Attributes
+    ----------
+    copies : dict of int to int
+        How many nodes stand for one: on both faces of a shell, in the middle too, or around a beam.
+    rigid : set of int
+        Nodes whose copies move as a rigid body with them ("knots"): their rows are those of the node itself.
+    """
+
+    copies: dict[int, int]
+    rigid: set[int]
+
+
+def _expansion(path: Path) -> _Expansion:
+    """Return what ``job.12d``, which CalculiX writes beside, says; nothing if there is no such file."""
+    found = _Expansion({}, set())
+    if why_no_file(path) or too_large(path, LARGEST_FILE):
+        return found
+    label, nodes = "", list[int]()
+    with open(path, "rb") as file:
+        for line in text_lines(file):
+            words = line.split()
+            if "with label" in line:
+                label, nodes = line.partition('"')[2].strip(), []
+            elif "is expanded" in line:
+                for k, node in enumerate(nodes):
+                    if label[:1] in "SBTM":
+                        found.copies[node] = _copies(label[0] in "SM", k, len(nodes))
+                label = ""
+            elif "KNOT was generated" in line and words[-1].isdecimal():
+                found.rigid.add(int(words[-1][:12]))
+            elif label and all(word.isdecimal() for word in words) and len(nodes) < _MOST_NODES:
+                nodes += [int(word[:12]) for word in words]
+    return found
+
+
+def _copies(is_shell: bool, k: int, n: int) -> int:
+    """Return how many nodes stand for the k-th of n of an element."""
+    if is_shell:
+        return 3 if n >= 6 and k < n // 2 else 2
+    return 8 if n == 3 and k != 1 else 4
+
+
+def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[Any, Any]:
+    """Return names of rows, no two the same, and the motions that are means of several rows.
+
+    Where a support holds some of the nodes that stand for one, the rest says nothing about the motion of that one.
+    """
     counts: dict[tuple[int, str], int] = {}
     for name in read:
         counts[name] = counts.get(name, 0) + 1
@@ -118,13 +170,16 @@ def _apart(read: list[tuple[int, str]]) -> tuple[Any, Any]:
     dofs: list[tuple[int, str]] = []
     motions: dict[tuple[int, str], dict[tuple[int, str], float]] = {}
     for name in read:
-        if counts[name] == 1:
+        node, direction = name
+        known = 1 if node in expansion.rigid else expansion.copies.get(node, counts[name])
+        if counts[name] == known == 1:
             dofs.append(name)
             continue
         copy = seen[name] = seen.get(name, 0) + 1
-        row = (places.setdefault((name[0], copy), ahead + len(places)), name[1])
+        row = (places.setdefault((node, copy), ahead + len(places)), direction)
         dofs.append(row)
-        motions.setdefault(name, {})[row] = 1.0 / counts[name]
+        if counts[name] == known:
+            motions.setdefault(name, {})[row] = 1.0 / known
     return tuple(dofs), motions
 
 

@@ -1,0 +1,77 @@
+"""The lines that draw a mesh: line elements, and edges of faces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.formats.models.exported import ExportedModel, Mesh
+from fmu.types import FloatArray, IntArray
+
+MOST_EDGES = 1000
+"""Of a mesh with more, those are drawn that are at the border, at an angle, or between two of `_BOXES`."""
+_BOXES = 10
+"""Along the longest side of a mesh."""
+_ANGLE = np.cos(np.radians(30.0))
+_FACES = {
+    "triangle": ((0, 1, 2, 2),),
+    "quad": ((0, 1, 2, 3),),
+    "tetra": ((0, 1, 2, 2), (0, 1, 3, 3), (1, 2, 3, 3), (0, 2, 3, 3)),
+    "pyramid": ((0, 1, 2, 3), (0, 1, 4, 4), (1, 2, 4, 4), (2, 3, 4, 4), (0, 3, 4, 4)),
+    "wedge": ((0, 1, 2, 2), (3, 4, 5, 5), (0, 1, 4, 3), (1, 2, 5, 4), (0, 2, 5, 3)),
+    "hexahedron": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
+}
+"""Corners around each face, the last one twice in a triangle."""
+_SOLIDS = ("tetra", "pyramid", "wedge", "hexahedron")
+
+
+def edges(mesh: Mesh | ExportedModel) -> IntArray:
+    """Return the rows of `mesh.nodes` at both ends of each line to draw, shape (n_lines, 2), each once.
+
+    Midside nodes are left out. Of solids the surface is drawn.
+    """
+    row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
+    lines: list[tuple[int, int]] = []
+    skin: list[tuple[int, ...]] = []
+    inner: list[tuple[int, ...]] = []
+    for kind, element in zip(mesh.kinds, mesh.elements, strict=True):
+        base = kind.rstrip("0123456789")
+        if base == "line":
+            lines.append((row[element[0]], row[element[1]]))
+        else:
+            into = inner if base in _SOLIDS else skin
+            into += [tuple(row[element[k]] for k in face) for face in _FACES.get(base, ())]
+    faces = np.array(skin, dtype=np.int64).reshape(-1, 4)
+    if inner:
+        faces = np.concatenate([faces, _outer(np.array(inner, dtype=np.int64))])
+    drawn = [np.array(lines, dtype=np.int64).reshape(-1, 2), _of_faces(faces, mesh.coordinates)]
+    return np.unique(np.sort(np.concatenate(drawn), axis=1), axis=0)
+
+
+def _outer(faces: IntArray) -> IntArray:
+    """Return the faces that belong to one solid only, shape (n, 4)."""
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return np.asarray(faces[first[counts == 1]])
+
+
+def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
+    """Return the edges of faces: all, or if they are many those that show the shape, see `MOST_EDGES`."""
+    if not len(faces):
+        return np.zeros((0, 2), dtype=np.int64)
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    face = np.repeat(np.arange(len(faces)), 4)
+    is_edge = ends[:, 0] != ends[:, 1]
+    ends, face = ends[is_edge], face[is_edge]
+    found, index, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    if len(found) <= MOST_EDGES:
+        return found
+    a, b, c, d = np.moveaxis(coordinates[faces], 1, 0)
+    low, side = coordinates.min(axis=0), np.ptp(coordinates, axis=0).max() / _BOXES
+    box = np.floor((a + b + c + d - 4.0 * low) / (4.0 * max(side, np.finfo(float).tiny)) + 1e-6)
+    normal = np.cross(c - a, d - b)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)[:, None]
+    order = np.argsort(index.reshape(-1), kind="stable")
+    starts = np.cumsum(counts) - counts
+    first, second = face[order[starts]], face[order[np.minimum(starts + 1, len(order) - 1)]]
+    is_sharp = np.abs(np.sum(normal[first] * normal[second], axis=1)) < _ANGLE
+    is_between = np.any(box[first] != box[second], axis=1)
+    return np.asarray(found[(counts != 2) | is_sharp | is_between])

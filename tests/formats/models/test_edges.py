@@ -1,0 +1,67 @@
+"""The lines that draw a mesh."""
+
+import numpy as np
+import pytest
+
+from fmu.formats.models.edges import MOST_EDGES, edges
+from fmu.formats.models.exported import mesh_of
+
+
+def plate(n, kind="quad"):
+    """n × n quads, ids from 1 in steps of 3."""
+    places = {1 + 3 * (i * (n + 1) + j): (i / n, j / n, 0.0) for i in range(n + 1) for j in range(n + 1)}
+
+    def at(i, j):
+        return 1 + 3 * (i * (n + 1) + j)
+
+    quads = [(at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)) for i in range(n) for j in range(n)]
+    return mesh_of(places, quads, [kind] * n * n)
+
+
+def bricks(n):
+    """n³ bricks."""
+    m = n + 1
+    places = {1 + i + m * (j + m * k): (i, j, k) for i in range(m) for j in range(m) for k in range(m)}
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    elements = [
+        tuple(1 + (i + a) + m * ((j + b) + m * (k + c)) for a, b, c in corners)
+        for i in range(n)
+        for j in range(n)
+        for k in range(n)
+    ]
+    return mesh_of(places, elements, ["hexahedron"] * n**3)
+
+
+def test_each_edge_of_a_small_mesh_once():
+    mesh = plate(4)
+    assert len(edges(mesh)) == 2 * 4 * 5
+    assert edges(mesh).max() == len(mesh.nodes) - 1
+    assert len(edges(bricks(1))) == 12
+    assert (
+        len(edges(bricks(3))) == 6 * (2 * 3 * 4) - 12 * 3
+    )  # on the surface; those of the cube belong to two sides
+
+
+def test_of_many_edges_those_that_show_the_shape():
+    mesh = plate(70)
+    drawn = edges(mesh)
+    assert len(drawn) <= 2 * MOST_EDGES
+    at = mesh.coordinates[drawn]
+    on_border = np.any((at == 0.0).all(axis=1) | (at == 1.0).all(axis=1), axis=1) & np.any(
+        at[:, :, :2].min(axis=1) != at[:, :, :2].max(axis=1), axis=1
+    )
+    assert on_border.sum() >= 4 * 70
+    assert len(edges(bricks(20))) < 4000
+
+
+@pytest.mark.parametrize(
+    ("kind", "count", "lines"),
+    [("tetra", 4, 6), ("wedge", 6, 9), ("pyramid", 5, 8), ("triangle6", 6, 3), ("line3", 3, 1)],
+)
+def test_edges_of_one_element(kind, count, lines):
+    places = {i + 1: (i, i**2, i**3) for i in range(count)}
+    assert len(edges(mesh_of(places, [tuple(places)], [kind]))) == lines
+
+
+def test_elements_without_lines():
+    assert edges(mesh_of({5: (0.0, 0.0, 0.0)}, [(5,)], ["vertex"])).shape == (0, 2)
