@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu.numbers import names_in_words
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity
@@ -67,7 +68,7 @@ def local_maxima(
     Raises
     ------
     ValueError
-        If `starts` is not positive.
+        If `starts` is not positive, or the log-probability has a finite gradient at none of them.
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
@@ -85,6 +86,8 @@ def _found(problem: Problem, scaled: ScaledDensity, points: FloatArray) -> tuple
         return _merged(problem, [_climb(scaled, u) for u in points])
     quadratic = GaussNewton(problem)
     highest, starts = leaders(ascend(quadratic, points, scaled.lower, scaled.upper, tolerance=_ROUGH))
+    if not len(highest):
+        raise ValueError(_nowhere(problem, len(points)))
     ends = ascend(quadratic, highest, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
     arrived = _merged(problem, _ended(scaled, ends.position[ends.stationary], starts[ends.stationary]))
     near: list[Maximum] = []
@@ -93,6 +96,19 @@ def _found(problem: Problem, scaled: ScaledDensity, points: FloatArray) -> tuple
         (near if any(_is_same(problem, stalled, m) for m in arrived) else lost).append(stalled)
     polished = [_climb(scaled, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
     return _merged(problem, [*arrived, *near, *polished])
+
+
+def _nowhere(problem: Problem, n: int) -> str:
+    """Return why no start has a gradient."""
+    why = ""
+    still = np.flatnonzero(~(problem.frequencies(problem.start) > 0.0))
+    if len(still):
+        labels = names_in_words([str(problem.data.labels[k]) for k in still])
+        why = (
+            f": mode {labels} has no frequency above 0 Hz at the start. By number, rigid-body motions count as modes: "
+            "give the numbers of the measured modes"
+        )
+    return f"problem: the log-probability must have a finite gradient at one of {n} starts (got none{why})"
 
 
 def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:

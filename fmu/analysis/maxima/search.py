@@ -76,7 +76,7 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
     if not is_updating(problem):
         raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
     if not is_searchable(problem):
-        raise ValueError("problem: must have no population: the maximum of such a posterior is far from its mass")
+        raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
     starts = default_starts(problem) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
     if (starts, seed) not in known:
