@@ -23,7 +23,9 @@ from pathlib import Path
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import names_shown, told
 
-EXPORTED = ("theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml")
+MESH_MODES, UPDATED_MODES, MEASURED_MODES = "modes.vtu", "updated.uff", "measured.uff"
+VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
+EXPORTED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM, MESH_MODES, UPDATED_MODES, MEASURED_MODES)
 """Files that `fmu.report.export.export` writes besides; no deck may have such a name."""
 LARGEST_DECK = 2**26
 """Bytes."""

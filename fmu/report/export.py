@@ -20,9 +20,22 @@ from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
 from fmu.config.kept import kept
 from fmu.fem.modes.separable import SeparableModel
-from fmu.formats.decks import EXPORTED, filled, filled_name, placeholders, read_deck, write_deck
+from fmu.formats.decks import (
+    DOFS,
+    EXPORTED,
+    MASS,
+    PROBLEM,
+    STIFFNESS,
+    VALUES,
+    filled,
+    filled_name,
+    placeholders,
+    read_deck,
+    write_deck,
+)
 from fmu.numbers import names_in_words, significant
 from fmu.report.files import OutputDirectory
+from fmu.report.mode_files import write_modes
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -93,7 +106,8 @@ def export(
         what determined it: the data, the prior or a combination.
         ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
         that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
-        ``dofs.csv``, the degrees of freedom of their rows; and the input decks whose templates the problem file
+        ``dofs.csv``, the degrees of freedom of their rows; where its geometry is known, the updated and measured
+        mode shapes (`fmu.report.mode_files.write_modes`); and the input decks whose templates the problem file
         names under ``[export]``, with these values (`fmu.formats.decks`). Of several tests, ``theta.csv`` has all
         that was inferred; starts, decks and matrices are at the shared values, those of the reference state, the
         means or medians of populations, and for what varies freely the values in the first test or group, all at
@@ -138,6 +152,7 @@ def export(
         sd |= {key: sd[name] for key, name in source_of.items()}
         unused = write_decks(templates, source.folder, starts | {f"{key} sd": x for key, x in sd.items()}, stage)
         remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_from_prior(left)]
+        remarks += write_modes(problem, theta, stage)
         remarks += _not_in_a_deck([name for name in source_of if name in unused] if templates else [])
         remarks += _incomplete(stage / PROBLEM)
         files = tuple(sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file()))
@@ -264,7 +279,6 @@ def _incomplete(file: Path) -> list[str]:
     return []
 
 
-VALUES, STIFFNESS, MASS, DOFS, PROBLEM = EXPORTED
 _EDITOR = "#:schema"
 _FROM_PRIOR = "from the prior: the data did not inform it"
 

@@ -32,11 +32,12 @@ from fmu.formats.modes.measured_modes import (
     checked_file,
     real_shapes,
 )
+from fmu.formats.modes.vtu import CellType
 from fmu.formats.shown import in_words, shown
 from fmu.types import DIRECTIONS, FloatArray
 
 SHAPES = 55
-NODES = (15, 2411)
+NODES, ELEMENTS = (15, 2411), 2412
 REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
 MOST_DATASETS = 10_000
@@ -125,8 +126,10 @@ def write_uff(
     sensors: Sequence[tuple[Any, str]],
     numbers: Sequence[int],
     nodes: Mapping[Any, Any] | None = None,
+    places: Mapping[Any, ArrayLike] | None = None,
+    elements: Sequence[tuple[CellType, tuple[int, ...]]] = (),
 ) -> None:
-    """Write real mode shapes, one dataset 55 per mode.
+    """Write real mode shapes, one dataset 55 per mode, and the nodes and elements if they are known.
 
     Parameters
     ----------
@@ -139,6 +142,10 @@ def write_uff(
         Numbers of the modes.
     nodes : mapping of node number to place, optional
         As in `read_uff`; needed where a place is not a number.
+    places : mapping of place to array_like, shape (3,), optional
+        Coordinates in m: dataset 2411.
+    elements : sequence of (CellType, node numbers of its corners), optional
+        Dataset 2412; see `fmu.formats.modes.vtu.cells`.
 
     Raises
     ------
@@ -157,13 +164,14 @@ def write_uff(
     if len(set(zip(node_numbers, directions, strict=True))) < len(directions):
         raise ValueError("sensors: must be distinct nodes or directions")
     written = sorted(set(node_numbers))
+    row = {node: i for i, node in enumerate(written)}
     columns = DIRECTIONS if any(direction.startswith("r") for direction in directions) else DIRECTIONS[:3]
     sign = np.array([-1.0 if direction.startswith("-") else 1.0 for _, direction in sensors])
-    sets = []
+    sets = _mesh(places or {}, elements, number_of)
     for number, frequency, shape in zip(numbers, np.asarray(frequencies_hz), np.asarray(shapes).T, strict=True):
         table = np.zeros((len(written), len(columns)))
         for node, direction, value in zip(node_numbers, directions, sign * shape, strict=True):
-            table[written.index(node), columns.index(direction)] = value
+            table[row[node], columns.index(direction)] = value
         sets.append(
             {"type": SHAPES, "analysis_type": 2, "data_ch": 2 if len(columns) == 3 else 3, "spec_data_type": 8}
             | {"load_case": 0, "mode_n": int(number), "freq": float(frequency), "node_nums": written}
@@ -171,6 +179,35 @@ def write_uff(
         )
     with imported_pyuff() as pyuff:
         pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
+
+
+def _mesh(
+    places: Mapping[Any, ArrayLike],
+    elements: Sequence[tuple[CellType, tuple[int, ...]]],
+    number_of: Mapping[Any, int],
+) -> list[dict[Any, Any]]:
+    """Return the datasets of nodes and elements."""
+    sets: list[dict[Any, Any]] = []
+    if places:
+        x, y, z = np.array([np.asarray(place, dtype=float) for place in places.values()]).T
+        numbers = [int(number_of.get(place, place)) for place in places]
+        sets.append(
+            {"type": NODES[1], "node_nums": numbers, "x": x, "y": y, "z": z}
+            | {key: [1] * len(places) for key in ("def_cs", "disp_cs", "color")}
+        )
+    groups: dict[Any, Any] = {}
+    for k, (cell, nodes) in enumerate(elements, 1):
+        if cell.uff:
+            one = {
+                "element_nums": k,
+                "fe_descriptor": cell.uff,
+                "num_nodes": len(nodes),
+                "nodes_nums": list(nodes),
+            }
+            one |= dict.fromkeys(("phys_table", "mat_table", "color"), 1)
+            one |= dict.fromkeys(("beam_orientation", "beam_foreend_cross", "beam_aftend_cross"), 0)
+            groups.setdefault(cell.uff, []).append(one)
+    return [*sets, {"type": ELEMENTS} | groups] if groups else sets
 
 
 def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, Any]]) -> dict[int, Any]:

@@ -1,0 +1,105 @@
+"""Updated and measured mode shapes as files for ParaView (VTU) and for programs of modal testing (UFF)."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.expansion import Expanded, expand
+from fmu.formats.decks import MEASURED_MODES, MESH_MODES, UPDATED_MODES
+from fmu.formats.modes.uff import write_uff
+from fmu.formats.modes.vtu import cells, write_vtu
+from fmu.numbers import given, hertz, share
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+_AXES = ("x", "y", "z")
+_KEPT = 0.9
+"""An expanded shape that keeps less than this of the measured one is told."""
+
+
+def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> list[str]:
+    """Write the modes at theta (ndim,) of a structure with geometry, and the measured ones beside them.
+
+    ``modes.vtu`` has the mesh with the displacements in every updated mode, and in the measured ones, expanded by
+    SEREP (`fmu.fem.pairing.expansion`) and scaled to them. With pyuff, ``updated.uff`` has nodes, elements and
+    updated modes, ``measured.uff`` the sensors and what was measured: datasets 2411, 2412 and 55. Of a model
+    without geometry, or of several tests, nothing is written.
+
+    Returns
+    -------
+    list of str
+        Warnings about the files, a sentence each.
+    """
+    paired = problem.model.as_structure()
+    if paired is None or paired.structure.geometry is None:
+        return []
+    model, geometry, data = paired.structure, paired.structure.geometry, problem.data
+    structural = theta[: problem.n_structural]
+    shapes, hz = paired.full_shapes(structural), problem.frequencies(theta)
+    vectors = {f"updated {label}: {hertz(f)[0]} Hz": _moved(model, x)
+               for label, f, x in zip(data.labels, hz, shapes.T, strict=True)}  # fmt: skip
+    found, remarks = _expanded(problem, model, structural, shapes)
+    if found is not None:
+        seen = model.observation(data.sensors)
+        for label, f, x, y in zip(
+            data.labels, np.asarray(data.frequencies_hz), shapes.T, found.shapes.T, strict=True
+        ):
+            scale = float((seen @ x) @ (seen @ y)) / float(np.sum((seen @ y) ** 2))
+            vectors[f"measured {label}: {given(f)} Hz, expanded"] = _moved(model, scale * y)
+    places = np.asarray(geometry.nodes, dtype=float)
+    elements = np.asarray(geometry.elements).tolist()
+    kinds, ids = ["line"] * len(elements), list(range(len(places)))
+    write_vtu(folder / MESH_MODES, places, elements, kinds, vectors, {"node": np.array(ids)})
+    if find_spec("pyuff") is None:
+        return remarks
+    numbers = range(1, len(data.labels) + 1)
+    corners = [(cell, tuple(ids[node] for node in nodes)) for cell, nodes in cells(elements, kinds)]
+    by_id = dict(zip(ids, places, strict=True))
+    write_uff(folder / UPDATED_MODES, hz, shapes, model.dofs, numbers, places=by_id, elements=corners)
+    if data.shapes is not None:
+        used = dict.fromkeys(place for place, _ in data.sensors)
+        beside = {
+            place: max(ids) + 1 + k for k, place in enumerate(place for place in used if place in model.arms)
+        }
+        tips = {place: by_id[model.arms[place].node] + model.arms[place].offset for place in beside}
+        write_uff(
+            folder / MEASURED_MODES, data.frequencies_hz, data.shapes, data.sensors, numbers,
+            {number: place for place, number in beside.items()},
+            {place: tips[place] if place in tips else by_id[place] for place in used},
+        )  # fmt: skip
+    return remarks
+
+
+def _moved(model: SeparableModel, shape: FloatArray) -> FloatArray:
+    """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), in a shape (n_dof,)."""
+    assert model.geometry is not None
+    moved = np.zeros((len(model.geometry.nodes), 3))
+    for (node, direction), i in model.dof_of.items():
+        if direction in _AXES:
+            moved[node, _AXES.index(direction)] = shape[i]
+    return moved
+
+
+def _expanded(
+    problem: UpdatingProblem, model: SeparableModel, theta: FloatArray, shapes: FloatArray
+) -> tuple[Expanded | None, list[str]]:
+    """Return the measured shapes at all degrees of freedom, if there are any, and warnings about them."""
+    data = problem.data
+    if data.shapes is None:
+        return None, []
+    try:
+        found = expand(model, theta, shapes, data.sensors, data.shapes, data.frequencies_hz)
+    except ValueError as error:
+        return None, [f"The measured shapes are not on the mesh: {error}."]
+    few = [f"{label} ({share(kept)})" for label, kept in zip(data.labels, found.kept, strict=True) if kept < _KEPT]
+    told = (
+        f"Expanded, the measured shapes keep less than {share(_KEPT)} of what was measured: mode {', '.join(few)}."
+    )
+    return found, [told] if few else []
