@@ -53,16 +53,21 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
         ):
             scale = float((seen @ x) @ (seen @ y)) / float(np.sum((seen @ y) ** 2))
             vectors[f"measured {label}: {given(f)} Hz, expanded"] = _moved(model, scale * y)
-    places = np.asarray(geometry.nodes, dtype=float)
-    elements = np.asarray(geometry.elements).tolist()
-    kinds, ids = ["line"] * len(elements), list(range(len(places)))
+    places, ids = np.asarray(geometry.nodes, dtype=float), list(geometry.row_of)
+    elements: list[list[int]] = np.asarray(geometry.elements).tolist()
+    kinds = ["line"] * len(elements)
+    if geometry.kinds:
+        elements = [[geometry.row_of[node] for node in cell] for cell in geometry.cells]
+        kinds = list(geometry.kinds)
     write_vtu(folder / MESH_MODES, places, elements, kinds, vectors, {"node": np.array(ids)})
     if find_spec("pyuff") is None:
         return remarks
     numbers = range(1, len(data.labels) + 1)
     corners = [(cell, tuple(ids[node] for node in nodes)) for cell, nodes in cells(elements, kinds)]
     by_id = dict(zip(ids, places, strict=True))
-    write_uff(folder / UPDATED_MODES, hz, shapes, model.dofs, numbers, places=by_id, elements=corners)
+    motions = [(ids[row], direction) for row, direction, _ in model.located()]
+    seen = model.observation(motions) @ shapes
+    write_uff(folder / UPDATED_MODES, hz, seen, motions, numbers, places=by_id, elements=corners)
     if data.shapes is not None:
         used = dict.fromkeys(place for place, _ in data.sensors)
         beside = {
@@ -72,7 +77,7 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
         write_uff(
             folder / MEASURED_MODES, data.frequencies_hz, data.shapes, data.sensors, numbers,
             {number: place for place, number in beside.items()},
-            {place: tips[place] if place in tips else by_id[place] for place in used},
+            {place: where for place, where in (by_id | tips).items() if place in used},
         )  # fmt: skip
     return remarks
 
@@ -81,9 +86,9 @@ def _moved(model: SeparableModel, shape: FloatArray) -> FloatArray:
     """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), in a shape (n_dof,)."""
     assert model.geometry is not None
     moved = np.zeros((len(model.geometry.nodes), 3))
-    for (node, direction), i in model.dof_of.items():
+    for row, direction, seen_by in model.located():
         if direction in _AXES:
-            moved[node, _AXES.index(direction)] = shape[i]
+            moved[row, _AXES.index(direction)] = sum(weight * shape[i] for i, weight in seen_by.items())
     return moved
 
 

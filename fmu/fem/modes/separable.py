@@ -171,6 +171,10 @@ class Geometry:
         Rows of both ends of each spring, the second one None for the ground.
     ids : ndarray of int, shape (n_nodes,), optional
         Names of the nodes in the degrees of freedom, where they are not the rows.
+    cells : sequence of sequence of int
+        Ids of the nodes of each element of another program's mesh, for exported files.
+    kinds : sequence of str
+        The kind of each: `fmu.formats.models.exported.Mesh`.
     """
 
     nodes: FloatArray
@@ -178,12 +182,16 @@ class Geometry:
     masses: Sequence[int] = ()
     springs: Sequence[tuple[int, int | None]] = ()
     ids: IntArray | None = None
+    cells: Sequence[Sequence[int]] = ()
+    kinds: Sequence[str] = ()
 
     @classmethod
     def of_mesh(cls, mesh: Mesh | ExportedModel) -> Geometry | None:
         """Return the geometry of another program's mesh, with the lines that draw it; None if it is empty."""
         lines = edges(mesh)
-        return cls(mesh.coordinates, lines, ids=mesh.nodes) if len(lines) else None
+        if not len(lines):
+            return None
+        return cls(mesh.coordinates, lines, ids=mesh.nodes, cells=mesh.elements, kinds=mesh.kinds)
 
     @cached_property
     def drawn(self) -> IntArray:

@@ -255,8 +255,12 @@ def match_points(
     """
     if model.geometry is None:
         raise ValueError("model: must know the coordinates of its nodes (it has no geometry)")
-    places = np.asarray(model.geometry.nodes, dtype=float)
-    return match(points, range(len(places)), places, unit, known)
+    geometry = model.geometry
+    moving = {row for row, *_ in model.located()}
+    rows = sorted(moving.union(geometry.drawn.tolist()))  # no node that the mesh has for other purposes
+    names = list(geometry.row_of)
+    places = np.asarray(geometry.nodes, dtype=float)[rows]
+    return match(points, [names[row] for row in rows], places, unit, known)
 
 
 def _by_known(
