@@ -1,11 +1,12 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test test-kernels test-fast lint notebooks notebooks-save bench bench-whole validate mutants clean-environment
+.PHONY: help paper test test-kernels test-fast test-programs lint notebooks notebooks-save bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
 READY_BENCH := .venv/.ready-bench
 READY_FAST := .venv/fast/.ready
+READY_PROGRAMS := .venv/programs/.ready
 
 help:  ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1|/' | column -t -s '|'
@@ -55,6 +56,21 @@ SOLVED := tests/fem/test_solver.py tests/fem/test_modal.py tests/fem/test_massle
 
 test-fast: $(READY_FAST)  ## Run the tests of what factorises sparse matrices with PARDISO
 	OPENBLAS_NUM_THREADS=1 .venv/fast/bin/python -m pytest --numprocesses=auto --quiet $(SOLVED)
+
+# The libraries of other programs' files, and OpenSees, have an environment of their own too.
+$(READY_PROGRAMS): $(READY)
+	.venv/bin/python -m venv .venv/programs
+	.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+	  > "$$(.venv/programs/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/with.pth"
+	.venv/programs/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+	  'ansys-mapdl-reader>=0.56' 'mapdl-archive>=0.4' openseespy meshio
+	touch $(READY_PROGRAMS)
+
+# What reads other programs' files, and what runs these programs: CalculiX, where there is one (ccx).
+OF_PROGRAMS := tests/formats/models tests/config/test_models_of_programs.py
+
+test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or the libraries that read their files
+	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --quiet $(OF_PROGRAMS)
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

@@ -20,6 +20,7 @@ from fmu.formats.matrices.limits import (
     RefusedError,
     chosen,
     entries_within,
+    mirrored,
     rows_within,
 )
 from fmu.types import DIRECTIONS
@@ -88,11 +89,8 @@ def _read(path: Path, variable: str | None) -> Labelled:
         )
     row, column = found[f"{name}_row"], found[f"{name}_column"]
     matrix = sp.csr_array((entries, (row, column)), shape=(n, n))
-    upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
-    if upper.nnz and lower.nnz and upper.multiply(lower.T).nnz:
-        raise RefusedError("must have each pair of entries once (it has both of some)")
     dofs = tuple((int(node), DIRECTIONS[k - 1]) for node, k in zip(nodes, numbers, strict=True))
-    return Labelled(matrix + upper.T + lower.T, dofs)
+    return Labelled(mirrored(matrix), dofs)
 
 
 FORMAT = MatrixFormat((".full",), _read, has_names=True)

@@ -26,6 +26,7 @@ from fmu.formats.matrices.limits import (
     MatrixFormat,
     RefusedError,
     entries_within,
+    mirrored,
     rows_within,
     tables,
     text_blocks,
@@ -71,10 +72,7 @@ def parse(file: BinaryIO, n_dof: int) -> Any:
         last = max(row.max(), column.max()) + 1
         raise RefusedError(f"must have the {n_dof} rows of the .dof file (its last is {last})")
     matrix = sp.csr_array((np.concatenate(entries), (row, column)), shape=(n_dof, n_dof))
-    upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
-    if upper.nnz and lower.nnz:
-        return matrix
-    return sp.csr_array(matrix + upper.T + lower.T)
+    return mirrored(matrix)
 
 
 def names(path: Path) -> list[tuple[int, str]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
@@ -122,6 +123,20 @@ def checked(matrix: Any) -> Any:
         raise ValueError("index pointers must not decrease")
     matrix.check_format(full_check=True)
     return matrix
+
+
+def mirrored(matrix: Any) -> Any:
+    """Return a sparse matrix of which the file has each pair of symmetric entries once, with both, a csr_array.
+
+    Raises
+    ------
+    RefusedError
+        If it has both entries of a pair.
+    """
+    upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
+    if upper.multiply(lower.T).nnz:
+        raise RefusedError("must have each pair of entries once (it has both of some)")
+    return sp.csr_array(matrix + upper.T + lower.T)
 
 
 def text_blocks(file: BinaryIO) -> Iterator[str]:

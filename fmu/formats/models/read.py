@@ -29,7 +29,7 @@ from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
 from fmu.formats.models.assembly import assembled
 from fmu.formats.models.exported import NO_MESH, DofName, ExportedModel, Mesh
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, one_line, shown
 from fmu.types import DIRECTIONS
 
 _DIRECTION = {d: d for d in DIRECTIONS} | {str(k): d for k, d in enumerate(DIRECTIONS, 1)}
@@ -137,12 +137,12 @@ def read_mesh(path: str | Path) -> Mesh:
             warnings.simplefilter("ignore")
             return _FORMAT_OF[suffix].read(path)
     except RefusedError as refused:
-        raise ValueError(f"{path.name}: {refused}") from None
+        raise ValueError(one_line(f"{path.name}: {refused}")) from None
     except MemoryError:
         raise
     except Exception as error:  # whatever a broken file makes the readers raise
         text = str(error) if isinstance(error, ValueError | OSError) else "it is not as such a file has to be"
-        raise ValueError(f"must hold a mesh ({path.name}: {text})") from error
+        raise ValueError(one_line(f"must hold a mesh ({path.name}: {text})")) from error
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
@@ -228,4 +228,4 @@ def _told(argument: str, read: Callable[[], Any]) -> Any:
         return read()
     except ValueError as error:
         text = str(error).removeprefix("variable: ")
-        raise ValueError(f"{argument}: {text}") from error
+        raise ValueError(f"{argument}: {one_line(text)}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from fmu.formats.matrices.limits import (
     RefusedError,
     chosen,
     entries_within,
+    mirrored,
     rows_within,
     text_lines,
 )
@@ -27,7 +29,7 @@ SYMMETRIC = 6
 def _read(path: Path, variable: str | None) -> Labelled:
     """Return a matrix with the nodes and components that its entries name, ascending."""
     forms: dict[str, int] = {}
-    found: dict[str, tuple[list[int], list[int], list[float]]] = {}
+    found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0
     with open(path, "rb") as file:
         for entry, fields in cards(text_lines(file)):
@@ -42,9 +44,9 @@ def _read(path: Path, variable: str | None) -> Labelled:
                     raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
                 continue
             if variable is not None and name != variable:
-                found.setdefault(name, ([], [], []))
+                found.setdefault(name, (array("q"), array("q"), array("d")))
                 continue
-            rows, columns, entries = found.setdefault(name, ([], [], []))
+            rows, columns, entries = found.setdefault(name, (array("q"), array("q"), array("d")))
             column = _place(fields[1], fields[2], name)
             for at in range(4, len(fields) - 2, 4):
                 if fields[at]:
@@ -59,14 +61,9 @@ def _read(path: Path, variable: str | None) -> Labelled:
     places, index = np.unique(np.array(found[name][:2], dtype=np.int64), return_inverse=True)
     rows_within(len(places))
     row_and_column = index.reshape(2, -1)
-    matrix = sp.csr_array((found[name][2], tuple(row_and_column)), shape=(len(places),) * 2)
+    matrix = sp.csr_array((np.array(found[name][2]), tuple(row_and_column)), shape=(len(places),) * 2)
     if forms[name] == SYMMETRIC:
-        upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
-        if upper.multiply(lower.T).nnz:
-            raise RefusedError(
-                f"must have each pair of entries once, as {name} is symmetric (it has both of some)"
-            )
-        matrix = matrix + upper.T + lower.T
+        matrix = mirrored(matrix)
     return Labelled(matrix, tuple((int(at) // 8, DIRECTIONS[int(at) % 8]) for at in places))
 
 
