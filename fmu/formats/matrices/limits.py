@@ -134,7 +134,7 @@ def mirrored(matrix: Any) -> Any:
         If it has both entries of a pair.
     """
     upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
-    if upper.multiply(lower.T).nnz:
+    if upper.astype(bool).multiply(lower.T.astype(bool)).nnz:
         raise RefusedError("must have each pair of entries once (it has both of some)")
     return sp.csr_array(matrix + upper.T + lower.T)
 
