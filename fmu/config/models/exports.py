@@ -16,7 +16,7 @@ from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, TomlTable
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.exports import Export, from_exports
-from fmu.formats.models.read import read_model
+from fmu.formats.models.read import read_mesh, read_model
 from fmu.formats.shown import names_shown
 
 MOST_EXPORTS = 1000
@@ -62,13 +62,16 @@ class ExportsTable(TomlTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Read the exports and return the model; BrokenError if it cannot be built."""
         nominal = self.exports[0].values
-        mesh = None if self.mesh is None else folder / self.mesh
+        try:
+            mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
+        except ValueError as error:
+            raise BrokenError([Mistake("model.mesh", str(error))]) from error
         exports, found = list[Export](), list[Mistake]()
         for i, one in enumerate(self.exports):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
             try:
                 mass = None if one.mass is None else folder / one.mass
-                read = read_model(folder / one.stiffness, mass, mesh if i == 0 else None)
+                read = read_model(folder / one.stiffness, mass, mesh)
                 exports.append(Export(values, read, one.check, one.stiffness))
             except ValueError as error:
                 argument, _, rule = str(error).partition(": ")

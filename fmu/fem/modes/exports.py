@@ -24,7 +24,7 @@ import scipy.sparse as sp
 
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.models.exported import ExportedModel
 from fmu.numbers import hertz, names_in_words, significant
 from fmu.types import BoolArray, FloatArray
@@ -158,7 +158,10 @@ def from_exports(
     if not touched.all():
         name = names[int(np.argmin(touched))]
         raise ValueError(f"exports: {name} must change the matrices (they are the same where it alone differs)")
-    model = SeparableModel(found["stiffness"].terms, found["mass"].terms, exports[0].model.dofs)
+    first = exports[0].model
+    model = SeparableModel(
+        found["stiffness"].terms, found["mass"].terms, first.dofs, Geometry.of_mesh(first), motions=first.motions
+    )
     model.names = names
     said = [sentence for what, one in found.items() for sentence in one.sentences(what, names)]
     model.notes = (*said, *_of_digits(exports[0].model, found["stiffness"]))

@@ -40,7 +40,7 @@ _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
 def read_model(
     path: str | Path,
     mass: str | Path | None = None,
-    mesh: str | Path | None = None,
+    mesh: str | Path | Mesh | None = None,
     dofs: str | Path | None = None,
     variables: tuple[str, str] | None = None,
 ) -> ExportedModel:
@@ -53,8 +53,9 @@ def read_model(
     mass : path, optional
         The mass, where it is in another file than the stiffness. By default that which the program writes beside
         it: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
-    mesh : path, optional
-        Nodes and elements. Nastran's OP4 needs it, for the names of the rows.
+    mesh : path or Mesh, optional
+        Nodes and elements. Nastran's OP4 needs it, for the names of the rows, and any matrices in which nodes have
+        axes of their own.
     dofs : path, optional
         Names of the rows, ``node,direction`` a line, where the matrices have none.
     variables : tuple of str, optional
@@ -73,7 +74,9 @@ def read_model(
         at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``variables:``.
     """
     path = Path(path)
-    found = NO_MESH if mesh is None else _told("mesh", partial(read_mesh, mesh))
+    found = NO_MESH if mesh is None else mesh
+    if not isinstance(found, Mesh):
+        found = _told("mesh", partial(read_mesh, found))
     beside = _mass_beside(path) if mass is None else Path(mass)
     if beside is None:
         names = variables or _told("path", partial(_both, path))
