@@ -33,6 +33,7 @@ from fmu.formats.decks import (
     read_deck,
     write_deck,
 )
+from fmu.formats.models.read import read_beside
 from fmu.numbers import names_in_words, significant
 from fmu.report.files import OutputDirectory
 from fmu.report.mode_files import write_modes
@@ -392,7 +393,9 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
         if kept != name:
             renamed[name] = kept
         (target / kept).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source / name, target / kept)
+        for one in (path, *read_beside(path)):
+            if (source / one).is_file():
+                shutil.copyfile(source / one, target / (kept if one == path else one))
     return renamed
 
 

@@ -208,6 +208,13 @@ def _both(path: Path) -> tuple[str, str]:
     raise ValueError(f"{path.name} holds one matrix: give the other as mass")
 
 
+def read_beside(path: Path) -> list[Path]:
+    """Return the files that are read with a file of a program without being named: its mass, names of its rows."""
+    mass = _mass_beside(path)
+    names = [path.with_suffix(".dof")] if path.suffix.lower() in (".sti", ".mas") else []
+    return [*([] if mass is None else [mass]), *names]
+
+
 def _mass_beside(path: Path) -> Path | None:
     """Return the file of the mass that a program writes beside that of the stiffness; None if both are in one."""
     if path.suffix.lower() == ".sti":
