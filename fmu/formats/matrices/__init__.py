@@ -3,7 +3,16 @@
 Reading order: read, limits; then one file a format.
 """
 
-from fmu.formats.matrices import ansys, calculix, harwell_boeing, hdf5, matlab, matrix_market, numpy_files
+from fmu.formats.matrices import (
+    ansys,
+    calculix,
+    harwell_boeing,
+    hdf5,
+    matlab,
+    matlab_text,
+    matrix_market,
+    numpy_files,
+)
 from fmu.formats.matrices.nastran import dmig, op4
 
 FORMATS = (
@@ -11,6 +20,7 @@ FORMATS = (
     numpy_files.NPZ,
     numpy_files.NPY,
     matlab.FORMAT,
+    matlab_text.FORMAT,
     hdf5.FORMAT,
     harwell_boeing.FORMAT,
     numpy_files.CSV,

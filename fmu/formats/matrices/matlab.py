@@ -26,28 +26,36 @@ from fmu.formats.matrices.limits import (
     fitting,
     rows_within,
 )
+from fmu.types import DIRECTIONS
 
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_SPARSE, _FULL = 5, range(6, 16)
+_STRUCT, _SPARSE, _FULL = 2, 5, range(6, 16)
+_FIELDS = 5
+"""Parts of a struct before its fields: flags, dimensions, name, length of the names of fields, these names."""
 _COMPLEX = 0x0800
+_NAMES = "dofs"
 _NO_PART = (0, memoryview(b""))
 _HEAD = 4096
 """Flags, dimensions and name lie within the first so many bytes."""
 
 
 class _Variable(NamedTuple):
-    """The header of a matrix, and the position of its bytes."""
+    """The header of a matrix, and the position of its bytes; of a struct, and which field it is."""
 
     kind: int
     shape: tuple[int, ...]
     start: int
     size: int
     compressed: bool
+    field: int | None = None
 
 
-def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
-    """Return a matrix of a file.
+def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
+    """Return a matrix of a file, with the names of its rows if the file has them.
+
+    A matrix in a struct is named ``model.K``. The names are a matrix ``dofs`` beside it, a row per degree of
+    freedom: node, and 1 to 6 for x, y, z, rx, ry, rz.
 
     Parameters
     ----------
@@ -59,7 +67,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
 
     Returns
     -------
-    ndarray or scipy.sparse.csc_array
+    Labelled
 
     Raises
     ------
@@ -73,8 +81,32 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
     if order is None:
         raise ValueError("it is not of a version from 5 to 7.3")
     found = dict(_variables(file, n_bytes, order))
-    matrices = [name for name, one in found.items() if max(one.shape) > 1] or list(found)
-    one = found[chosen(matrices if variable is None else list(found), variable)]
+    matrices = [name for name, one in found.items() if max(one.shape) > 1 and not _is_names(name)] or list(found)
+    name = chosen(matrices if variable is None else list(found), variable)
+    matrix, names = (
+        _matrix(file, found[name], order),
+        found.get(name.rpartition(".")[0] + "." * ("." in name) + _NAMES),
+    )
+    if names is None or names.shape != (matrix.shape[0], 2) or _is_names(name):
+        return Labelled(matrix)
+    return Labelled(matrix, _dofs(_matrix(file, names, order)))
+
+
+def _is_names(name: str) -> bool:
+    return name.rpartition(".")[2] == _NAMES
+
+
+def _dofs(table: Any) -> tuple[tuple[int, str], ...]:
+    """Return the names of rows from numbers of nodes and directions, shape (n, 2)."""
+    rows = np.asarray(table.todense() if sp.issparse(table) else table)
+    is_whole = np.all(rows == np.floor(rows)) and np.all(rows >= 1) and np.all(rows < 2**31)
+    if not is_whole or rows[:, 1].max(initial=1) > len(DIRECTIONS):
+        raise RefusedError(f"{_NAMES} must have rows of node and direction, 1 to 6 for {', '.join(DIRECTIONS)}")
+    return tuple((int(node), DIRECTIONS[int(k) - 1]) for node, k in rows)
+
+
+def _matrix(file: BinaryIO, one: _Variable, order: str) -> Any:
+    """Return a matrix, an ndarray or a csc_array."""
     if one.kind & _COMPLEX:
         raise RefusedError("must hold a real matrix (it is complex)")
     rows, columns = one.shape
@@ -82,6 +114,8 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Any:
     if one.kind & 0xFF != _SPARSE:
         entries_within(rows * columns)
     body = _body(file, one)
+    if one.field is not None:
+        body = next(islice(_parts(body, order), one.field, None))[1]
     parts = [_numbers(*part, order) for part in islice(_parts(body, order), 3, 6)]
     if one.kind & 0xFF == _SPARSE:
         if len(parts) < 2 or len(parts[1]) != columns + 1:
@@ -117,8 +151,31 @@ def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, 
         if (flags[0] & 0xFF == _SPARSE or flags[0] & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0:
             name = bytes(next(parts, _NO_PART)[1]).decode("ascii")
             yield name, _Variable(flags[0], tuple(shape), at + 8, size, compressed)
+        elif flags[0] & 0xFF == _STRUCT and shape == [1, 1]:
+            name = bytes(next(parts, _NO_PART)[1]).decode("ascii")
+            whole = _Variable(flags[0], (1, 1), at + 8, size, compressed)
+            for field, one in _fields(_body(file, whole), whole, order):
+                yield f"{name}.{field}", one
         at += 8 + size
     raise RefusedError(f"must hold at most {MOST_NAMES} variables")
+
+
+def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[str, _Variable]]:
+    """Yield the name and the header of every numeric matrix of a struct."""
+    parts = _parts(body, order)
+    length, names = (part for _, part in islice(parts, 3, _FIELDS))
+    width = int(np.frombuffer(length, f"{order}i4")[0])
+    if not 0 < width <= len(names) or len(names) // width > MOST_NAMES:
+        raise ValueError("it has a struct without names of fields")
+    for k in range(len(names) // width):
+        kind, part = next(parts, _NO_PART)
+        if kind != _MATRIX:
+            raise ValueError("it has a struct that is cut short")
+        inner = _parts(part, order, cut=True)
+        flags, shape = (_numbers(*next(inner, _NO_PART), order).tolist() for _ in range(2))
+        if (flags[0] & 0xFF == _SPARSE or flags[0] & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0:
+            field = bytes(names[k * width : (k + 1) * width]).split(b"\0")[0].decode("ascii")
+            yield field, struct._replace(kind=flags[0], shape=tuple(shape), field=_FIELDS + k)
 
 
 def _body(file: BinaryIO, one: _Variable) -> memoryview:
@@ -164,7 +221,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
     with open(path, "rb") as file:
         if file.read(10).startswith((b"MATLAB 7.3", b"\x89HDF")):
             return hdf5.read(path, variable)
-        return Labelled(parse(file, path.stat().st_size, variable))
+        return parse(file, path.stat().st_size, variable)
 
 
 def _write(path: Path, matrix: Any, variable: str) -> None:

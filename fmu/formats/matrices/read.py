@@ -3,21 +3,20 @@
 =====================  ===============================================================================
 ``.mtx``, ``.mtx.gz``  Matrix Market; or the text that Abaqus calls ``.mtx`` (`fmu.formats.matrices.abaqus`)
 ``.npz``, ``.npy``     `scipy.sparse.save_npz`, `numpy.savez`, `numpy.save`
-``.mat``               MATLAB, sparse or full; version 7.3 too, which is HDF5
+``.mat``, ``.m``       MATLAB, sparse or full; version 7.3 too, which is HDF5; text that is not executed
 ``.h5``, ``.hdf5``     HDF5: a dataset, or a group of a sparse matrix's arrays (`fmu.formats.matrices.hdf5`)
 ``.hb``, ``.rsa`` …    Harwell–Boeing, which Ansys writes with ``HBMAT`` (`fmu.formats.matrices.harwell_boeing`)
 ``.csv``               numbers with commas between them
+``.full``              Ansys, with names of the rows (`fmu.formats.matrices.ansys`)
+``.op4``               Nastran, binary or text (`fmu.formats.matrices.nastran.op4`)
+``.pch``, ``.dmig``,   Nastran's DMIG entries, with names of the rows; in the bulk data, too, ``.bdf``,
+``.bdf`` …             ``.dat`` or ``.nas`` (`fmu.formats.matrices.nastran.dmig`)
 ``.sti``, ``.mas``     CalculiX, with names of the rows beside it in ``.dof`` (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
-the process on broken files (``.mat``, ``.mtx``), the readers here are our own.
-
-From Nastran, write the matrices as OP4 by DMAP; pyNastran, which this package does not need, reads OP4::
-
-    from pyNastran.op4.op4 import read_op4
-    for name, (form, matrix) in read_op4("model.op4").items():
-        scipy.io.mmwrite(f"{name}.mtx", scipy.sparse.coo_array(matrix))
+the process on broken files (``.mat``, ``.mtx``), the readers here are our own; Ansys's are read by a library that
+does so too, in a process of its own. pyNastran needs an older NumPy than this package.
 
 A stiffness that is linear in a property p, as in Young's modulus, takes two exports: with K at p = a and at p = b,
 K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) − a K₁.

@@ -17,6 +17,7 @@ Units are the program's: fmu takes them for SI units.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
@@ -195,8 +196,7 @@ def _both(path: Path) -> tuple[str, str]:
         if not isinstance(error.__cause__, SeveralError):
             raise
         names = error.__cause__.names
-        pairs = [(K, M) for K in names for M in names if (K[0], M[0]) in _INITIALS and K[1:] == M[1:]]
-        pairs += [(K, M) for K in names for M in names if (K.lower(), M.lower()) == ("stiffness", "mass")]
+        pairs = [(K, M) for K in names for M in names if _is_pair(K, M)]
         if len(pairs) == 1:
             return pairs[0]
         rule = (
@@ -211,8 +211,19 @@ def _both(path: Path) -> tuple[str, str]:
 def read_beside(path: Path) -> list[Path]:
     """Return the files that are read with a file of a program without being named: its mass, names of its rows."""
     mass = _mass_beside(path)
-    names = [path.with_suffix(".dof")] if path.suffix.lower() in (".sti", ".mas") else []
+    names = [path.with_suffix(end) for end in (".dof", ".12d")] if path.suffix.lower() in (".sti", ".mas") else []
     return [*([] if mass is None else [mass]), *names]
+
+
+def _is_pair(K: str, M: str) -> bool:
+    """Say whether two names are of a stiffness and its mass: ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``."""
+    rest = [re.split(r"[./]", name) for name in (K, M)]
+    if rest[0][:-1] != rest[1][:-1]:
+        return False
+    K, M = rest[0][-1], rest[1][-1]
+    if (K.lower(), M.lower()) == ("stiffness", "mass"):
+        return True
+    return (K[:1], M[:1]) in _INITIALS and K[1:] == M[1:]
 
 
 def _mass_beside(path: Path) -> Path | None:
