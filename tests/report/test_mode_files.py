@@ -6,12 +6,15 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 import pyuff
+import xarray as xr
 
 import fmu
+from fmu.analysis.trace.modal_states import MEAN, START, modal_states
 from fmu.config import load
 from fmu.fem.modes.modal import mac
 from fmu.formats.decks import MEASURED_MODES, MESH_MODES, UPDATED_MODES
 from fmu.formats.modes.vtu import CELLS, write_vtu
+from fmu.report import plots
 from fmu.report.export import export
 from fmu.report.mode_files import write_modes
 from tests.config.conftest import FRAME
@@ -208,3 +211,26 @@ def test_vtk_reads_the_same(written):
         assert (
             mac(np.asarray(grid[name], dtype=float).reshape(-1, 1), expected(problem, k).reshape(-1, 1)) > 1 - 1e-9
         )
+
+
+def test_the_pictures_of_a_report_have_the_expanded_shapes(tmp_path):
+    """Without noise they are those of the model, and at the sensors what was measured."""
+    problem = load(portal(tmp_path, noise=0.0))
+    found = modal_states(problem, {START: problem.start})
+    drawn = found["displacement"].sel(state=START).to_numpy()
+    for k in range(2):
+        whole = found["expanded"].to_numpy()[k]
+        scale = np.sum(whole * drawn[k]) / np.sum(whole**2)
+        assert scale * whole == pytest.approx(drawn[k], abs=1e-9)
+        for place, value in zip(found["place"].to_numpy(), found["measured"].to_numpy()[k], strict=True):
+            node, direction = str(place).split(" ")
+            assert whole[int(node), "xyz".index(direction)] == pytest.approx(value, abs=1e-9 * np.abs(whole).max())
+    figure = plots.plot_mode_shapes(_with_mean(found))[0].figure
+    assert "measured, expanded" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def _with_mean(found):
+    both = xr.concat([found, found.assign_coords(state=[MEAN])], "state", data_vars="minimal")
+    tree = xr.DataTree.from_dict({"modes": both})
+    tree.attrs["sampler"] = "hmc"
+    return tree

@@ -13,6 +13,7 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.reading import has, parameter_draws, with_group
 from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
+from fmu.fem.pairing.expansion import serep
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray
 
@@ -70,8 +71,9 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         ``mac.attrs["reference"]`` says; and ``component`` (state, mode, place), the shapes at the sensors, beside
         ``measured`` (mode, place), if shapes were measured.
         Where its geometry is known too, ``displacement`` (state, mode, node, direction), the largest of each mode
-        being 1 and ``component`` in proportion, and what `sketch_of` draws. Of a structure without geometry
-        ``component`` is at all translations if they are few, the largest of each mode being 1.
+        being 1 and ``component`` in proportion, and what `sketch_of` draws; ``expanded`` (mode, node, direction),
+        the measured shapes in their own scale, expanded by the modes at the posterior mean. Of a structure without
+        geometry ``component`` is at all translations if they are few, the largest of each mode being 1.
 
     Raises
     ------
@@ -124,21 +126,34 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
     if structure.geometry is None:
         return variables | _components(structure, data, shapes)
     sketched = sketch(structure, data.sensors)
-    row_of_drawn = {int(row): i for i, row in enumerate(structure.geometry.drawn)}
-    moved = np.zeros((len(shapes), shapes.shape[2], len(sketched.nodes), 3))
-    for row, direction, seen_by in structure.located():
-        if direction in _AXES and row in row_of_drawn:
-            motion = sum(weight * shapes[:, i] for i, weight in seen_by.items())
-            moved[:, :, row_of_drawn[row], _AXES.index(direction)] = motion
+    moved = _drawn(structure, shapes)
     size = np.max(np.linalg.norm(moved, axis=3), axis=2)
     size[size == 0] = 1.0
     variables |= _sketch_variables(sketched) | _components(structure, data, shapes, size)
     variables["displacement"] = (("state", "mode", "node", "direction"), moved / size[..., None, None])
+    if data.shapes is not None:
+        try:
+            whole = serep(reference, structure.observation(data.sensors), shapes[min(1, len(shapes) - 1)])
+            variables["expanded"] = (("mode", "node", "direction"), _drawn(structure, whole[None])[0])
+        except ValueError:  # too few sensors for so many modes
+            pass
     if "component" in variables:
         sensors = zip(data.sensors, sketched.places[np.array(sketched.kinds) == "sensor"], strict=True)
         site = {_unsigned(sensor): place for sensor, place in sensors}
         variables["site"] = (("place", "direction"), np.array(list(site.values())), {"units": "m"})
     return variables
+
+
+def _drawn(structure: SeparableModel, shapes: FloatArray) -> FloatArray:
+    """Return displacements (states, n_modes, n_nodes, 3) of what is drawn, for shapes (states, n_dof, n_modes)."""
+    assert structure.geometry is not None
+    row_of_drawn = {int(row): i for i, row in enumerate(structure.geometry.drawn)}
+    moved = np.zeros((len(shapes), shapes.shape[2], len(row_of_drawn), 3))
+    for row, direction, seen_by in structure.located():
+        if direction in _AXES and row in row_of_drawn:
+            motion = sum(weight * shapes[:, i] for i, weight in seen_by.items())
+            moved[:, :, row_of_drawn[row], _AXES.index(direction)] = motion
+    return moved
 
 
 def _unsigned(sensor: tuple[Any, str]) -> tuple[Any, str]:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 
 _FLAT = 1e-6
+_EXPANDED = "measured, expanded"
 _SWING = 0.12
 """Largest displacement drawn, relative to the size of the structure."""
 _ONE_COLUMN = 6
@@ -72,7 +73,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
 
 
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
-    """Draw each mode before updating (dashed) and at the posterior mean, and the measured shape (diamonds).
+    """Draw each mode before updating (dashed) and at the posterior mean, and the measured shape (diamonds, dots).
 
     A straight structure is drawn with its largest displacement upwards, any other one from the side or in
     isometric projection with scaled displacements, many modes in two columns. Of a structure without geometry the
@@ -143,12 +144,15 @@ def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
     return (START, "before updating", GREY, "--"), (MEAN, "posterior mean", base, "-")
 
 
-def _measured(one: xr.Dataset) -> FloatArray | None:
-    """Return the measured components of one mode scaled to the posterior mean, NaN where nothing was measured."""
-    if "measured" not in one:
+def _measured(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
+    """Return the measured components of one mode scaled to the posterior mean, NaN where nothing was measured.
+
+    With ``of="expanded"`` the displacements of all nodes, by the same factor.
+    """
+    if of not in one:
         return None
     seen, computed = one["measured"].to_numpy(), one["component"].sel(state=MEAN).to_numpy()
-    return np.asarray(seen * np.nansum(seen * computed) / np.nansum(seen**2))
+    return np.asarray(one[of].to_numpy() * np.nansum(seen * computed) / np.nansum(seen**2))
 
 
 def _measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
@@ -182,6 +186,9 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
         shape = one["displacement"].sel(state=state).to_numpy()
         points = np.stack([coordinates[:, along], upright * shape[:, direction]], axis=1)
         _lines(axis, points, ends, shade, dashes, words)
+    if (whole := _measured(one, "expanded")) is not None:
+        points = np.stack([coordinates[:, along], upright * whole[:, direction]], axis=1)
+        _lines(axis, points, ends, BLACK, ":", _EXPANDED, 1.2)
     if (seen := _measured_at(one)) is not None:
         _mark(axis, np.stack([seen[0][:, along], upright * seen[1][:, direction]], axis=1))
     axis.set_ylim(-1.15, 1.15)
@@ -199,6 +206,8 @@ def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
     for state, words, shade, dashes in _styles(base):
         moved = coordinates + swing * one["displacement"].sel(state=state).to_numpy()
         _lines(axis, moved @ project, ends, shade, dashes, words)
+    if (whole := _measured(one, "expanded")) is not None:
+        _lines(axis, (coordinates + swing * whole) @ project, ends, BLACK, ":", _EXPANDED, 1.2)
     if (seen := _measured_at(one)) is not None:
         _mark(axis, (seen[0] + swing * seen[1]) @ project)
     axis.set_aspect("equal")

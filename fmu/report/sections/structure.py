@@ -234,6 +234,8 @@ def shapes(run: ReportedRun) -> PageSection | Omitted:
     words = "Dashed grey: before updating. Solid: at the posterior mean."
     if "measured" in modes:
         words += " Diamonds: measured, each mode scaled to the posterior mean."
+        if "expanded" in modes:
+            words += " Dotted: expanded, the combination of the modes that is closest (SEREP)."
         alt += " The measured shapes are marked at the sensors."
     drawing = picture(plot_mode_shapes(run.trace), "shapes", alt, words)
     return PageSection("shapes", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))
