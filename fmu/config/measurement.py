@@ -189,9 +189,10 @@ class MeasurementTable(TomlTable):
             Whether no error model says how large errors are.
         """
         given = self._read(folder)
-        if self.geometry is not None:
-            given["points"] = self.geometry.build(folder, built)
-        given["sensors"] = self._sensors(given.get("sensors", ()), built, given.get("points"))
+        points = None if self.geometry is None else self.geometry.build(folder, built)
+        given |= {"points": points} | self._turned(given, points)
+        parallel = points if points is not None and points.is_parallel else None
+        given["sensors"] = self._sensors(given.get("sensors", ()), built, parallel)
         n, most = len(given["frequencies_hz"]), built.most_modes
         if n > most:
             rule = f"must have at most {most} modes, one per degree of freedom of the model (got {n})"
@@ -210,13 +211,31 @@ class MeasurementTable(TomlTable):
             rule = re.sub(r"^(\w+)_hz2?", r"\1", str(error))  # keys of the file have no units in their names
             raise BrokenError([Mistake.of("measurement", rule)]) from None
 
+    def _turned(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
+        """Return sensors and shapes turned into the axes of the model where those of the test are not parallel."""
+        if points is None or points.is_parallel:
+            return {}
+        if given.get("shapes_sd") is not None:
+            rule = "must have axes parallel to the model's, as the scatter of test_shapes is along them"
+            raise BrokenError([Mistake("measurement.geometry", rule)])
+        try:
+            sensors, shapes = points.turned(given.get("sensors", ()), given.get("shapes"))
+        except ValueError as error:
+            raise BrokenError([Mistake(f"measurement.{self._where}", str(error))]) from None
+        return {"sensors": sensors} | ({} if shapes is None else {"shapes": shapes})
+
+    @property
+    def _where(self) -> str:
+        """The key that names the sensors."""
+        return "sensors" if self.sensors else self._source if self._reads_shapes else "shapes_file"
+
     def _sensors(
         self, given: tuple[tuple[Any, str], ...], built: Built, points: Matching | None
     ) -> tuple[tuple[Any, str], ...]:
         """Return sensors of the model for those of the file."""
         sensors, found = [], []
         for i, (place, direction) in enumerate(given):
-            where = f"sensors.{i}" if self.sensors else self._source if self._reads_shapes else "shapes_file"
+            where = f"sensors.{i}" if self.sensors else self._where
             sensor = (built.places.get(str(place), place), str(direction))
             try:
                 sensor = sensor if points is None else points.sensor(place, str(direction))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import pyuff
+from scipy.spatial.transform import Rotation
 
 import fmu
 from fmu.config import ConfigurationError, load
@@ -86,6 +87,25 @@ def test_points_in_the_file_itself(tmp_path):
     assert [direction for _, direction in problem.data.sensors] == ["x", "z"]
     assert np.array_equal(problem.data.points.rotation, np.eye(3))
     assert problem.data.points.table()["distance"].to_list() == pytest.approx([0.0, 0.0, 0.02])
+
+
+def test_a_test_at_an_angle_with_three_components_at_each_point(tmp_path):
+    """The same data as in the axes of the model; without all three components it is refused."""
+    turn = Rotation.from_rotvec([0.2, 0.5, -0.3]).as_matrix()
+    points = {name: turn @ place for name, place in PLACES.items()}
+    motion = np.random.default_rng(2).normal(size=(2, 2, 3))  # modes, points, components in the model's axes
+    seen = np.einsum("ab,mpb->mpa", turn, motion).reshape(2, 6).tolist()
+    write_csv(tmp_path / "points.csv", points)
+    sensors = [[point, axis] for point in ("P3", "P7") for axis in "xyz"]
+    text = f"sensors = {sensors}\nshapes = {seen}"
+    known = f'file = "points.csv"\n{KNOWN}'
+    data = load(frame(tmp_path, text, known)).data
+    assert data.sensors == tuple((node, axis) for node in (3, 4) for axis in "xyz")
+    assert data.shapes == pytest.approx(motion.reshape(2, 6).T, abs=1e-6)
+    with pytest.raises(
+        ConfigurationError, match=r"measurement\.sensors: must be along an axis of the model .* off"
+    ):
+        load(frame(tmp_path, 'sensors = [["P3", "x"]]', known))
 
 
 @pytest.mark.parametrize(

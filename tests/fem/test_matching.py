@@ -79,6 +79,26 @@ def test_any_turn_is_found_with_inaccurate_points(seed):
         found.sensor("P0", "x")
 
 
+def test_three_components_at_a_point_are_turned_together():
+    rotation = Rotation.from_rotvec([0.4, -0.9, 1.7])
+    found = match(points_of(rotation, [1.0, 2.0, 3.0]), NODES, PLACES)
+    motion = np.random.default_rng(3).normal(size=(2, 3, 4))  # of two nodes in the axes of the model, four modes
+    seen = np.einsum("ba,nbm->nam", rotation.as_matrix(), motion)  # along those of the test
+    sensors = [("P3", "x"), ("P3", "-z"), ("P8", "y"), ("P3", "y"), ("P8", "-x"), ("P8", "z")]
+    read = np.stack([seen[0, 0], -seen[0, 2], seen[1, 1], seen[0, 1], -seen[1, 0], seen[1, 2]])
+    turned, shapes = found.turned(sensors, read)
+    nodes = expected()
+    assert turned == tuple(
+        (nodes[k], axis) for k, axis in ((3, "x"), (3, "y"), (8, "x"), (3, "z"), (8, "y"), (8, "z"))
+    )
+    wanted = [motion[0 if node == nodes[3] else 1]["xyz".index(axis)] for node, axis in turned]
+    assert shapes == pytest.approx(np.array(wanted), abs=1e-6)
+    with pytest.raises(ValueError, match=r"or each point must have sensors along all three axes of the test"):
+        found.turned(sensors[:5], read[:5])
+    with pytest.raises(ValueError, match=r"must be a point of the geometry \(got 'Q'\)"):
+        found.turned([("Q", "x")])
+
+
 def test_points_in_the_axes_of_the_model_are_left_alone():
     found = match(points_of(Rotation.identity(), 0.0, noise=0.01), NODES, PLACES)
     assert found.nodes == expected()

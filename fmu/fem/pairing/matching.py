@@ -100,10 +100,47 @@ class Matching:
             angle = significant(np.degrees(np.arccos(abs(along[k]))), 2)
             raise ValueError(
                 f"must be along an axis of the model (got {point} {direction}, whose axis is {angle}° off in the "
-                "alignment): give coordinates and shapes in the model's axes"
+                "alignment), or each point must have sensors along all three axes of the test"
             )
         turned = "-" if sign != (along[k] < 0) else ""
         return self.nodes[self.points.index(str(point))], f"{turned}{kind}{_AXES[k]}"
+
+    @property
+    def is_parallel(self) -> bool:
+        """Whether the axes of the test are parallel to those of the model."""
+        return bool(np.all(np.max(np.abs(self.rotation), axis=0) >= np.cos(np.radians(SNAPPED))))
+
+    def turned(
+        self, sensors: Sequence[tuple[Any, str]], shapes: ArrayLike | None = None
+    ) -> tuple[tuple[tuple[Any, str], ...], FloatArray | None]:
+        """Return sensors at nodes along the axes of the model, and shapes (n_sensors, n_modes) as they read them.
+
+        Where the axes of the test are not parallel to those of the model, the three components at each point are
+        turned together.
+
+        Raises
+        ------
+        ValueError
+            If there is no such point; or the axes are not parallel, and a point has not all three components once.
+        """
+        values = None if shapes is None else np.array(shapes, dtype=float)
+        if self.is_parallel:
+            return tuple(self.sensor(*sensor) for sensor in sensors), values
+        found = list(sensors)
+        groups: dict[tuple[str, str], list[int]] = {}
+        for i, (point, direction) in enumerate(sensors):
+            groups.setdefault((str(point), direction.lstrip("-")[:-1]), []).append(i)
+        for (point, kind), rows in groups.items():
+            axes = [_AXES.index(sensors[i][1][-1]) for i in rows]
+            if point not in self.points or sorted(axes) != [0, 1, 2]:
+                self.sensor(*sensors[rows[0]])  # says what is wrong
+                raise ValueError(f"must be along all three axes of the test at every point (got {point})")
+            sign = np.array([-1.0 if sensors[i][1].startswith("-") else 1.0 for i in rows])
+            if values is not None:
+                values[rows] = self.rotation[:, axes] @ (sign[:, None] * values[rows])
+            for i, axis in zip(rows, _AXES, strict=True):
+                found[i] = self.nodes[self.points.index(point)], f"{kind}{axis}"
+        return tuple(found), values
 
     def table(self) -> pd.DataFrame:
         """Return one row per point: ``node``, ``distance`` and ``spacing`` in m."""
