@@ -105,8 +105,8 @@ def _nowhere(problem: Problem, n: int) -> str:
     if len(still):
         labels = names_in_words([str(problem.data.labels[k]) for k in still])
         why = (
-            f": mode {labels} has no frequency above 0 Hz at the start. By number, rigid-body motions count as modes: "
-            "give the numbers of the measured modes"
+            f": mode {labels} has no frequency above 0 Hz at the start. By number, rigid-body motions count as "
+            "modes: give the numbers of the measured modes"
         )
     return f"problem: the log-probability must have a finite gradient at one of {n} starts (got none{why})"
 

@@ -154,7 +154,8 @@ def test_groups_are_those_that_are_close_in_test_or_model():
 
 def test_alike_shapes_are_told_whatever_the_model():
     phi = chain()
-    measured = np.stack([phi[:, 0], phi[:, 0] + 0.3 * phi[:, 1]], axis=1)
-    (sentence,) = found(measured, phi[:, :2]).doubts_of_modes()
+    near, nearer = (np.stack([phi[:, 0], phi[:, 0] + s * phi[:, 1]], axis=1) for s in (0.4, 0.2))
+    (sentence,) = found(nearer, phi[:, :2]).doubts_of_modes()
     assert sentence.startswith("The measured shapes of modes 1 and 2 are alike at the sensors (AutoMAC 0.9")
+    assert found(near, phi[:, :2]).doubts_of_modes() == []
     assert found(phi, phi).doubts_of_modes() == []

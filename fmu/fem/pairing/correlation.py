@@ -27,8 +27,8 @@ CLOSE = 0.01
 """Two frequencies closer than this, relatively, are hard to tell apart."""
 ALIKE = 0.8
 """With a MAC below this, two shapes hardly belong to the same mode."""
-ALIASED = 0.5
-"""With an AutoMAC above this, the sensors hardly tell two measured shapes apart."""
+ALIASED = 0.9
+"""With an AutoMAC above this, the sensors see two measured modes as one."""
 SUSPECT, TIMES = 0.1, 3.0
 """A sensor is doubted if its ECoMAC exceeds this, and the median over all sensors so many times."""
 LOOK_AT_SENSORS = (
