@@ -51,11 +51,14 @@ _ONE_TRUST = "must have either sd or beta or covariance"
 
 _IN_A_FILE: dict[Any, Any] = {
     Path: FileName,
+    Path | None: FileName | None,
     Mapping[int, Place] | None: dict[NodeNumber, Place] | None,
     Sensors: None,
     Sensors | None: None,
 }
 """TOML types of a reader's arguments. Sensors are not a key of its table, but of ``[measurement]``."""
+_FILES = ("file", "deck")
+"""Arguments of readers that name files."""
 
 
 def _of_reader(key: str, read: Callable[..., Any]) -> Any:
@@ -65,7 +68,7 @@ def _of_reader(key: str, read: Callable[..., Any]) -> Any:
 
 @with_keys({key: _of_reader(key, read) for key, read in READERS.items()})
 class MeasurementTable(TomlTable):
-    """The modes measured, from one of ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff`` and ``oma``.
+    """The modes measured: ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff``, ``oma`` or ``f06``.
 
     The frequency errors are given by ``sd`` in Hz, ``beta`` = 1/(2 sd²) or ``covariance`` in Hz², which replace
     those of a file. ``tests`` are repeated tests, one row per test, nan where it missed a mode; their scatter
@@ -278,7 +281,8 @@ class MeasurementTable(TomlTable):
         with _at(f"measurement.{self._source}"):
             if self._source in READERS:
                 table: Declared = getattr(self, self._source)
-                return dict(vars(table.build(file=folder / table.given()["file"], **options)))
+                files = {key: folder / str(given) for key, given in table.given().items() if key in _FILES}
+                return dict(vars(table.build(**files, **options)))
             if self.file is not None:
                 return dict(vars(read_frequencies(folder / self.file)))
             values, labels = read_tests(folder / str(self.tests_file))

@@ -126,6 +126,31 @@ def write_files(source, folder):
             )  # fmt: skip
         text = "".join(one.write_card(8) for one in model.dmig.values())
         (folder / f"{name}.pch").write_text("$TITLE   = PORTAL\n" + text)
+    write_modes(K, M, T, folder / "turned.f06")
+
+
+def write_modes(K, M, T, path):
+    """Print four modes along the axes T of the nodes."""
+    from pyNastran.op2.tables.lama_eigenvalues.lama_objects import RealEigenvalues
+    from pyNastran.op2.tables.oug.oug_eigenvectors import RealEigenvectorArray
+    from scipy.linalg import eigh
+
+    free, n = np.flatnonzero(K.diagonal()), 4
+    squares, vectors = eigh(K[np.ix_(free, free)], M[np.ix_(free, free)])
+    omega = np.sqrt(squares[:n])
+    shapes = np.zeros((n, 30))
+    shapes[:, free] = vectors[:, :n].T
+    table = RealEigenvalues("PORTAL", "REAL EIGENVALUES", n)
+    for k in range(n):
+        row = (k + 1, k + 1, squares[k], omega[k], omega[k] / (2.0 * np.pi), 1.0, squares[k])
+        table.add_f06_line(row, k)
+    nodes = np.array([[node, 1] for node in IDS])
+    modes = RealEigenvectorArray.add_modal_case(
+        "OUGV1", nodes, (shapes @ T.T).reshape(n, 5, 6), 1, np.arange(1, n + 1), squares[:n], omega / (2.0 * np.pi)
+    )
+    with open(path, "w") as file:
+        table.write_f06(file, ["1    PORTAL\n", "\n"], "1    PAGE %s\n", 1)
+        modes.write_f06(file, ["1    PORTAL\n", "\n"], "1    PAGE %s\n", 2)
 
 
 if __name__ == "__main__":
