@@ -265,7 +265,7 @@ def test_a_problem_whose_gradient_is_no_number_is_doubtful():
 def test_a_prior_that_misses_its_bounds_is_a_warning():
     """A mean left out; with it the warning is gone."""
     data = ModalData([101.0, 99.5, 102.0])
-    for prior, is_doubted in ((fmu.Normal(0.1), True), (fmu.Normal(0.1, 1.0), False)):
+    for prior, is_doubted in ((fmu.Normal(0.1), True), (fmu.Normal(0.1, mean=1.0), False)):
         parameters = [Parameter(name, 1.0, 0.5, 1.5, prior) for name in ("a", "b")]
         found = check(UpdatingProblem(LinearModel(), data, parameters), draws=20)
         assert any("a and b are centred on 0" in doubt for doubt in found.doubts) == is_doubted
@@ -273,7 +273,7 @@ def test_a_prior_that_misses_its_bounds_is_a_warning():
 
 
 def test_assumptions_are_part_of_what_is_found():
-    parameters = [Parameter(name, 1.0, 0.5, 1.5, fmu.Normal(0.1, 1.0)) for name in ("a", "b")]
+    parameters = [Parameter(name, 1.0, 0.5, 1.5, fmu.Normal(0.1, mean=1.0)) for name in ("a", "b")]
     problem = UpdatingProblem(LinearModel(), ModalData([101.0, 99.5, 102.0], sd_hz=0.2), parameters)
     found = check(problem, draws=20)
     text = " ".join(str(found).split())

@@ -48,8 +48,8 @@ class Storeys:
 
 
 PRIORS = {
-    "normal": (Normal(0.3, 1.0), 0.2, 4.0),
-    "truncated": (Normal(0.8, 1.0), 0.8, 1.4),
+    "normal": (Normal(0.3, mean=1.0), 0.2, 4.0),
+    "truncated": (Normal(0.8, mean=1.0), 0.8, 1.4),
     "log-normal": (LogNormal(1.0, 0.6), 0.0, np.inf),
     "uniform": (Uniform(), 0.5, 1.5),
 }

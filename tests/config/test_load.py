@@ -59,7 +59,7 @@ def portal():
     data = fmu.ModalData([9.5, 12.1], sensors=((3, "x"), (4, "y")))
     parameters = [
         Parameter("E legs", 2.1e11, 1.5e11, 2.5e11, unit="N/m²"),
-        Parameter("rho beam", 7850.0, 5000.0, 9000.0, Normal(500.0, 7850.0)),
+        Parameter("rho beam", 7850.0, 5000.0, 9000.0, Normal(500.0, mean=7850.0)),
     ]
     beta = 0.5 / np.array([0.1, 0.2]) ** 2
     return fmu.UpdatingProblem(model, data, parameters, pairing="index", beta=beta)

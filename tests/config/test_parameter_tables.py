@@ -15,7 +15,7 @@ prior = { distribution = "normal", mean = 7850.0, sd = 500.0 }
 PRIORS = {
     "": ("lower = 1.0\nupper = 9e3", fmu.Uniform(), 1.0, 9e3),
     "uniform": ("lower = 1.0\nupper = 9e3", fmu.Uniform(), 1.0, 9e3),
-    "normal, mean = 7e3, sd = 500": ("lower = 1.0", fmu.Normal(500.0, 7e3), 1.0, np.inf),
+    "normal, mean = 7e3, sd = 500": ("lower = 1.0", fmu.Normal(500.0, mean=7e3), 1.0, np.inf),
     "truncated-normal, sd = 500.0": ("lower = 7e3\nupper = 8e3", fmu.Normal(500.0), 7e3, 8e3),
     "half-normal, sd = 900.0, at = 7000.0": ("", fmu.HalfNormal(900.0, 7e3), 7e3, np.inf),
     "half-normal, sd = 9e3": ("lower = 1.0", fmu.HalfNormal(9e3), 1.0, np.inf),

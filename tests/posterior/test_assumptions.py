@@ -29,7 +29,7 @@ def storeys(error=None, pairing="shape", shapes=None, beta=None, **data):
     )
     sensors = [("1", "x"), ("2", "x")] if shapes is not None else []
     modes = ModalData(MEASURED, sensors=sensors, shapes=shapes, **data)
-    parameters = [Parameter("k", 1.0, 0.5, 2.0, Normal(0.2, 1.0))]
+    parameters = [Parameter("k", 1.0, 0.5, 2.0, Normal(0.2, mean=1.0))]
     settings = {} if error is None else {"error": error}
     return UpdatingProblem(model, modes, parameters, pairing=pairing, beta=beta, **settings)
 

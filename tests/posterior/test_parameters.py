@@ -29,9 +29,9 @@ def test_groups_share_their_alpha():
 
 
 MIXED = [
-    Parameter("a", 1.0, 0.0, 2.0, prior=Normal(0.7, 0.3)),
+    Parameter("a", 1.0, 0.0, 2.0, prior=Normal(0.7, mean=0.3)),
     Parameter("b", 0.0, -1.0, 1.0, prior=Uniform()),
-    Parameter("c", 3.0, prior=Normal(2.0, 4.0)),
+    Parameter("c", 3.0, prior=Normal(2.0, mean=4.0)),
     Parameter("d", -6.0, upper=-5.0, prior=Normal(1.0)),
     Parameter("e", 1.0, 0.5, prior=LogNormal(2.0, 0.5)),
     Parameter("f", 1.0, prior=HalfNormal(3.0)),

@@ -42,14 +42,14 @@ def test_the_doubt_of_a_mean_left_out_turns_with_the_mass_between_the_bounds(sd)
 @pytest.mark.parametrize("mean", np.linspace(0.5e11, 3.9e11, 35))
 def test_the_doubt_of_a_centre_outside_turns_one_sd_from_the_bounds(mean):
     sd = 5e10
-    doubts = prior_doubts([modulus(Normal(sd, mean))])
+    doubts = prior_doubts([modulus(Normal(sd, mean=mean))])
     assert bool(doubts) == (mean < LOWER - sd or mean > UPPER + sd)
     side = "lower" if mean < LOWER else "upper"
     assert all(f"presses the parameter against the {side} bound" in doubt for doubt in doubts)
     assert not any("no mean is given" in doubt for doubt in doubts)
 
 
-@pytest.mark.parametrize("prior", [Normal(1e13, 2.1e11), Normal(1e13), LogNormal(2.1e11, 9.0)])
+@pytest.mark.parametrize("prior", [Normal(1e13, mean=2.1e11), Normal(1e13), LogNormal(2.1e11, 9.0)])
 def test_a_prior_so_wide_that_only_the_bounds_say_something(prior):
     (doubt,) = prior_doubts([modulus(prior)])
     assert "much wider than the bounds" in doubt
@@ -60,16 +60,22 @@ def test_a_prior_so_wide_that_only_the_bounds_say_something(prior):
 @pytest.mark.parametrize(("sd", "doubted"), [(0.05, True), (7.9e6, True), (8.1e6, False), (1e10, False)])
 def test_a_relative_sd_where_one_in_the_unit_of_the_parameter_is_meant(sd, doubted):
     """1e-4 of the range of 80 GPa is 8e6 N/m²; without bounds, of the centre."""
-    doubts = prior_doubts([modulus(Normal(sd, 2.4e11))])
+    doubts = prior_doubts([modulus(Normal(sd, mean=2.4e11))])
     assert bool(doubts) == doubted
     assert all(f"a standard deviation of {sd:.2g} N/m²".replace("e+0", "e") in doubt for doubt in doubts if sd < 1)
-    assert prior_doubts([modulus(Normal(0.05, 2.4e11), lower=-np.inf, upper=np.inf)])
-    assert not prior_doubts([modulus(Normal(2.5e7, 2.4e11), lower=-np.inf, upper=np.inf)])
+    assert prior_doubts([modulus(Normal(0.05, mean=2.4e11), lower=-np.inf, upper=np.inf)])
+    assert not prior_doubts([modulus(Normal(2.5e7, mean=2.4e11), lower=-np.inf, upper=np.inf)])
 
 
 @pytest.mark.parametrize(
     "prior",
-    [Uniform(), Normal(2e10, 2.1e11), LogNormal(2.1e11, 0.1), HalfNormal(3e11), ScaledBeta(2.0, 2.0, 1e11, 3e11)],
+    [
+        Uniform(),
+        Normal(2e10, mean=2.1e11),
+        LogNormal(2.1e11, 0.1),
+        HalfNormal(3e11),
+        ScaledBeta(2.0, 2.0, 1e11, 3e11),
+    ],
 )
 def test_priors_that_fit_are_not_doubted(prior):
     assert prior_doubts([modulus(prior)]) == []
@@ -99,7 +105,7 @@ def test_what_the_priors_of_the_paper_are_is_said():
     assert 100 * (norm.cdf(1.25) - norm.cdf(0.85)) == pytest.approx(9.2, abs=0.05)
 
 
-@pytest.mark.parametrize("prior", [Uniform(), Normal(2.0, 1.0), HalfNormal(3.0), LogNormal(2.0, 0.1),
+@pytest.mark.parametrize("prior", [Uniform(), Normal(2.0, mean=1.0), HalfNormal(3.0), LogNormal(2.0, 0.1),
                                    ScaledBeta(2.0, 3.0, 0.0, 4.0)])  # fmt: skip
 def test_a_prior_from_its_description(prior):
     assert prior_of(prior.as_dict()) == prior

@@ -52,10 +52,10 @@ def test_normal_is_normalised_over_its_bounds(prior, a, b):
 
 
 def test_log_mass_in_closed_form():
-    assert Normal(2.0, 1.0).log_mass(-INF, INF) == 0.0
-    assert Normal(2.0, 1.0).log_mass(1.0, INF) == pytest.approx(np.log(0.5), rel=1e-14)
-    assert Normal(2.0, 1.0).log_mass(81.0, INF) == pytest.approx(log_ndtr(-40.0), rel=1e-14)
-    assert Normal(2.0, 1.0).log_mass(-INF, -79.0) == Normal(2.0, 1.0).log_mass(81.0, INF)
+    assert Normal(2.0, mean=1.0).log_mass(-INF, INF) == 0.0
+    assert Normal(2.0, mean=1.0).log_mass(1.0, INF) == pytest.approx(np.log(0.5), rel=1e-14)
+    assert Normal(2.0, mean=1.0).log_mass(81.0, INF) == pytest.approx(log_ndtr(-40.0), rel=1e-14)
+    assert Normal(2.0, mean=1.0).log_mass(-INF, -79.0) == Normal(2.0, mean=1.0).log_mass(81.0, INF)
     assert Uniform().log_mass(-1.0, 3.0) == pytest.approx(np.log(4.0))
 
 
@@ -94,8 +94,8 @@ def test_draws_repeat_with_the_generator():
 
 
 def test_affine_coordinates_of_order_one():
-    assert Normal(2.0, 1.0).scale(-3.0, 5.0) == (-3.0, 8.0)
-    assert Normal(2.0, 1.0).scale(-INF, 5.0) == (1.0, 2.0)
+    assert Normal(2.0, mean=1.0).scale(-3.0, 5.0) == (-3.0, 8.0)
+    assert Normal(2.0, mean=1.0).scale(-INF, 5.0) == (1.0, 2.0)
     assert Uniform().scale(-3.0, 5.0) == (-3.0, 8.0)
 
 
@@ -112,7 +112,7 @@ def test_affine_coordinates_of_order_one():
     ],
 )
 def test_box_of_a_normal_prior(lower, upper, expected):
-    assert Normal(2.0, 1.0).box(lower, upper) == expected
+    assert Normal(2.0, mean=1.0).box(lower, upper) == expected
 
 
 def test_box_of_a_uniform_prior():
@@ -121,11 +121,11 @@ def test_box_of_a_uniform_prior():
 
 def test_alpha_is_one_over_the_variance():
     assert Normal.from_alpha(1 / 25e-18).sd == pytest.approx(5e-9, rel=1e-14)
-    assert Normal.from_alpha(4.0, mean=3.0) == Normal(0.5, 3.0)
+    assert Normal.from_alpha(4.0, mean=3.0) == Normal(0.5, mean=3.0)
 
 
 def test_priors_describe_themselves():
-    assert Normal(2.0, 1.0).as_dict() == {"distribution": "normal", "mean": 1.0, "sd": 2.0}
+    assert Normal(2.0, mean=1.0).as_dict() == {"distribution": "normal", "mean": 1.0, "sd": 2.0}
     assert Uniform().as_dict() == {"distribution": "uniform"}
 
 

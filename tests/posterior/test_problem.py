@@ -13,12 +13,12 @@ from fmu.posterior.priors.base import Normal, Uniform
 from fmu.posterior.problem import UpdatingProblem
 
 BOUNDED = (
-    Parameter("k0", 2.0, 1.0, 4.0, prior=Normal(1.0, 2.0), unit="N/m"),
+    Parameter("k0", 2.0, 1.0, 4.0, prior=Normal(1.0, mean=2.0), unit="N/m"),
     Parameter("k1", 1.5, 0.5, 3.0, prior=Uniform(), unit="N/m"),
 )
 UNBOUNDED = (
-    Parameter("k0", 2.0, prior=Normal(0.3, 2.0)),
-    Parameter("k1", 1.5, lower=-5.0, prior=Normal(0.3, 1.5)),
+    Parameter("k0", 2.0, prior=Normal(0.3, mean=2.0)),
+    Parameter("k1", 1.5, lower=-5.0, prior=Normal(0.3, mean=1.5)),
 )
 MEASURED = ModalData([0.1, 0.2])
 
@@ -151,7 +151,7 @@ def test_failed_solves_are_recorded(oscillators):
 
 
 def test_model_of_any_kind(oscillators):
-    parameters = [Parameter("a", 1.0, 0.5, 4.0), Parameter("b", 1.0, prior=Normal(2.0, 1.0))]
+    parameters = [Parameter("a", 1.0, 0.5, 4.0), Parameter("b", 1.0, prior=Normal(2.0, mean=1.0))]
     problem = UpdatingProblem.reduced(oscillators(2), ModalData([1.0, 1.5]), parameters, beta=[2.0, 1.0])
     theta = np.array([2.0, 3.0])
     expected = -2 * (np.sqrt(2) - 1) ** 2 - (np.sqrt(3) - 1.5) ** 2 + 0.5 * np.log(2 / np.pi**2)
@@ -193,7 +193,7 @@ def test_a_batch_changes_no_bit(load_case, case, pairing):
 
 
 def test_a_batch_changes_no_bit_with_many_parameters_and_modes(oscillators):
-    parameters = [Parameter(f"p{i}", 1.0, 0.5, prior=Normal(2.0, 1.0)) for i in range(20)]
+    parameters = [Parameter(f"p{i}", 1.0, 0.5, prior=Normal(2.0, mean=1.0)) for i in range(20)]
     problem = UpdatingProblem.reduced(oscillators(20), ModalData(np.linspace(1, 2, 20)), parameters)
     theta = problem.sample_prior(np.random.default_rng(7), 50)
     assert_array_equal(problem.log_prob(theta), [problem.log_prob(row) for row in theta])

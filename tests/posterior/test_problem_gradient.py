@@ -100,7 +100,7 @@ def test_value_beside_the_gradient_is_the_log_probability(load_case):
 @pytest.mark.parametrize("beta", [3.0, [1.0, 50.0]])
 def test_gradient_with_priors_and_vector_beta(chain, beta, reduction):
     parameters = [
-        Parameter("a", 2.0, 1.0, 4.0, prior=Normal(0.2, 1.7)),
+        Parameter("a", 2.0, 1.0, 4.0, prior=Normal(0.2, mean=1.7)),
         Parameter("b", 1.5, 0.5, 3.0, prior=Uniform()),
     ]
     problem = UpdatingProblem.reduced(

@@ -90,7 +90,7 @@ def test_gradient_against_differences(beam, data):
 def parameters(**changes):
     names, units = ("E", "I", "rho"), ("N/m²", "m⁴", "kg/m³")
     return [
-        Parameter(n, start=t, lower=0.6 * t, upper=1.6 * t, prior=Normal(t, t), unit=u, **changes)
+        Parameter(n, start=t, lower=0.6 * t, upper=1.6 * t, prior=Normal(t, mean=t), unit=u, **changes)
         for n, t, u in zip(names, THETA, units, strict=True)
     ]
 
@@ -121,7 +121,9 @@ def test_measured_shapes_pair_by_shape(beam, data):
 
 
 def test_a_theta_without_stiffness_is_no_exception(beam, data):
-    unbounded = [Parameter(n, start=t, prior=Normal(t, t)) for n, t in zip(("E", "I", "rho"), THETA, strict=True)]
+    unbounded = [
+        Parameter(n, start=t, prior=Normal(t, mean=t)) for n, t in zip(("E", "I", "rho"), THETA, strict=True)
+    ]
     problem = UpdatingProblem(beam, data, unbounded, error="modal-residual")
     assert problem.log_prob(np.array([0.0, 0.0, 1.0])) == -np.inf
     assert problem.log_prob_and_grad(np.array([0.0, 0.0, 1.0]))[0] == -np.inf

@@ -38,7 +38,7 @@ def building(change=None, mpc=None, sd=0.02):
         mpc=mpc,
         labels=("1", "2", "3", "4"),
     )
-    parameters = [fmu.Parameter(name, 1.0, 0.5, 2.0, prior=fmu.Normal(1.0, 0.2)) for name in ("k1", "k2")]
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 2.0, prior=fmu.Normal(0.2, mean=1.0)) for name in ("k1", "k2")]
     return fmu.UpdatingProblem(model, data, parameters, name="floors")
 
 

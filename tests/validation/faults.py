@@ -690,8 +690,8 @@ IN_SEVERAL_TESTS = (
     Fault(
         "damage: the spike is as wide as the slab",
         "fmu/posterior/priors/spike_and_slab.py",
-        "spike, slab = (Normal(sd, self.mean).log_pdf(x) for sd in (self.spike, self.sd))",
-        "spike, slab = (Normal(sd, self.mean).log_pdf(x) for sd in (self.sd, self.sd))",
+        "spike, slab = (Normal(sd, mean=self.mean).log_pdf(x) for sd in (self.spike, self.sd))",
+        "spike, slab = (Normal(sd, mean=self.mean).log_pdf(x) for sd in (self.sd, self.sd))",
         ("tests/posterior/test_priors.py",),
     ),
     Fault(

@@ -126,7 +126,7 @@ def _covered(rng: np.random.Generator) -> dict[str, Any]:
     names = [f"k{i + 1}" for i in range(storeys)]
     population = fmu.Population(sd=fmu.HalfNormal(0.1))
     # bounds far from the priors: what they cut off is neither in the truth nor in the model
-    parameters = [fmu.Parameter(name, 1.0, 0.3, 2.5, prior=fmu.Normal(0.1, 1.0)) for name in names]
+    parameters = [fmu.Parameter(name, 1.0, 0.3, 2.5, prior=fmu.Normal(0.1, mean=1.0)) for name in names]
     mean, sd = 1.0 + 0.1 * rng.standard_normal(storeys), np.abs(0.1 * rng.standard_normal(storeys))
     ends = (0.3 - mean) / sd, (2.5 - mean) / sd
     values = truncnorm.rvs(*ends, mean, sd, size=(N_TESTS + 1, storeys), random_state=rng)
@@ -168,11 +168,11 @@ def _states(rng: np.random.Generator, losses: FloatArray, degrees: Any, as_covar
         shapes = shapes + 0.02 * rng.standard_normal(shapes.shape)
         data = fmu.ModalData(f, sensors=floors, shapes=shapes, sd_hz=0.01 * f, shapes_sd=0.02)
         tests.append(fmu.Test(f"t{t}", data, group=state, covariates={PER_DEGREE: celsius}))
-    slopes = {name: {PER_DEGREE: fmu.Normal(0.002, -0.003)} for name in names} if as_covariate else {}
+    slopes = {name: {PER_DEGREE: fmu.Normal(0.002, mean=-0.003)} for name in names} if as_covariate else {}
     problem = fmu.JointProblem(
         model,
         tests,
-        [fmu.Parameter(name, 1.0, 0.3, 2.5, prior=fmu.Normal(0.1, 1.0)) for name in names],
+        [fmu.Parameter(name, 1.0, 0.3, 2.5, prior=fmu.Normal(0.1, mean=1.0)) for name in names],
         varies=dict.fromkeys(names, fmu.Damage(prior=fmu.Uniform())),
         slopes=slopes,
         error=ERRORS,

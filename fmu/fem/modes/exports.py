@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
 from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.models.exported import ExportedModel
@@ -164,7 +164,7 @@ def from_exports(
     )
     model.names = names
     said = [sentence for what, one in found.items() for sentence in one.sentences(what, names)]
-    model.notes = (*said, *_of_digits(exports[0].model, found["stiffness"]))
+    model.notes = (*first.notes, *said, *_of_digits(first, found["stiffness"]))
     return model
 
 
@@ -175,7 +175,10 @@ def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
     deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
     """
     K, M = nominal.stiffness, nominal.mass
-    eigenvalues, shapes = eigen(K, M, min(_RIGID + 1, K.shape[0]))
+    try:
+        eigenvalues, shapes = eigen(K, M, min(_RIGID + 1, K.shape[0]))
+    except SingularMassError:  # too few masses: told where the model is checked
+        return []
     elastic = np.flatnonzero(~is_rigid(eigenvalues))
     if not len(elastic):
         return []

@@ -8,7 +8,7 @@ instead of 480 µs, and a thousand draws 0.1 ms instead of 2 ms.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -107,11 +107,11 @@ class Normal(Prior):
     sd : float
         Standard deviation in the parameter's unit.
     mean : float
-        The paper's centre is 0.
+        By name, since a mean is often given first. The paper's centre is 0.
     """
 
     sd: Positive
-    mean: float = 0.0
+    mean: float = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         require_positive("sd", self.sd)

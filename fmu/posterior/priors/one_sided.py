@@ -72,7 +72,7 @@ class HalfNormal(Prior):
     @cached_property
     def gaussian(self) -> Normal:
         """The whole Gaussian."""
-        return Normal(self.sd, self.at)
+        return Normal(self.sd, mean=self.at)
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class LogNormal(Prior):
     @cached_property
     def gaussian(self) -> Normal:
         """The Gaussian distribution of log x."""
-        return Normal(self.sigma, float(np.log(self.median)))
+        return Normal(self.sigma, mean=float(np.log(self.median)))
 
 
 def _log(bound: float) -> float:

@@ -55,7 +55,7 @@ class SpikeAndSlab(InvertedPrior):
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return the normalised log-density."""
-        spike, slab = (Normal(sd, self.mean).log_pdf(x) for sd in (self.spike, self.sd))
+        spike, slab = (Normal(sd, mean=self.mean).log_pdf(x) for sd in (self.spike, self.sd))
         return np.asarray(np.logaddexp(spike + np.log1p(-self.share), slab + np.log(self.share)))
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:

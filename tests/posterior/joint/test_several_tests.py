@@ -11,7 +11,7 @@ from fmu.posterior.joint.joint_problem import TestsError
 
 STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
 MASS = np.diag([1000.0, 1000.0])
-K1 = fmu.Parameter("k1", 2e6, 1e6, 3e6, prior=fmu.Normal(3e5, 2e6), unit="N/m")
+K1 = fmu.Parameter("k1", 2e6, 1e6, 3e6, prior=fmu.Normal(3e5, mean=2e6), unit="N/m")
 K2 = fmu.Parameter("k2", 2e6, 1e6, 3e6, unit="N/m")
 SENSORS = ((0, "x"), (1, "x"))
 
