@@ -174,7 +174,8 @@ class MatricesTable(TomlTable):
             try:
                 found = assembled(read, len(self.stiffness), [self._at(k) for k in range(len(read))], mesh)
                 if self.mesh is not None:
-                    require_nodes(found.dofs, found.motions, mesh)
+                    files = [Path(table.file) for _, table in self._terms() if table.file is not None]
+                    require_nodes(found.dofs, found.motions, mesh, files)
             except ValueError as error:
                 where, _, rule = str(error).partition(": ")
                 raise BrokenError([Mistake("model.mesh" if where == "mesh" else where, rule)]) from error

@@ -104,7 +104,7 @@ def parse(lines: Iterator[str]) -> Mesh:
     return mesh_of(nodes, elements, kinds, notes)
 
 
-TRANSFORMED = "The deck has *TRANSFORM: motions are taken along global axes, as CalculiX has them."
+TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes, as CalculiX writes them."
 
 
 def kind_of(name: str) -> tuple[str, int]:

@@ -30,6 +30,7 @@ from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
 from fmu.formats.models.assembly import assembled
 from fmu.formats.models.exported import NO_MESH, DofName, ExportedModel, Mesh
+from fmu.formats.models.inp import TRANSFORMED
 from fmu.formats.shown import names_shown, one_line, shown
 from fmu.types import DIRECTIONS
 
@@ -99,7 +100,7 @@ def read_model(
         read = [one._replace(dofs=given) for one in read]
     model = assembled(read, 1, where, found)
     if mesh is not None:
-        require_nodes(model.dofs, model.motions, found)
+        require_nodes(model.dofs, model.motions, found, [path])
     return ExportedModel(
         model.matrices[0],
         model.matrices[1],
@@ -176,8 +177,12 @@ def read_names(path: Path) -> tuple[DofName, ...]:
     return tuple(names)
 
 
-def require_nodes(dofs: Sequence[DofName], motions: Collection[DofName], mesh: Mesh) -> None:
-    """Raise ValueError unless a mesh has a node of the matrices."""
+def require_nodes(
+    dofs: Sequence[DofName], motions: Collection[DofName], mesh: Mesh, files: Collection[Path] = ()
+) -> None:
+    """Raise ValueError unless a mesh has a node of the matrices, which are along the axes that it gives."""
+    if TRANSFORMED in mesh.notes and any(file.suffix.lower() == ".mtx" for file in files):
+        raise ValueError("mesh: must have no *TRANSFORM: Abaqus writes matrices along the axes that it turns")
     known = set(mesh.nodes.tolist())
     named = [node for node, _ in motions] + [node for node, _ in dofs]
     if not known.intersection(named):

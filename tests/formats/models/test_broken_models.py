@@ -1,5 +1,6 @@
 """Broken files of other programs: each is refused in a sentence that names the argument and what is wrong."""
 
+import importlib.util
 import shutil
 from pathlib import Path
 
@@ -135,3 +136,10 @@ def test_random_damage_is_refused_or_harmless(tmp_path, name):
         except ValueError as error:
             said = str(error)
         assert said.isprintable()
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mapdl_archive") is not None, reason="the library is installed")
+def test_a_library_that_is_not_installed_is_named(tmp_path):
+    (tmp_path / "a.cdb").write_text("/PREP7\n")
+    with pytest.raises(ValueError, match=r"pip install 'fmu\[ansys\]'"):
+        fmu.read_mesh(tmp_path / "a.cdb")
