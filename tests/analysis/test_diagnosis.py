@@ -129,7 +129,9 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
     assert any(": R-hat is " in reason for reason in found.reasons)
 
 
-@pytest.mark.parametrize("modes", [(1, 2), (0, 1)], ids=["B and C", "A and B"])
+@pytest.mark.parametrize(
+    "modes", [pytest.param((1, 2), marks=pytest.mark.validate), (0, 1)], ids=["B and C", "A and B"]
+)
 def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, section_maxima, around, modes):
     """The false calm: in equal proportion in every ensemble, so that the ensembles agree."""
     init = np.concatenate([around(k, 4, 8) for k in modes], axis=1)

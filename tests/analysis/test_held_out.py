@@ -126,6 +126,7 @@ def test_a_measurement_far_out_has_its_probability(few, problem):
     assert np.log(row["p"]) == pytest.approx(np.log(2 * exact.sf(far[2])), abs=0.3)
 
 
+@pytest.mark.validate
 def test_a_bent_ridge_against_quadrature():
     """One frequency leaves two stiffnesses on a long ridge, and the prior has heavy tails."""
     problem, rng = fmu.cases.load("shear-2dof"), np.random.default_rng(1)

@@ -50,6 +50,7 @@ def test_the_frequencies_of_all_tests_from_scratch():
     assert_allclose(values.mean(axis=0), cases.MEANS, atol=4 * cases.SPREAD / np.sqrt(30))
 
 
+@pytest.mark.validate
 def test_the_scatter_is_found():
     trace = fmu.sample(fmu.cases.load(cases.REPEATED), draws=100, warmup=150, seed=3)
     table = fmu.summary(trace)

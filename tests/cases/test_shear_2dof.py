@@ -78,6 +78,7 @@ def test_both_modes_are_found_and_weighed(maxima, exact):
     )
 
 
+@pytest.mark.validate
 def test_tempering_gets_moments_weights_and_evidence_right(tempered, exact):
     theta = theta_of(tempered)
     for k in range(2):

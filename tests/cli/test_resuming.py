@@ -12,6 +12,7 @@ from tests.cli.runs import SAMPLERS, SECOND, Cut, assert_refused, assert_same, c
 from tests.runs.keeping import at_keep
 
 
+@pytest.mark.validate
 def test_broken_off_again_and_again(folder, whole, at_keep):
     """Four samplers, after every seventh part that is kept."""
     at_keep(7, cut, again=True)
@@ -33,6 +34,7 @@ def test_broken_off_again_and_again(folder, whole, at_keep):
     assert {path.name for path in (folder / "out").iterdir()} == {path.name for path in whole.iterdir()}
 
 
+@pytest.mark.validate
 def test_a_group_of_chains_a_worker(folder):
     """Two processes draw what one does, and go on with what one has left."""
     groups = ("--groups", 2, "--chains", 4)

@@ -95,6 +95,7 @@ def line_of(process, *firsts):
     pytest.fail(f"ended: {process.stderr.read()}")
 
 
+@pytest.mark.validate
 def test_a_stop_is_obeyed_in_every_phase(runs, whole, tmp_path, monkeypatch):
     """One run, stopped in each of its phases, is at last the run that nobody stopped."""
     folder = problem_in(tmp_path / "stopped")

@@ -87,6 +87,7 @@ def test_a_task_whose_worker_was_killed_is_done_again(mortal_processes, tmp_path
         assert cluster.run_tasks(engine_tasks.die_once, str(tmp_path), given) == given
 
 
+@pytest.mark.validate
 def test_a_run_whose_worker_was_killed_draws_the_same(mortal_processes, tmp_path):
     running(mortal_processes)
     settings = SETTINGS | {"chains": 4, "groups": 4}

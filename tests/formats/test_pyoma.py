@@ -82,6 +82,7 @@ def test_scatter_between_setups_is_not_the_uncertainty_of_the_mean(result):
     assert pyoma_modes(merged, SENSORS).sd_hz is None
 
 
+@pytest.mark.validate
 def test_posterior_of_a_kept_result_covers_the_truth(frame, result):
     draws = posterior(frame, ModalData.from_pyoma(result, SENSORS))
     assert np.all(np.abs(draws.mean(axis=0) - 1.0) < 4.0 * draws.std(axis=0))

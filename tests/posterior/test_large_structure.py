@@ -58,6 +58,7 @@ def test_the_bound_of_the_log_probability_follows_from_those_of_the_frequencies(
     assert np.any(true >= 0.99 * bound)
 
 
+@pytest.mark.validate
 def test_the_bound_holds_where_the_basis_does_not_know_the_mode_above(made):
     assert examined(_of_problem("frame", made[0], 256)).exceeded == 0
 

@@ -88,7 +88,10 @@ def twenty_tests(building, wrong):
     return tests
 
 
-@pytest.mark.parametrize("errors", [fmu.FrequencyErrors("absolute"), fmu.StudentErrors("absolute")])
+@pytest.mark.parametrize(
+    "errors",
+    [pytest.param(fmu.FrequencyErrors("absolute"), marks=pytest.mark.validate), fmu.StudentErrors("absolute")],
+)
 def test_a_contradictory_test_is_named(building, errors):
     def run(wrong):
         problem = fmu.JointProblem(

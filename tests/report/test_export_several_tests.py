@@ -59,7 +59,12 @@ MEASURED = (("a", "old", (4.40, 11.52)), ("b", "new", (4.20, 11.30)), ("c", "old
     [
         ('varies = "damage"', "old", "k1"),
         ('varies = "population"', "", "k1 mean"),
-        ('varies = "population"\npopulation = { distribution = "log-normal" }', "", "k1 median"),
+        pytest.param(
+            'varies = "population"\npopulation = { distribution = "log-normal" }',
+            "",
+            "k1 median",
+            marks=pytest.mark.validate,
+        ),
         ('varies = "group"', "", "k1 [old]"),
         ('varies = "test"', "", "k1 [a]"),
     ],

@@ -28,7 +28,7 @@ def section():
     return problem, fmu.find_map(problem, 64)
 
 
-@pytest.mark.parametrize("name", ["hmc", "mixture"])
+@pytest.mark.parametrize("name", [pytest.param("hmc", marks=pytest.mark.validate), "mixture"])
 def test_the_papers_second_experiment_by_number_converges_from_the_prior(section, name):
     """No sampler with local steps alone reaches its highest maximum from everywhere."""
     problem, maxima = section

@@ -92,6 +92,7 @@ def test_draws_of_the_prior_have_its_correlations():
     assert_allclose(np.std(z, axis=(0, 1)), 1.0, atol=0.03)
 
 
+@pytest.mark.validate
 def test_a_correlation_is_found():
     values = values_of(np.random.default_rng(8), 30, 0.9)
     trace = fmu.sample(posed(values, correlation=1.0), draws=100, warmup=150, seed=1)

@@ -93,6 +93,7 @@ def test_a_reference_that_is_no_group(building):
         posed(building, {"later": np.zeros(4)}, fmu.Damage(), reference="none")
 
 
+@pytest.mark.validate
 def test_a_spike_and_slab_pulls_small_losses_to_nothing(building):
     lost = {"later": [0.0, 0.15, 0.0, 0.0]}
     tables = []

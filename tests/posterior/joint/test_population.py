@@ -117,7 +117,7 @@ def by_quadrature():
 MEANS, SPREADS = (0.9475, 0.9725, 0.9975), (0.061, 0.081, 0.121)
 
 
-@pytest.mark.parametrize("centring", [None, 0.3])
+@pytest.mark.parametrize("centring", [None, pytest.param(0.3, marks=pytest.mark.validate)])
 def test_posterior_of_mean_and_spread_by_quadrature(by_quadrature, centring):
     problem = springs(centring=centring)
     trace = fmu.sample(problem, draws=400, warmup=250, seed=2)
