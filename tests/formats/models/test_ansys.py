@@ -1,5 +1,7 @@
 """The matrices and the mesh that come with ansys-mapdl-reader; both libraries crash on broken files."""
 
+import shutil
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
@@ -47,3 +49,31 @@ def test_cut_files_are_refused_where_the_library_crashes(examples, tmp_path, sha
     (tmp_path / "cut.full").write_bytes(content[: int(share * len(content))])
     with pytest.raises(ValueError, match=r"^path: "):
         fmu.read_model(tmp_path / "cut.full")
+
+
+def test_a_problem_file_names_the_matrices(examples, tmp_path):
+    for name in ("file.full", "file.rst"):
+        shutil.copy(examples / name, tmp_path)
+    (tmp_path / "beam.toml").write_text("""
+name = "beam"
+error = "frequency"
+[model]
+type = "matrices"
+mesh = "file.rst"
+stiffness = [{ file = "file.full", variable = "stiffness", powers = { k = 1 } }]
+mass = [{ file = "file.full", variable = "mass" }]
+[measurement]
+frequencies = [5780.0]
+sd = 1.0
+numbers = [3]
+sensors = [[30, "z"], [30, "-x"]]
+[[parameters]]
+name = "k"
+start = 1.0
+lower = 0.5
+upper = 2.0
+prior = { distribution = "uniform" }
+""")
+    problem = fmu.load(tmp_path / "beam.toml", pairing="index")
+    np.testing.assert_allclose(problem.frequencies([1.0]), [5781.975], rtol=1e-6)
+    assert len(problem.model.structure.geometry.elements) > 100

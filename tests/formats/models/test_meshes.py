@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
+from fmu.formats.models.ansys import rotated
 from fmu.formats.models.inp import kind_of
 
 ABAQUS = """\
@@ -141,3 +142,11 @@ def test_nodes_of_a_hexahedron_with_midside_nodes(tmp_path):
     nodes = "".join(f"GRID,{n},,{n}.,0.,0.\n" for n in range(1, 21))
     (tmp_path / "a.bdf").write_text(nodes + "CHEXA,1,1,1,2,3,4,5,6\n,7,8,9,10,11,12,13,14\n,15,16,17,18,19,20\n")
     assert fmu.read_mesh(tmp_path / "a.bdf").elements == ((*range(1, 13), 17, 18, 19, 20, 13, 14, 15, 16),)
+
+
+def test_axes_of_nodes_that_ansys_turns():
+    """THXY turns about z, THYZ about the new x, THZX about the new y."""
+    np.testing.assert_allclose(rotated(np.array([90.0, 0.0, 0.0])), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)
+    np.testing.assert_allclose(rotated(np.array([0.0, 90.0, 0.0])), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15)
+    np.testing.assert_allclose(rotated(np.array([0.0, 0.0, 90.0])), [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(rotated(np.array([90.0, 90.0, 0.0])), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-15)
