@@ -49,6 +49,10 @@ def test_points_on_a_line_are_not_turned_about_it():
     x = np.outer(np.arange(5.0), [1.0, 0.0, 0.0])
     R = kabsch(x, np.outer(np.arange(5.0), [0.0, 1.0, 0.0]))[0]
     assert np.allclose(R, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
+    along = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+    turned = Rotation.from_rotvec([0.3, -0.2, 0.4]).apply(along)
+    R = kabsch(np.outer(np.arange(5.0), along), np.outer(np.arange(5.0), turned))[0]
+    assert Rotation.from_matrix(R).magnitude() == pytest.approx(np.arccos(along @ turned), abs=1e-4)
 
 
 @pytest.mark.parametrize("k", range(24))

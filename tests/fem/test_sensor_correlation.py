@@ -52,9 +52,10 @@ def test_by_hand():
     assert ecomac(measured, computed) == pytest.approx([0.0, 0.0, 0.25 / size])
 
 
-def test_one_wrong_sensor_does_not_spoil_the_scale_of_the_others():
+@pytest.mark.parametrize("scale", [5.0, -5.0])
+def test_one_wrong_sensor_does_not_spoil_the_scale_of_the_others(scale):
     phi = chain(6, 3)
-    measured = 5.0 * phi
+    measured = scale * phi
     measured[5] *= -1  # it holds a third of the energy and more
     error = ecomac(measured, phi)
     assert error[:5] == pytest.approx(np.zeros(5), abs=1e-12)
