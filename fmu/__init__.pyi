@@ -29,6 +29,7 @@ from .fem.frame.frame import Frame as Frame
 from .fem.frame.updates import Factor as Factor
 from .fem.modes.exports import Export as Export
 from .fem.modes.exports import from_exports as from_exports
+from .fem.modes.separable import Geometry as Geometry
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
 from .fem.modes.separable import Term as Term

@@ -187,7 +187,18 @@ class Geometry:
 
     @classmethod
     def of_mesh(cls, mesh: Mesh | ExportedModel) -> Geometry | None:
-        """Return the geometry of another program's mesh, with the lines that draw it; None if it is empty."""
+        """Return the geometry of another program's mesh.
+
+        Parameters
+        ----------
+        mesh : Mesh or ExportedModel
+            See `fmu.read_mesh` and `fmu.read_model`.
+
+        Returns
+        -------
+        Geometry or None
+            With the lines that draw it; None if there is nothing to draw.
+        """
         lines = edges(mesh)
         if not len(lines):
             return None

@@ -75,6 +75,8 @@ def _read(path: Path, variable: str | None) -> Labelled:
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)
     name = chosen([name for name in NAMES if f"{name}_row" in found], variable)
+    if name == NAMES[-1]:
+        _arrays.cache_clear()
     nodes, directions, kinds = (found[key].astype(np.int64) for key in ("nodes", "directions", "kinds"))
     n = len(nodes)
     rows_within(n)

@@ -1,6 +1,7 @@
 """Models of other programs: their matrices with named degrees of freedom, nodes and elements.
 
-Reading order: exported, read; then one file a format of meshes. The matrices are read by `fmu.formats.matrices`.
+Reading order: exported, read, assembly, edges; then one file a format of meshes (bulk with coordinate_systems).
+The matrices are read by `fmu.formats.matrices`.
 """
 
 from fmu.formats.models import ansys, bulk, inp

@@ -89,6 +89,13 @@ def mesh_of(
 class ExportedModel:
     """Matrices of a structure with names of their degrees of freedom, as another program exported them.
 
+    A model with a factor of the stiffness as its parameter, sensors by node id, and pictures::
+
+        read = fmu.read_model("job.sti", mesh="job.inp")
+        model = fmu.SeparableModel.from_terms(
+            ["k"], [(read.stiffness, "k")], [read.mass], read.dofs, fmu.Geometry.of_mesh(read), read.motions
+        )
+
     Attributes
     ----------
     stiffness, mass : scipy.sparse.csr_array, shape (n_dof, n_dof)

@@ -138,7 +138,7 @@ def test_shells_move_as_the_mean_of_the_solids_that_they_become(tmp_path):
     assert model.motions[1084, "z"] != {}
     assert (1000, "z") not in model.motions
     structure = fmu.SeparableModel.from_terms(
-        ["E"], [(model.stiffness, "E")], [model.mass], model.dofs, motions=model.motions
+        ["E"], [(model.stiffness, "E")], [model.mass], model.dofs, fmu.Geometry.of_mesh(model), model.motions
     )
     modes = own_shapes(solved)
     sensors = [(node, d) for node in modes[0] for d in "xyz" if structure.sees((node, d))]
