@@ -63,6 +63,7 @@ def test_sensors_by_node_read_what_they_read_in_the_frame(tmp_path, file, mesh):
 def test_the_mesh_is_drawn(tmp_path):
     found = problem(tmp_path)
     check = fmu.check(found, draws=2)
+    assert "12 degrees of freedom are left out: without stiffness and mass." in check.model
     assert check.drawing.count("<line") >= 4
     assert "4 of 4 elements" in check.parameters["changes"].iloc[0]
     assert check.shapes["displacement"].shape[2:] == (5, 3)

@@ -20,7 +20,7 @@ from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
-from fmu.formats.models.assembly import Motions, assembled
+from fmu.formats.models.assembly import Assembled, assembled
 from fmu.formats.models.exported import NO_MESH, Mesh
 from fmu.formats.models.read import read_mesh, require_nodes
 from fmu.formats.shown import names_shown
@@ -112,14 +112,17 @@ class MatricesTable(TomlTable):
                 found.append(Mistake("model.mesh", str(error)))
         if found:
             raise BrokenError(found)
-        matrices, dofs, motions = self._on_the_same_dofs(read, mesh)
+        joined = self._on_the_same_dofs(read, mesh)
         terms = [
             Term(matrix * table.factor, tuple(table.powers.get(p.name, 0.0) for p in parameters))
-            for matrix, (_, table) in zip(matrices, self._terms(), strict=True)
+            for matrix, (_, table) in zip(joined.matrices, self._terms(), strict=True)
         ]
         n = len(self.stiffness)
         try:
-            model = SeparableModel(terms[:n], terms[n:], dofs, Geometry.of_mesh(mesh), motions=motions)
+            model = SeparableModel(
+                terms[:n], terms[n:], joined.dofs, Geometry.of_mesh(mesh), motions=joined.motions
+            )
+            model.notes = (*joined.notes, *mesh.notes)
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
             raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error
@@ -154,10 +157,8 @@ class MatricesTable(TomlTable):
             seen.add((node, direction))
         return found
 
-    def _on_the_same_dofs(
-        self, read: Sequence[Labelled], mesh: Mesh
-    ) -> tuple[list[Any], list[tuple[Any, str]], Motions]:
-        """Return the matrices on the same degrees of freedom, the names of these, and further motions.
+    def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled:
+        """Return the matrices on the same degrees of freedom, with their names.
 
         Where files name them, a matrix may lack degrees of freedom at which it is zero; those at which all are
         zero are removed. So are those that Abaqus marks as held by a support, with 1e36 in the stiffness.
@@ -179,14 +180,14 @@ class MatricesTable(TomlTable):
             except ValueError as error:
                 where, _, rule = str(error).partition(": ")
                 raise BrokenError([Mistake("model.mesh" if where == "mesh" else where, rule)]) from error
-            return found.matrices, list(found.dofs), found.motions
+            return found
         matrices = [one.matrix for one in read]
         dofs = named or [(i, "x") for i in range(rows[0])]
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
             raise BrokenError([Mistake("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")])
-        return [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}
+        return Assembled([matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, [])
 
     def _at(self, k: int) -> str:
         """Return the place of the matrix of a term in the file."""

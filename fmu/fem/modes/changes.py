@@ -74,6 +74,7 @@ def changed_model(
         model.ties,
         model.motions,
     )
+    other.notes = model.notes
     if model.names is not None:
         other.names = tuple(model.names[j] for j in kept)
     return other

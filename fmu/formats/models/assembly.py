@@ -24,7 +24,7 @@ class Assembled(NamedTuple):
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node, direction)
-        Ascending.
+        Ascending where the files name them by numbers of nodes.
     motions : mapping
         See `fmu.formats.models.exported.ExportedModel`.
     notes : list of str
@@ -32,7 +32,7 @@ class Assembled(NamedTuple):
     """
 
     matrices: list[Any]
-    dofs: list[DofName]
+    dofs: list[tuple[Any, str]]
     motions: Motions
     notes: list[str]
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
+from fmu.formats.matrices.read import write_matrix
 from fmu.formats.models.ansys import rotated
 from fmu.formats.models.inp import kind_of
 
@@ -150,3 +151,17 @@ def test_axes_of_nodes_that_ansys_turns():
     np.testing.assert_allclose(rotated(np.array([0.0, 90.0, 0.0])), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15)
     np.testing.assert_allclose(rotated(np.array([0.0, 0.0, 90.0])), [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(rotated(np.array([90.0, 90.0, 0.0])), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-15)
+
+
+def test_matrices_of_any_program_with_names_and_a_mesh(tmp_path):
+    K = np.array([[3.0, -1.0], [-1.0, 2.0]])
+    write_matrix(tmp_path / "K.mtx", np.tril(K))
+    write_matrix(tmp_path / "M.mtx", np.eye(2))
+    (tmp_path / "rows.csv").write_text("node;direction\n20;z\n50;5\n")
+    (tmp_path / "job.inp").write_text(ABAQUS)
+    model = fmu.read_model(
+        tmp_path / "K.mtx", tmp_path / "M.mtx", mesh=tmp_path / "job.inp", dofs=tmp_path / "rows.csv"
+    )
+    assert model.dofs == ((20, "z"), (50, "ry"))
+    assert model.stiffness.toarray().tolist() == K.tolist()
+    assert model.elements[0] == (10, 20, 30, 40)
