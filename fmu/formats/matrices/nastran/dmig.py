@@ -58,10 +58,11 @@ def _read(path: Path, variable: str | None) -> Labelled:
     name = chosen([name for name in forms if name in found], variable)
     if not found[name][2]:
         raise RefusedError(f"must have entries of {name} (it has none)")
-    places, index = np.unique(np.array(found[name][:2], dtype=np.int64), return_inverse=True)
+    *named, values = (np.asarray(part) for part in found[name])
+    places = np.union1d(*(np.unique(part) for part in named))
     rows_within(len(places))
-    row_and_column = index.reshape(2, -1)
-    matrix = sp.csr_array((np.array(found[name][2]), tuple(row_and_column)), shape=(len(places),) * 2)
+    index = tuple(np.searchsorted(places, part).astype(np.int32) for part in named)
+    matrix = sp.csr_array((values, index), shape=(len(places),) * 2)
     if forms[name] == SYMMETRIC:
         matrix = mirrored(matrix)
     return Labelled(matrix, tuple((int(at) // 8, DIRECTIONS[int(at) % 8]) for at in places))

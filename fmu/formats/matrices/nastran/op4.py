@@ -70,11 +70,14 @@ class _Entries:
         rows_within(max(abs(header.rows), header.columns))
         counts = np.array([len(values) for *_, values in self.strings], dtype=np.int64)
         firsts = np.array([row for row, *_ in self.strings], dtype=np.int64)
-        within = np.arange(self.n) - np.repeat(np.cumsum(counts) - counts, counts)
-        row = np.repeat(firsts, counts) + within
-        column = np.repeat(np.array([column for _, column, _ in self.strings], dtype=np.int64), counts)
+        shift = firsts - np.cumsum(counts) + counts  # from the place in the file to the row
+        row = np.arange(self.n, dtype=np.int32) + np.repeat(shift.astype(np.int32), counts)
+        column = np.repeat(np.array([column for _, column, _ in self.strings], dtype=np.int32), counts)
         values = np.concatenate([values for *_, values in self.strings]) if self.strings else np.zeros(0)
-        return sp.csr_array((values.astype(float), (row, column)), shape=(abs(header.rows), header.columns))
+        self.strings.clear()
+        return sp.csr_array(
+            (values.astype(float, copy=False), (row, column)), shape=(abs(header.rows), header.columns)
+        )
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
