@@ -58,7 +58,8 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
     ValueError
         If rows have no names, two matrices have no row in common, or no row is left.
     """
-    named = [_named(one, at, mesh) for one, at in zip(read, where, strict=True)]
+    assumed: dict[str, None] = {}
+    named = [_named(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
     for names, at in zip(named, where, strict=True):
         if not set(names) & set(named[0]):
             rule = f"must have degrees of freedom that {where[0]} has"
@@ -85,11 +86,11 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
     means = {name: weights for one in read for name, weights in one.motions.items()}
-    return Assembled(matrices, dofs, means | motions, notes + told)
+    return Assembled(matrices, dofs, means | motions, [*assumed, *notes, *told])
 
 
-def _named(one: Labelled, where: str, mesh: Mesh) -> tuple[DofName, ...]:
-    """Return the names of the rows of a matrix."""
+def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> tuple[DofName, ...]:
+    """Return the names of the rows of a matrix; what is assumed for that is added."""
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
         raise ValueError(f"{where}: must name {n} degrees of freedom (got {len(one.dofs)})")
@@ -99,8 +100,9 @@ def _named(one: Labelled, where: str, mesh: Mesh) -> tuple[DofName, ...]:
             twice = next(dof for dof in one.dofs if dof in seen or seen.add(dof))  # type: ignore[func-returns-value]
             raise ValueError(f"{where}: must name each degree of freedom once (got {_shown([twice])} twice)")
         return one.dofs
-    for names in mesh.sets.values():
+    for which, names in mesh.sets.items():
         if len(names) == n:
+            assumed[f"Rows have no names: they are taken for the {n} of the {which}-set."] = None
             return names
     known = ", ".join(f"{len(names)} of the {name}-set" for name, names in mesh.sets.items())
     rule = f"has {n} rows without names: give them in a file of node,direction a row (dofs)"
