@@ -68,7 +68,8 @@ $(READY_PROGRAMS): $(READY)
 
 # What reads other programs' files, and what runs these programs: CalculiX, where there is one (ccx).
 OF_PROGRAMS := tests/formats/models tests/config/test_models_of_programs.py tests/report/test_mode_files.py \
-  tests/report/test_there_and_back.py
+  tests/report/test_there_and_back.py tests/fem/programs tests/config/test_command_table.py \
+  tests/config/test_opensees_table.py tests/config/test_templates.py
 
 test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or the libraries that read their files
 	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --quiet $(OF_PROGRAMS)

@@ -34,6 +34,11 @@ from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
 from .fem.modes.separable import Term as Term
 from .fem.pairing.matching import match_points as match_points
+from .fem.programs.command import CommandModel as CommandModel
+from .fem.programs.command import FoundFrequencies as FoundFrequencies
+from .fem.programs.opensees import OpenSeesModel as OpenSeesModel
+from .fem.programs.opensees import from_opensees as from_opensees
+from .fem.programs.store import SolveStore as SolveStore
 from .formats.models.read import read_mesh as read_mesh
 from .formats.models.read import read_model as read_model
 from .posterior.data.modal_data import ModalData as ModalData

@@ -51,7 +51,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
         return [f"{len(problem.tests)} tests of one structure{many}.{reduced}"]
     if model is None:
-        return [f"The model is the function {problem.model.name}, treated as a black box."]
+        return [f"The model is {problem.model.name}, treated as a black box."]
     structure = model.structure
     sizes = [str(len(block)) for block in structure.blocks]
     parts = "in one block" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"

@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 _NAME = r"[^\W\d]\w*"
 FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
 """The pattern of ``module:function``."""
+PYTHON_FILE = rf"^{_NAME}\.py$"
 LONGEST_KEY = 40
 _KEY_FIRST = re.compile(r"(?:(\w+(?:\.\w+)*): )?(.*)", re.DOTALL)
 _PATTERNS = {
     r"^[^/\x00-\x1f]+$": "must have no slash, line break or other control character",
     r"^[^\x00-\x1f]+$": "must have no line break or other control character",
     r"^\d{1,9}$": "must be the number of a node, of at most 9 digits",
+    PYTHON_FILE: "must be a Python file beside this one, as portal.py",
     FUNCTION: 'must be "module:function", as in "storeys:modes"',
 }
 """The rules behind the patterns of strings."""

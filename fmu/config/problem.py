@@ -12,9 +12,11 @@ from pydantic import Field, Tag
 from fmu.config.errors import ErrorTable, beside_tests, built_errors, vanishing
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
+from fmu.config.models.command import CommandTable
 from fmu.config.models.exports import ExportsTable
 from fmu.config.models.frame import FrameTable
 from fmu.config.models.matrices import MatricesTable
+from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
 from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
@@ -85,8 +87,11 @@ class ProblemFile(TomlTable):
     """Whether a certified reduced model replaces the full one within the bounds, which is much faster. A number up
     to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6. Where the bounds are so wide
     that this would not pay, it is kept where the posterior has its mass, and 1e-3 elsewhere."""
-    model: Annotated[FrameTable | MatricesTable | ExportsTable | PythonTable, Field(discriminator="type")]
-    """The structure: type "frame", "matrices", "exports" or "python"."""
+    model: Annotated[
+        FrameTable | MatricesTable | ExportsTable | CommandTable | OpenSeesTable | PythonTable,
+        Field(discriminator="type"),
+    ]
+    """The structure: type "frame", "matrices", "exports", "command", "opensees" or "python"."""
     measurement: MeasurementTable | None = None
     """The modes of a test."""
     tests: Annotated[list[TestTable], Field(min_length=2, max_length=MOST_TESTS)] | None = None

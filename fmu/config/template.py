@@ -9,6 +9,8 @@ _FOLDER = Path(__file__).parent / "templates"
 _FILES = {
     "frame": ("frame.toml",),
     "matrices": ("matrices.toml", "K0.mtx", "K1.mtx", "K2.mtx", "M.mtx"),
+    "command": ("command.toml", "plate.inp.in"),
+    "opensees": ("opensees.toml", "portal.py"),
     "python": ("python.toml", "storeys.py"),
 }
 

@@ -90,6 +90,9 @@ class BlackBoxModel:
         If the function cannot be called, or a number is out of range.
     """
 
+    place = "model.function"
+    """The key of problem files that is named where the function fails."""
+
     def __init__(
         self,
         function: Callable[[FloatArray], Any],
@@ -124,6 +127,14 @@ class BlackBoxModel:
     def sees(self, sensor: tuple[Any, str]) -> bool:
         """Return True for every sensor (place, direction): only the function knows where its shapes are."""
         return True
+
+    def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> BlackBoxModel:
+        """Return the model with shapes at these sensors: itself, as the function has those of the measurement."""
+        return self
+
+    def seconds_at(self, theta: FloatArray) -> float | None:
+        """Return the time of a solve that is known without calling the function at theta; None if it is not."""
+        return None
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
         """Return the function's answers at theta (n, n_parameters), None where it fails; see `reasons`."""

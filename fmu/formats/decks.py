@@ -10,7 +10,8 @@ A deck is any text, as bulk data of Nastran, APDL, an ``.inp`` of Abaqus or Calc
     {E1}, 0.3
     ops.uniaxialMaterial("Elastic", 1, {E1})
 
-``{E1:8}`` and ``{E1:16}`` fill so many columns, as Nastran's small and large fields have. Braces around anything
+``{E1:8}`` and ``{E1:16}`` fill so many columns, as Nastran's small and large fields have; ``{E1:.9e}`` is one of
+Python's formats e, f and g. Braces around anything
 that is not a single word, as in Tcl or Python, are no placeholders; ``{{word}}`` stands for ``{word}``.
 """
 
@@ -33,7 +34,7 @@ WIDEST = 20
 """Characters that Abaqus and CalculiX read of a number; what is longer they cut off, its exponent first."""
 FIELDS = (8, 16)
 """Columns of Nastran's small and large fields."""
-_BRACES = re.compile(r"\{\{(\w+)\}\}|\{([^{}\n]+?)(?::(\d{1,2}))?\}")
+_BRACES = re.compile(r"\{\{(\w+)\}\}|\{([^{}\n]+?)(?::(\d{1,2}|\.\d{1,2}[eEfgG]))?\}")
 _WORD = re.compile(r"[^\W\d]\w*")
 
 
@@ -97,7 +98,10 @@ def filled(text: str, values: Mapping[str, float]) -> str:
             return f"{{{match[1]}}}"
         if match[2] not in values:
             return match[0]
-        return number(values[match[2]]) if match[3] is None else columns(values[match[2]], int(match[3]))
+        value, form = values[match[2]], match[3]
+        if form is None:
+            return number(value)
+        return columns(value, int(form)) if form.isdecimal() else format(value, form)
 
     return _BRACES.sub(put, text)
 
@@ -105,7 +109,7 @@ def filled(text: str, values: Mapping[str, float]) -> str:
 def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:
     for match in _BRACES.finditer(text):
         rule = ""
-        if match[2] in values and match[3] not in (None, *map(str, FIELDS)):
+        if match[2] in values and (match[3] or "8").isdecimal() and match[3] not in (None, *map(str, FIELDS)):
             rule = "must have 8 or 16 columns, as a field of Nastran"
         elif match[2] is not None and match[2] not in values and _WORD.fullmatch(match[2]):
             rule = f"must name one of {names_shown(list(values))}"

@@ -69,7 +69,7 @@ def paired_model(
     paired: Any = None
     if isinstance(model, BlackBoxModel):
         paired = PairedBlackBox.of(
-            model,
+            model.at_sensors(() if shapes is None else data.sensors),
             pairing=pairing,
             start=start,
             numbers=data.numbers,

@@ -116,7 +116,7 @@ FRAME = [
     (
         'type = "frame"',
         'type = "shell"',
-        "model.type: must be one of frame, matrices, exports, python (got 'shell')",
+        "model.type: must be one of frame, matrices, exports, command, opensees, python (got 'shell')",
     ),
     ('name = "portal"\n', "", "name: is missing"),
     ("[measurement]", "[measurement", "is not valid TOML"),

@@ -210,7 +210,7 @@ BROKEN = [
     (
         'type = "python"',
         'type = "pyhton"',
-        "model.type: must be one of frame, matrices, exports, python (got 'pyhton')",
+        "model.type: must be one of frame, matrices, exports, command, opensees, python (got 'pyhton')",
     ),
     ('name = "k1"', 'name = "k1"\nproperty = "E"', "parameters.0.property: is allowed for frames only"),
     (

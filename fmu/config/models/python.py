@@ -60,11 +60,13 @@ class Imported:
     place : str
         ``module:function``.
     folder : Path
+    where : str
+        The key that names it, for messages.
     """
 
-    def __init__(self, function: Callable[..., Any], place: str, folder: Path) -> None:
+    def __init__(self, function: Callable[..., Any], place: str, folder: Path, where: str = WHERE) -> None:
         self.__wrapped__ = function
-        self._place, self._folder = place, folder
+        self._place, self._folder, self._where = place, folder, where
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the function."""
@@ -73,11 +75,11 @@ class Imported:
     def __repr__(self) -> str:
         return f"Imported({self._place!r})"
 
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path]]:
-        return imported, (self._place, self._folder)
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path, str]]:
+        return imported, (self._place, self._folder, self._where)
 
 
-def imported(place: str, folder: Path) -> Callable[..., Any]:
+def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]:
     """Return the function at ``module:function``, from a folder or from what is installed.
 
     Parameters
@@ -86,6 +88,8 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
     folder : Path
         While the module is imported, and only then, it can import what is beside it. Nothing of it stays among the
         modules that other files of the same names would find.
+    where : str
+        The key that names it, for messages.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
     name, _, attribute = place.partition(":")
     beside = _beside(name, folder.resolve())
     if beside is not None and too_large(beside, LARGEST_MODULE):
-        raise BrokenError([Mistake(WHERE, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
+        raise BrokenError([Mistake(where, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
     try:
         with _importing_from(folder.resolve(), name) if beside is not None else nullcontext():
             module = importlib.import_module(name)
@@ -111,22 +115,22 @@ def imported(place: str, folder: Path) -> Callable[..., Any]:
         missing = str(error.name)
         if beside is None and (name == missing or name.startswith(f"{missing}.")):
             rule = got("must be in a module beside the file or installed", name)
-            raise BrokenError([Mistake(WHERE, rule)]) from error
-        raise _not_importable(name, error) from error
+            raise BrokenError([Mistake(where, rule)]) from error
+        raise _not_importable(name, error, where) from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # GeneratorExit and others of the user's own among them
-        raise _not_importable(name, error) from error
+        raise _not_importable(name, error, where) from error
     if function is None:
-        raise BrokenError([Mistake(WHERE, got(f"must be in the module {name}", attribute))])
+        raise BrokenError([Mistake(where, got(f"must be in the module {name}", attribute))])
     if not callable(function):
-        raise BrokenError([Mistake(WHERE, f"must be a function (got {place}, of type {type(function).__name__})")])
-    return function if beside is None else Imported(function, place, folder.resolve())
+        raise BrokenError([Mistake(where, f"must be a function (got {place}, of type {type(function).__name__})")])
+    return function if beside is None else Imported(function, place, folder.resolve(), where)
 
 
-def _not_importable(name: str, error: BaseException) -> BrokenError:
+def _not_importable(name: str, error: BaseException, where: str) -> BrokenError:
     rule = f"must be in a module that can be imported ({name}: {in_words(error)})"
-    return BrokenError([Mistake(WHERE, rule)])
+    return BrokenError([Mistake(where, rule)])
 
 
 def _beside(name: str, folder: Path) -> Path | None:

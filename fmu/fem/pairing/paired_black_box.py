@@ -90,9 +90,9 @@ class PairedBlackBox(ModalModel):
             paired = cls(black_box, answer, pairing=pairing, **measured)
             paired._columns(answer)
         except AnswerError as error:
-            raise ValueError(f"model.function: {error} at the start {start.tolist()}") from error
+            raise ValueError(f"{black_box.place}: {error} at the start {start.tolist()}") from error
         except ValueError as error:
-            raise ValueError(f"model.function: {error}") from error
+            raise ValueError(f"{black_box.place}: {error}") from error
         return paired
 
     def __repr__(self) -> str:
@@ -132,7 +132,7 @@ class PairedBlackBox(ModalModel):
             If the function gives no shapes.
         """
         if self._n_sensors is None:
-            raise ValueError("model.function: must return shapes, as shapes have errors (it gives none)")
+            raise ValueError(f"{self.black_box.place}: must return shapes, as shapes have errors (it gives none)")
         frequencies, slopes, shapes = self._paired(theta)
         if not gradient:
             return ModalPrediction(frequencies, shapes)

@@ -1,4 +1,4 @@
-"""Measured modes from files: CSV, UFF, pyOMA, F06 of Nastran.
+"""Modes from files: measured ones of CSV, UFF, pyOMA and F06 of Nastran; what CalculiX printed.
 
 Reading order: measured_modes; then one file a format.
 """

@@ -1,0 +1,53 @@
+"""``[model] type = "command"``: a program that is run on a filled input deck for every theta."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from fmu.config.mistakes import BrokenError, Mistake
+from fmu.config.parameters import ParameterTable, without_targets
+from fmu.config.tables import Built, FileName, Of, Positive, TomlTable
+from fmu.fem.programs.command import STEP, CommandError, CommandModel, FoundFrequencies
+
+
+class CommandTable(TomlTable):
+    """A finite-element program that fmu starts: it fills the template, runs the command, and reads the modes."""
+
+    type: Literal["command"]
+    template: FileName
+    """The input deck, from the folder of this file, with {NAME} for the value of each parameter: {E1}, {E1:.9e},
+    or {E1:8} in a field of Nastran. plate.inp.in gives plate.inp."""
+    command: Annotated[list[str], Field(min_length=1, max_length=1000)]
+    """The program and its arguments; {job} and {deck} are the deck's name without and with its suffix."""
+    frequencies: Annotated[FoundFrequencies, Of("frequencies", FoundFrequencies)] | None = None
+    """How to find the frequencies in what the program writes."""
+    reader: Literal["calculix"] | None = None
+    """Instead of frequencies: reads the files of a program, shapes at the sensors too."""
+    inputs: list[FileName] = []
+    """Other files that the program needs, from the folder of this file."""
+    timeout: Positive = 600.0
+    """Seconds that a run may take."""
+    retries: Annotated[int, Field(ge=0, le=100)] = 0
+    """How often a run that fails is repeated."""
+    keep: bool = False
+    """Whether to keep the folders of all runs, not only of some that fail."""
+    store: FileName = "solves"
+    """Folder of what was solved, from the folder of this file. It is not solved again."""
+    step: Annotated[float, Field(gt=0, le=0.1)] = STEP
+    """Of central differences, relative to the range of each parameter."""
+
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return a mistake for each key that a program cannot use."""
+        return without_targets(parameters)
+
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Return the model; BrokenError if a file or the program is missing, or the template is not of these."""
+        given: dict[str, Any] = {key: getattr(self, key) for key in type(self).model_fields if key != "type"}
+        try:
+            return Built(CommandModel([p.name for p in parameters], folder=folder, **given), {})
+        except CommandError as error:
+            raise BrokenError([Mistake.of("model", mistake) for mistake in error.mistakes]) from error

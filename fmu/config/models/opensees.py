@@ -1,0 +1,65 @@
+"""``[model] type = "opensees"``: a Python file whose function ``build(theta)`` makes the model with openseespy.
+
+Loading such a problem file runs the code that it names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, StringConstraints
+
+from fmu.config.mistakes import PYTHON_FILE, BrokenError, Mistake
+from fmu.config.models.python import imported
+from fmu.config.parameters import ParameterTable, without_targets
+from fmu.config.tables import Built, TomlTable
+from fmu.fem.frame.stability import require_stable
+from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
+
+WHERE = "model.file"
+
+
+class OpenSeesTable(TomlTable):
+    """A model in OpenSees; ``free = true`` if nothing holds it, on purpose."""
+
+    type: Literal["opensees"]
+    file: Annotated[str, StringConstraints(max_length=500, pattern=PYTHON_FILE)]
+    """Beside this file; its function build(theta) makes the model, with parameters in SI units."""
+    per_theta: bool = False
+    """Whether the model is assembled and solved anew at every theta. Otherwise its matrices are taken at several
+    theta, and their dependence on the parameters is found from these: sums of products of powers."""
+    modes: Annotated[int, Field(ge=1, le=MOST_DOFS)] = MODES
+    """With per_theta: how many modes are computed."""
+    step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
+    """With per_theta: step of the central differences, relative to the range of each parameter."""
+    free: bool = False
+
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+        """Return a mistake for each key that such a model cannot use."""
+        return without_targets(parameters)
+
+    def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
+        """Import the file, build the model at several theta, and return it; BrokenError if that fails."""
+        build = imported(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
+        start = np.array([table.start for table in parameters], dtype=float)
+        bounds = [[np.nan if end is None else end for end in (table.lower, table.upper)] for table in parameters]
+        lower, upper = np.array(bounds, dtype=float).T
+        model: Any = None
+        try:
+            if self.per_theta:
+                model = OpenSeesModel(build, start, modes=self.modes, step=self.step)
+                return Built(model, {}, len(model.dofs))
+            model = from_opensees(build, [table.name for table in parameters], start, lower, upper)
+        except ValueError as error:
+            text = str(error)
+            if "must be a sum of" in text:
+                text += "; with per_theta = true the model may depend on the parameters in any way"
+            raise BrokenError([Mistake(WHERE, text.removeprefix("build: "))]) from error
+        try:
+            require_stable(model, start, self.free)
+        except ValueError as error:
+            raise BrokenError([Mistake(WHERE, f"{error}, at the start")]) from error
+        return Built(model, {}, model.n_dof)

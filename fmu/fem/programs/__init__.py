@@ -1,0 +1,4 @@
+"""Models that are solved by another program: started for every theta, or called in this process.
+
+Reading order: store (what was solved, on disk), command, opensees.
+"""

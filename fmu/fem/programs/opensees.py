@@ -1,0 +1,330 @@
+"""Models that a Python function builds in OpenSees, by openseespy: ``pip install 'fmu[opensees]'``.
+
+``build(theta)`` makes nodes, supports, elements and masses with openseespy, from ``model(…)`` on; it defines no
+analysis. OpenSees holds one model at a time, for the whole process: whatever was there is wiped.
+
+Stiffness and mass are those of the tangent at rest. They come from the integrator GimmeMCK, which assembles
+a M + b C + c K, with the solver FullGeneral, which keeps the matrix dense:
+https://portwooddigital.com/2020/05/17/gimme-all-your-damping-all-your-mass-and-stiffness-too/
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.engines.program import last_lines
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.exports import Export, from_exports
+from fmu.fem.modes.modal import frequency_hz, single_thread
+from fmu.fem.modes.separable import SeparableModel
+from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
+from fmu.formats.shown import in_words, names_shown, shown
+from fmu.types import FloatArray
+
+Build = Callable[[FloatArray], Any]
+
+MOST_DOFS = 5000
+"""OpenSees prints dense matrices, of 200 MB each for so many."""
+MODES = 20
+_DIRECTIONS = {
+    (1, 1): ("x",),
+    (2, 1): ("x",),
+    (2, 2): ("x", "y"),
+    (2, 3): ("x", "y", "rz"),
+    (3, 1): ("x",),
+    (3, 3): ("x", "y", "z"),
+    (3, 6): ("x", "y", "z", "rx", "ry", "rz"),
+}
+"""Of a node's degrees of freedom, by the dimensions ndm and their number ndf."""
+_KINDS = {
+    1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle6", 8: "hexahedron", 9: "quad9",
+    10: "tetra10", 20: "hexahedron20",
+}  # fmt: skip
+_LEVELS, _JOINT, _CHECKS = 5, 6, 2
+"""Values of each parameter alone; points where all differ, and as many more for each parameter; those to check."""
+_INSIDE = 0.02
+_ASYMMETRIC = 1e-10
+
+
+def exported(build: Build, theta: FloatArray) -> ExportedModel:
+    """Return stiffness, mass and mesh of the model that OpenSees has after ``build(theta)``.
+
+    Parameters
+    ----------
+    build : callable
+    theta : ndarray, shape (n_parameters,)
+
+    Returns
+    -------
+    ExportedModel
+        Without the degrees of freedom that are fixed, or follow others.
+
+    Raises
+    ------
+    ValueError
+        If openseespy is missing, `build` raises or makes no nodes, OpenSees cannot assemble the matrices, a node
+        has degrees of freedom without a name, or the stiffness is not symmetric or not finite.
+    """
+    ops = _openseespy()
+    with _alone(ops):
+        try:
+            build(np.array(theta, dtype=float))
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise ValueError(f"build: must work at {np.asarray(theta).tolist()} ({in_words(error)})") from error
+        nodes = ops.getNodeTags() or []
+        if not nodes:
+            raise ValueError("build: must make nodes in OpenSees (it made none)")
+        followers = _followers(ops)
+        dofs_at = _assembled(ops, bool(followers))
+        dofs: dict[int, DofName] = {}
+        places: dict[int, Any] = {}
+        for node in nodes:
+            place = ops.nodeCoord(node)
+            places[node] = (*place, 0.0, 0.0)[:3]
+            ndf = ops.getNDF(node)[0]
+            names = _DIRECTIONS.get((len(place), ndf))
+            if names is None:
+                rule = f"node {node} has {ndf} in {len(place)} dimensions"
+                raise ValueError(f"build: must make degrees of freedom of structures ({rule})")
+            own = [name for j, name in enumerate(names, 1) if j not in followers.get(node, ())]
+            dofs |= {row: (node, name) for row, name in zip(dofs_at[node], own, strict=False) if row >= 0}
+        n = ops.systemSize()
+        stiffness, mass = (_matrix(ops, what, n, factors) for what, factors in _WHAT.items())
+        elements = {tag: tuple(ops.eleNodes(tag)) for tag in ops.getEleTags() or []}
+    if len(dofs) < n:
+        raise ValueError(f"build: OpenSees must name its {n} equations (it names {len(dofs)})")
+    notes = []
+    if followers:
+        which = names_shown([f"{node} ({', '.join(map(str, those))})" for node, those in followers.items()])
+        notes.append(f"No sensors can be at degrees of freedom that follow others, by node: {which}.")
+    known = {tag: nodes for tag, nodes in elements.items() if len(nodes) in _KINDS}
+    if len(known) < len(elements):
+        notes.append(f"Of {len(elements)} elements, {len(elements) - len(known)} are not drawn.")
+    mesh = mesh_of(places, list(known.values()), [_KINDS[len(nodes)] for nodes in known.values()])
+    order = sorted(dofs, key=lambda row: (dofs[row][0], _DIRECTIONS[3, 6].index(dofs[row][1])))
+    return ExportedModel(
+        stiffness[order][:, order],
+        mass[order][:, order],
+        tuple(dofs[row] for row in order),
+        mesh.nodes,
+        mesh.coordinates,
+        mesh.elements,
+        mesh.kinds,
+        tuple(notes),
+    )
+
+
+def from_opensees(
+    build: Build, names: Sequence[str], start: FloatArray, lower: FloatArray, upper: FloatArray
+) -> SeparableModel:
+    """Return K(θ) and M(θ) of a model in OpenSees, from its matrices at several θ; see `fmu.from_exports`.
+
+    Parameters
+    ----------
+    build : callable
+        See `fmu.fem.programs.opensees`.
+    names : sequence of str
+        The parameters.
+    start, lower, upper : array_like, shape (n_parameters,)
+        Where matrices are taken: at the start, with each parameter changed alone, and with all changed, within the
+        bounds. Bounds that are not finite are replaced by half and twice the start.
+
+    Returns
+    -------
+    SeparableModel
+        Matrices at two further points are reproduced to 1e-8.
+
+    Raises
+    ------
+    ValueError
+        If the matrices are not sums of products of powers of the parameters, or for what `exported` raises.
+    """
+    points, checks = _points(*(np.array(values, dtype=float) for values in (start, lower, upper)))
+    exports = [
+        Export(
+            dict(zip(names, point.tolist(), strict=True)),
+            exported(build, point),
+            bool(check),
+            f"the model at {', '.join(f'{name} = {x:.6g}' for name, x in zip(names, point, strict=True))}",
+        )
+        for point, check in zip(points, checks, strict=True)
+    ]
+    bounds = {name: (float(points[:, j].min()), float(points[:, j].max())) for j, name in enumerate(names)}
+    try:
+        model = from_exports(exports, bounds)
+    except ValueError as error:
+        raise ValueError(str(error).removeprefix("exports: ")) from error
+    model.notes = (*model.notes, *exports[0].model.notes)
+    return model
+
+
+class OpenSeesModel(BlackBoxModel):
+    """A model in OpenSees that is assembled and solved anew at every theta, on which it may depend in any way.
+
+    Parameters
+    ----------
+    build : callable
+        See `fmu.fem.programs.opensees`.
+    start : array_like, shape (n_parameters,)
+        There the degrees of freedom are looked up.
+    modes : int
+        How many modes are computed.
+    step : float
+        See `BlackBoxModel`.
+
+    Raises
+    ------
+    ValueError
+        See `exported`.
+    """
+
+    place = "model.file"
+
+    def __init__(self, build: Build, start: FloatArray, *, modes: int = MODES, step: float = 1e-4) -> None:
+        self.build, self.modes = build, modes
+        self.dofs = exported(build, start).dofs
+        self.sensors: tuple[tuple[Any, str], ...] = ()
+        name = getattr(inspect.unwrap(build), "__qualname__", "build")
+        super().__init__(self._modes, len(start), step=step, name=f"{name} in OpenSees")
+
+    def sees(self, sensor: tuple[Any, str]) -> bool:
+        """Return whether a sensor is at a degree of freedom."""
+        return (sensor[0], sensor[1].removeprefix("-")) in self.dofs
+
+    def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> OpenSeesModel:
+        """Return the model with shapes at these sensors."""
+        changed = object.__new__(OpenSeesModel)
+        changed.__dict__ |= self.__getstate__()
+        changed.sensors = tuple(sensors)
+        changed.function = changed._modes
+        return changed
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the model: a hash of the source file of `build`."""
+        try:
+            with open(inspect.getsourcefile(inspect.unwrap(self.build)) or "", "rb") as file:
+                digest = hashlib.sha256(file.read()).hexdigest()
+        except (OSError, TypeError):  # defined in a notebook, or not a Python function
+            digest = ""
+        return {"function": self.name, "batched": False, "step": self.step, "modes": self.modes, "sha256": digest}
+
+    def _modes(self, theta: FloatArray) -> dict[str, Any]:
+        """Return frequencies, and shapes at the sensors, at one theta."""
+        model = exported(self.build, theta)
+        with single_thread():
+            eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
+        rows = {dof: i for i, dof in enumerate(model.dofs)}
+        shapes = [
+            (-1.0 if direction.startswith("-") else 1.0) * phi[rows[node, direction.removeprefix("-")]]
+            for node, direction in self.sensors
+        ]
+        return {"frequencies": frequency_hz(eigenvalues), "shapes": np.array(shapes) if shapes else None}
+
+
+_WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
+"""Factors of M, C and K in GimmeMCK."""
+
+
+@contextmanager
+def _alone(ops: Any) -> Iterator[None]:
+    """Give OpenSees without a model, whose messages go to a file; the last of them are added to a ValueError.
+
+    It complains of every mass matrix that is singular, which it may be.
+    """
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "log"
+        ops.wipe()
+        ops.logFile(str(log), "-noEcho")
+        try:
+            yield
+        except ValueError as error:
+            said = last_lines(log)
+            raise ValueError(f"{error}; OpenSees said: {said}" if said else str(error)) from error.__cause__
+        finally:
+            ops.wipe()
+            ops.logFile("", "-echo")
+
+
+def _openseespy() -> Any:
+    try:
+        import openseespy.opensees as ops
+    except ImportError as error:
+        raise ValueError(f"needs the package openseespy: pip install 'fmu[opensees]' ({error})") from error
+    return ops
+
+
+def _followers(ops: Any) -> dict[int, list[int]]:
+    """Return the degrees of freedom (from 1) that follow those of other nodes, by node.
+
+    A model of which nothing is free would crash OpenSees; ValueError instead.
+    """
+    followers = {node: ops.getConstrainedDOFs(node) for node in sorted(set(ops.getConstrainedNodes() or []))}
+    held = sum(len(ops.getFixedDOFs(node)) for node in ops.getFixedNodes() or [])
+    held += sum(map(len, followers.values()))
+    if sum(ops.getNDF(node)[0] for node in ops.getNodeTags()) <= held:
+        raise ValueError("build: must leave degrees of freedom free (all are fixed)")
+    return followers
+
+
+def _assembled(ops: Any, follows: bool) -> dict[int, list[int]]:
+    """Return the equations of each node's degrees of freedom, negative where it has none, after numbering them.
+
+    Where nodes follow others, which needs the handler Transformation, those of the others come behind their own.
+    """
+    ops.wipeAnalysis()
+    ops.constraints("Transformation" if follows else "Plain")
+    ops.numberer("Plain")
+    ops.system("FullGeneral")
+    ops.algorithm("Linear")
+    ops.integrator("GimmeMCK", 0.0, 0.0, 1.0)
+    ops.analysis("Transient")
+    ops.analyze(1, 0.0)
+    if not 0 < ops.systemSize() <= MOST_DOFS:
+        raise ValueError(f"build: must leave 1 to {MOST_DOFS} degrees of freedom free (got {ops.systemSize()})")
+    return {node: ops.nodeDOFs(node) for node in ops.getNodeTags()}
+
+
+def _matrix(ops: Any, what: str, n: int, factors: Sequence[float]) -> Any:
+    """Return a matrix of the model, shape (n, n), sparse; ValueError if there is none, or it is not symmetric."""
+    ops.integrator("GimmeMCK", *factors)
+    ops.analyze(1, 0.0)
+    entries = np.array(ops.printA("-ret") or [], dtype=float)
+    if entries.size != n * n or not np.all(np.isfinite(entries)):
+        raise ValueError(f"build: OpenSees must assemble a finite {what}")
+    if not entries.any():
+        raise ValueError(f"build: must give {what} (that of OpenSees is zero)")
+    matrix = entries.reshape(n, n)
+    apart = np.max(np.abs(matrix - matrix.T))
+    if apart > _ASYMMETRIC * np.max(np.abs(matrix)):
+        raise ValueError(f"build: the {what} must be symmetric (it differs from its transpose by {shown(apart)})")
+    return sp.csr_array(0.5 * (matrix + matrix.T))
+
+
+def _points(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, list[bool]]:
+    """Return where matrices are taken, shape (n, n_parameters), the start first, and which of them are checks."""
+    ends = np.sort([0.5 * start, 2.0 * start], axis=0)
+    low, high = (
+        np.where(np.isfinite(given), given, other) for given, other in zip((lower, upper), ends, strict=True)
+    )
+    low, high = low + _INSIDE * (high - low), high - _INSIDE * (high - low)
+    points = [start]
+    for j in range(len(start)):
+        for value in np.linspace(low[j], high[j], _LEVELS):
+            if abs(value - start[j]) > _INSIDE * (high[j] - low[j]):
+                points.append(start.copy())
+                points[-1][j] = value
+    joint = _JOINT * (1 + len(start)) if len(start) > 1 else 0
+    inside = np.random.default_rng(0).uniform(low, high, (joint + _CHECKS, len(start)))
+    return np.array([*points, *inside]), [False] * (len(points) + joint) + [True] * _CHECKS

@@ -1,0 +1,199 @@
+"""Models that openseespy builds: their matrices, modes and dependence on theta, against fmu's own frame."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.fem.programs.opensees import exported
+
+ops = pytest.importorskip("openseespy.opensees", reason="needs openseespy: pip install 'fmu[opensees]'")
+
+N, SPAN, HEIGHT = 4, 4.0, 3.0
+A, IY, IZ, J, NU, RHO = 5e-3, 1e-5, 2e-5, 1e-6, 0.3, 7850.0
+START, LOWER, UPPER = np.array([2.1e11, 2.0e11]), np.array([1.5e11, 1.5e11]), np.array([2.7e11, 2.5e11])
+
+
+def places():
+    left = [(0.0, 0.0, HEIGHT * i / N) for i in range(N + 1)]
+    beam = [(SPAN * i / N, 0.0, HEIGHT) for i in range(1, N + 1)]
+    return left + beam + [(SPAN, 0.0, HEIGHT * (1.0 - i / N)) for i in range(1, N + 1)]
+
+
+def portal(theta):
+    """Make a portal frame of Euler–Bernoulli beams: theta has the moduli of legs and beam."""
+    ops.model("basic", "-ndm", 3, "-ndf", 6)
+    nodes = places()
+    for i, place in enumerate(nodes, 1):
+        ops.node(i, *place)
+    for foot in (1, len(nodes)):
+        ops.fix(foot, 1, 1, 1, 1, 1, 1)
+    ops.geomTransf("Linear", 1, 0.0, 1.0, 0.0)
+    for i in range(1, len(nodes)):
+        E = theta[1] if N < i <= 2 * N else theta[0]
+        G = E / (2.0 * (1.0 + NU))
+        mass = ("-mass", RHO * A, "-cMass")
+        # local y is along z × x = across the frame's plane, where vecxz is the global y axis
+        ops.element("elasticBeamColumn", i, i, i + 1, A, E, G, J, IZ, IY, 1, *mass)
+
+
+def spring(theta):
+    """Make a bar on a spring, whose length is the parameter: its stiffness E A / length is a power of it."""
+    ops.model("basic", "-ndm", 1, "-ndf", 1)
+    ops.node(1, 0.0)
+    ops.node(2, 1.0, "-mass", 2.0)
+    ops.fix(1, 1)
+    ops.uniaxialMaterial("Elastic", 1, float(np.exp(theta[0])))
+    ops.element("Truss", 1, 1, 2, 1.0, 1)
+
+
+def plane(theta):
+    """Make the portal in its plane: theta has the moduli of legs and beam."""
+    ops.model("basic", "-ndm", 2, "-ndf", 3)
+    nodes = places()
+    for i, (x, _, z) in enumerate(nodes, 1):
+        ops.node(i, x, z)
+    for foot in (1, len(nodes)):
+        ops.fix(foot, 1, 1, 1)
+    ops.geomTransf("Linear", 1)
+    for i in range(1, len(nodes)):
+        E = theta[1] if N < i <= 2 * N else theta[0]
+        ops.element("elasticBeamColumn", i, i, i + 1, A, E, IZ, 1, "-mass", RHO * A, "-cMass")
+
+
+def own_plane():
+    """Return fmu's frame in the x–z plane, without rotary inertia, which OpenSees neglects."""
+    nodes = np.array(places())
+    line = np.stack([np.arange(3 * N), np.arange(1, 3 * N + 1)], axis=1)
+    section = fmu.Section(A=A, Iy=IZ, Iz=IZ, J=J)
+    groups = [
+        fmu.ElementGroup(name, line[part], section, fmu.Material(E=1.0, nu=NU, rho=RHO), (0.0, 1.0, 0.0))
+        for name, part in (("left", slice(0, N)), ("beam", slice(N, 2 * N)), ("right", slice(2 * N, None)))
+    ]
+    supports = dict.fromkeys(range(1, len(nodes) - 1), ("y", "rx", "rz"))
+    supports |= dict.fromkeys((0, len(nodes) - 1), ("x", "y", "z", "rx", "ry", "rz"))
+    every = [("A", name) for name in ("left", "beam", "right")]
+    targets = {"legs": [("E", "left"), ("E", "right")], "beam": [("E", "beam")], "area": every}
+    frame = fmu.Frame(nodes, groups, supports).separable(targets)
+    return fmu.SeparableModel(frame.K_terms, [term for term in frame.M_terms if term.powers[2]], frame.dofs)
+
+
+def hz(model, theta, count=8):
+    eigenvalues = np.linalg.eigvals(np.linalg.solve(model.mass.toarray(), model.stiffness.toarray()))
+    return np.sort(np.sqrt(eigenvalues.real))[:count] / (2.0 * np.pi)
+
+
+def parameters(*names):
+    return [fmu.Parameter(*row) for row in zip(names, START, LOWER, UPPER, strict=False)]
+
+
+def test_frequencies_are_those_of_the_same_frame_in_fmu():
+    model = fmu.from_opensees(plane, ["a", "b"], START, LOWER, UPPER)
+    data = fmu.ModalData(np.ones(8))
+    there = fmu.UpdatingProblem(model, data, parameters("a", "b"), beta=1.0, pairing="index")
+    own = [*parameters("legs", "beam"), fmu.Parameter("area", A, 0.5 * A, 2.0 * A)]
+    here = fmu.UpdatingProblem(own_plane(), data, own, beta=1.0, pairing="index")
+    theta = np.random.default_rng(1).uniform(LOWER, UPPER, (5, 2))
+    expected = here.frequencies(np.column_stack([theta, np.full(5, A)]))
+    assert_allclose(there.frequencies(theta), expected, rtol=1e-10)
+    assert [term.powers for term in model.M_terms] == [(0, 0)]
+    assert sorted(term.powers for term in model.K_terms) == [(0, 1), (1, 0)]
+    assert model.geometry is not None
+    assert len(model.geometry.elements) == 3 * N
+
+
+def test_frequencies_are_those_that_opensees_computes():
+    theta = np.array([1.9e11, 2.3e11])
+    model = exported(portal, theta)
+    ops.wipe()
+    portal(theta)
+    there = np.sqrt(ops.eigen("-genBandArpack", 6)) / (2.0 * np.pi)
+    ops.wipe()
+    assert_allclose(hz(model, theta, 6), there, rtol=1e-8)
+
+
+def test_names_of_degrees_of_freedom_and_the_mesh():
+    model = exported(portal, START)
+    assert len(model.dofs) == 6 * (3 * N - 1) == model.stiffness.shape[0]
+    assert model.dofs[:7] == (*((2, d) for d in ("x", "y", "z", "rx", "ry", "rz")), (3, "x"))
+    assert set(model.kinds) == {"line"}
+    assert_allclose(model.coordinates[model.nodes.tolist().index(N + 1)], [0.0, 0.0, HEIGHT])
+    load = np.zeros(len(model.dofs))
+    load[model.dofs.index((N + 1, "y"))] = 1.0
+    moved = np.linalg.solve(model.stiffness.toarray(), load)
+    assert np.argmax(np.abs(moved)) in [i for i, (_, d) in enumerate(model.dofs) if d in ("y", "rx")]
+
+
+def test_solved_at_every_theta():
+    sensors = tuple((node, d) for node in (3, N + 1, 7, 2 * N + 1, 10) for d in ("x", "-y", "z"))
+    terms = fmu.from_opensees(portal, ["a", "b"], START, LOWER, UPPER)
+    model = fmu.OpenSeesModel(portal, START, modes=6)
+    assert model.sees((N + 1, "x"))
+    assert not model.sees((1, "x"))
+    answer = model.at_sensors(sensors).at(START)
+    assert_allclose(answer.frequencies, hz(exported(portal, START), START, 6), rtol=1e-8)
+    observed = fmu.ModalData(np.ones(3), sensors=sensors, shapes=answer.shapes[:, [2, 0, 1]])
+    by_terms, anew = (
+        fmu.UpdatingProblem(one, observed, parameters("a", "b"), beta=1.0, pairing="shape")
+        for one in (terms, model)
+    )
+    theta = np.random.default_rng(2).uniform(LOWER, UPPER, (3, 2))
+    assert_allclose(anew.frequencies(theta), by_terms.frequencies(theta), rtol=1e-8)
+    assert_allclose(anew.log_prob_and_grad(theta)[1], by_terms.log_prob_and_grad(theta)[1], rtol=1e-5)
+
+
+def test_a_model_of_another_kind_of_dependence_is_refused_with_its_entries():
+    with pytest.raises(ValueError, match=r"what s changes of the stiffness must be .* node 2 x by"):
+        fmu.from_opensees(spring, ["s"], [1.0], [0.5], [3.0])
+    model = fmu.OpenSeesModel(spring, [1.0])
+    assert_allclose(model.at([1.0]).frequencies, np.sqrt(np.e / 2.0) / (2.0 * np.pi), rtol=1e-12)
+
+
+def test_nodes_that_follow_others_have_no_sensors():
+    def tied(theta):
+        portal([theta[0], theta[0]])
+        ops.equalDOF(N + 1, 2 * N + 1, 1)
+
+    model = exported(tied, START)
+    assert model.notes == ("No sensors can be at degrees of freedom that follow others, by node: 9 (1).",)
+    assert [d for node, d in model.dofs if node == 2 * N + 1] == ["y", "z", "rx", "ry", "rz"]
+    ops.wipe()
+    tied(START)
+    there = np.sqrt(ops.eigen("-fullGenLapack", 5)) / (2.0 * np.pi)
+    ops.wipe()
+    assert_allclose(hz(model, START, 5), there, rtol=1e-8)
+
+
+def nothing(theta):
+    pass
+
+
+def raises(theta):
+    raise RuntimeError("no section")
+
+
+def all_fixed(theta):
+    ops.model("basic", "-ndm", 2, "-ndf", 2)
+    ops.node(1, 0.0, 0.0)
+    ops.fix(1, 1, 1)
+
+
+def of_fluid(theta):
+    ops.model("basic", "-ndm", 3, "-ndf", 4)
+    ops.node(1, 0.0, 0.0, 0.0, "-mass", 1.0, 1.0, 1.0, 1.0)
+    ops.node(2, 1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (nothing, r"build: must make nodes in OpenSees \(it made none\)"),
+        (raises, r"build: must work at \[1\.0\] \(RuntimeError: no section\)"),
+        (all_fixed, r"build: must leave degrees of freedom free \(all are fixed\)"),
+        (of_fluid, r"build: must make degrees of freedom of structures \(node 1 has 4 in 3 dimensions\)"),
+    ],
+)
+def test_what_is_wrong_with_a_build_is_told(build, said):
+    with pytest.raises(ValueError, match=said):
+        exported(build, np.array([1.0]))
+    assert not ops.getNodeTags()
