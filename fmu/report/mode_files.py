@@ -56,9 +56,9 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     places, ids = np.asarray(geometry.nodes, dtype=float), list(geometry.row_of)
     elements: list[list[int]] = np.asarray(geometry.elements).tolist()
     kinds = ["line"] * len(elements)
-    if geometry.kinds:
-        elements = [[geometry.row_of[node] for node in cell] for cell in geometry.cells]
-        kinds = list(geometry.kinds)
+    if geometry.mesh is not None:
+        elements = [[geometry.row_of[node] for node in element] for element in geometry.mesh.elements]
+        kinds = list(geometry.mesh.kinds)
     write_vtu(folder / MESH_MODES, places, elements, kinds, vectors, {"node": np.array(ids)})
     if find_spec("pyuff") is None:
         return remarks

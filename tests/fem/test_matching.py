@@ -2,9 +2,15 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from fmu.fem.pairing.matching import kabsch, match
+import fmu
+from fmu.fem.modes.separable import Geometry
+from fmu.fem.pairing.alignment import kabsch
+from fmu.fem.pairing.matching import match, match_points
+from fmu.formats.models.edges import inside
+from fmu.formats.models.exported import mesh_of
 
 rng = np.random.default_rng(5)
 
@@ -137,6 +143,29 @@ def test_other_points_do_not_fit():
     points = {str(k): place for k, place in enumerate(np.random.default_rng(1).normal(size=(20, 3)))}
     with pytest.raises(ValueError, match=r"must fit the mesh \(the nearest nodes are up to"):
         match(points, NODES, PLACES)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_on_the_surface_of_a_solid_in_any_position(seed):
+    """A regular mesh has a minimum at every shift by its spacing, and nodes inside that no sensor is at."""
+    corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
+    within = [(i, j, k) for i in range(12) for j in range(8) for k in range(6) if i < 5 or j < 3 or k < 2]
+    places, elements = np.unique((np.array(within)[:, None] + corners).reshape(-1, 3), axis=0, return_inverse=True)
+    mesh = mesh_of(
+        dict(enumerate((0.05 * places).tolist(), 1)),
+        [tuple(int(node) + 1 for node in element) for element in elements.reshape(-1, 8)],
+        ["hexahedron"] * len(within),
+    )
+    dofs = [(int(node), axis) for node in mesh.nodes for axis in "xyz"]
+    unit = sp.eye_array(len(dofs), format="csr")
+    model = fmu.SeparableModel.from_terms(["k"], [(unit, "k")], [unit], dofs, Geometry.of_mesh(mesh))
+    outside = np.setdiff1d(np.arange(len(mesh.nodes)), inside(mesh))
+    picked = np.random.default_rng(seed).choice(outside, 25, replace=False)
+    turn = Rotation.random(rng=np.random.default_rng(10 + seed))
+    points = dict(enumerate((mesh.coordinates[picked] - [1.0, 2.0, 3.0]) @ turn.as_matrix()))
+    found = match_points(points, model)
+    assert found.nodes == tuple(mesh.nodes[picked].tolist())
+    assert found.rotation == pytest.approx(turn.as_matrix(), abs=1e-6)
 
 
 def plate():

@@ -171,10 +171,8 @@ class Geometry:
         Rows of both ends of each spring, the second one None for the ground.
     ids : ndarray of int, shape (n_nodes,), optional
         Names of the nodes in the degrees of freedom, where they are not the rows.
-    cells : sequence of sequence of int
-        Ids of the nodes of each element of another program's mesh, for exported files.
-    kinds : sequence of str
-        The kind of each: `fmu.formats.models.exported.Mesh`.
+    mesh : Mesh or ExportedModel, optional
+        That of another program, which the lines are drawn from.
     """
 
     nodes: FloatArray
@@ -182,8 +180,7 @@ class Geometry:
     masses: Sequence[int] = ()
     springs: Sequence[tuple[int, int | None]] = ()
     ids: IntArray | None = None
-    cells: Sequence[Sequence[int]] = ()
-    kinds: Sequence[str] = ()
+    mesh: Mesh | ExportedModel | None = None
 
     @classmethod
     def of_mesh(cls, mesh: Mesh | ExportedModel) -> Geometry | None:
@@ -200,9 +197,7 @@ class Geometry:
             With the lines that draw it; None if there is nothing to draw.
         """
         lines = edges(mesh)
-        if not len(lines):
-            return None
-        return cls(mesh.coordinates, lines, ids=mesh.nodes, cells=mesh.elements, kinds=mesh.kinds)
+        return cls(mesh.coordinates, lines, ids=mesh.nodes, mesh=mesh) if len(lines) else None
 
     @cached_property
     def drawn(self) -> IntArray:

@@ -1,28 +1,25 @@
 """Points of a test on the nodes of a mesh: a rigid alignment, then the nearest node of each point.
 
 Where the points are given in the axes of the model, they are taken as they are. Otherwise the alignment R x + t is
-found by iterative closest points (Besl & McKay 1992), each step the least-squares rotation of Kabsch (1976), from
-the 24 rotations that carry axes to axes, and from the principal axes of points and mesh. Nothing is scaled or
-mirrored: that either would fit is told. So is every other alignment that fits as well, as on a symmetric
-structure; three points whose nodes are known decide it.
+found by `fmu.fem.pairing.alignment`. Nothing is scaled or mirrored: that either would fit is told. So is every
+other alignment that fits as well, as on a symmetric structure; three points whose nodes are known decide it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.alignment import Mesh, aligned, kabsch, turn_of
+from fmu.formats.models.edges import inside
 from fmu.numbers import listed, names_in_words, significant
 from fmu.tables import data_frame
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,21 +32,9 @@ CLOSE_RIVAL = 0.1
 """So is one whose second node is farther by less than this, in the same unit."""
 SNAPPED = 2.0
 """Axes turned by at most so many degrees against those of the model count as parallel to them."""
-_FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
-"""Steps from every start, and from the best of them."""
 _MOST_NAMED = 5
-_AS_GOOD = 1.2
-"""An alignment fits as well as the best if its distances are at most so many times as large."""
-_EXACT = 1e-3
-"""Distances below this, in units of the spacing, are all as good as zero."""
-_ELSEWHERE = 5.0
-"""Degrees by which two alignments differ at least that count as two."""
-_MOST_FAR = 0.2
-"""Points fit a mesh if at most this share of them is farther from it than its spacing."""
 _ROUGH, _BETTER = 0.1, 0.3
 """Mirrored points are tried where distances exceed so many spacings, and told if theirs are so much smaller."""
-_KEEPS = 1e-10
-"""Weight of the rotation so far, about an axis that points on one line leave free."""
 _AXES = ("x", "y", "z")
 
 
@@ -148,63 +133,6 @@ class Matching:
         return data_frame(columns, "point", self.points)
 
 
-def kabsch(points: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rotations R and shifts t of the least Σ |R x + t − y|² (Kabsch 1976), for n points a set.
-
-    About an axis that the points leave free, as those on one line do, nothing is turned.
-
-    Parameters
-    ----------
-    points, targets : ndarray, shape (..., n, 3)
-
-    Returns
-    -------
-    R : ndarray, shape (..., 3, 3)
-        With determinant +1: a mirrored set is not met.
-    t : ndarray, shape (..., 3)
-    """
-    centre, target = points.mean(axis=-2), targets.mean(axis=-2)
-    H = np.swapaxes(points - centre[..., None, :], -1, -2) @ (targets - target[..., None, :])
-    size = np.linalg.norm(H, axis=(-2, -1))[..., None, None]
-    U, _, Vt = np.linalg.svd(H + (_KEEPS * size + np.finfo(float).tiny) * np.eye(3))
-    flip = np.ones((*U.shape[:-2], 3))
-    flip[..., 2] = np.sign(np.linalg.det(U @ Vt))
-    R = np.swapaxes(Vt, -1, -2) * flip[..., None, :] @ np.swapaxes(U, -1, -2)
-    return R, target - (R @ centre[..., None])[..., 0]
-
-
-class _Mesh:
-    """Places of nodes, each once, and the spacing between them."""
-
-    def __init__(self, nodes: Sequence[Any], coordinates: ArrayLike) -> None:
-        given = np.asarray(coordinates, dtype=float)
-        if given.shape != (len(nodes), 3) or len(nodes) < 2 or not np.all(np.isfinite(given)):
-            raise ValueError(f"coordinates: must be finite, for two nodes or more (got shape {given.shape})")
-        self.size = float(np.ptp(given, axis=0).max())
-        _, first, self._place_of = np.unique(
-            np.round(given / (1e-9 * self.size)), axis=0, return_index=True, return_inverse=True
-        )
-        self._nodes, self.places = list(nodes), given[first]
-        self.index = {str(node): k for k, node in enumerate(nodes)}
-        self.given = given
-        self.tree = KDTree(self.places)
-        self.spacing = self.tree.query(self.places, k=2)[0][:, 1]
-        self.usual = float(np.median(self.spacing))
-
-    def at(self, place: int) -> list[Any]:
-        """Return the nodes at a place."""
-        return [self._nodes[k] for k in np.flatnonzero(self._place_of.ravel() == place)]
-
-    def rms(self, x: FloatArray) -> float:
-        """Return the root mean square of the distances of points (n, 3) from their nearest nodes."""
-        return float(np.sqrt(np.mean(self.tree.query(x)[0] ** 2)))
-
-    def fits(self, x: FloatArray) -> bool:
-        """Say whether points (n, 3) lie on the mesh, most of them."""
-        distance, place = self.tree.query(x)
-        return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
-
-
 def match(
     points: Mapping[Any, ArrayLike],
     nodes: Sequence[Any],
@@ -233,7 +161,7 @@ def match(
     """
     if unit not in UNITS:
         raise ValueError(f"unit: must be one of {', '.join(UNITS)} (got {unit!r})")
-    mesh, names = _Mesh(nodes, coordinates), tuple(map(str, points))
+    mesh, names = Mesh(nodes, coordinates), tuple(map(str, points))
     given = np.array([np.asarray(place, dtype=float) for place in points.values()])
     if given.ndim != 2 or given.shape[1] != 3 or not np.all(np.isfinite(given)):
         raise ValueError("points: must be one or more, with three finite coordinates each")
@@ -243,7 +171,7 @@ def match(
     elif mesh.fits(x):
         R, t = np.eye(3), np.zeros(3)
     else:
-        R, t, others = _aligned(x, mesh)
+        R, t, others = aligned(x, mesh)
         doubts = _of_alignments(others)
     placed = x @ R.T + t
     if not mesh.fits(placed):
@@ -293,15 +221,16 @@ def match_points(
     if model.geometry is None:
         raise ValueError("model: must know the coordinates of its nodes (it has no geometry)")
     geometry = model.geometry
-    moving = {row for row, *_ in model.located()}
-    rows = sorted(moving.union(geometry.drawn.tolist()))  # no node that the mesh has for other purposes
+    moving = {row for row, *_ in model.located()}  # no node that the mesh has for other purposes
+    within = () if geometry.mesh is None else inside(geometry.mesh).tolist()
+    rows = sorted(moving.union(geometry.drawn.tolist()).difference(within))
     names = list(geometry.row_of)
     places = np.asarray(geometry.nodes, dtype=float)[rows]
     return match(points, [names[row] for row in rows], places, unit, known)
 
 
 def _by_known(
-    points: Mapping[str, FloatArray], mesh: _Mesh, known: Mapping[Any, Any]
+    points: Mapping[str, FloatArray], mesh: Mesh, known: Mapping[Any, Any]
 ) -> tuple[FloatArray, FloatArray]:
     wrong = [str(point) for point in known if str(point) not in points]
     wrong += [str(node) for node in known.values() if str(node) not in mesh.index]
@@ -313,99 +242,8 @@ def _by_known(
     return kabsch(x, mesh.given[[mesh.index[str(node)] for node in known.values()]])
 
 
-def _aligned(x: FloatArray, mesh: _Mesh) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
-    """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
-    R, t = _closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS)
-    which = np.concatenate([_places(x, mesh, R, t), np.round(4.0 * R.reshape(-1, 9))], axis=1)
-    once = np.unique(which, axis=0, return_index=True)[1]
-    best = once[np.argsort(_rms(x, mesh, R[once], t[once]), kind="stable")[:_BEST]]
-    R, t = _closest(x, mesh, R[best], t[best], _STEPS)
-    # the neighbours of a place on a regular mesh
-    first = int(np.argmin(_rms(x, mesh, R, t)))
-    step = mesh.usual * np.concatenate([np.eye(3), -np.eye(3)])
-    beside = _closest(x, mesh, np.repeat(R[[first]], 6, axis=0), t[first] + step, _STEPS)
-    R, t = np.concatenate([R, beside[0]]), np.concatenate([t, beside[1]])
-    rms = _rms(x, mesh, R, t)
-    good = np.flatnonzero(rms <= max(_AS_GOOD * float(rms.min()), _EXACT * mesh.usual))
-    turn = np.round(Rotation.from_matrix(R[good]).magnitude(), 3)
-    moved = np.linalg.norm(x @ np.swapaxes(R[good], -1, -2) + t[good][:, None] - x, axis=2).mean(axis=1)
-    kept: list[int] = []
-    for k in good[np.lexsort((moved, turn))].tolist():
-        if all(_differ(x, mesh, (R[k], t[k]), (R[other], t[other])) for other in kept):
-            kept.append(k)
-    return R[kept[0]], t[kept[0]], [(R[k], t[k]) for k in kept[1:]]
-
-
-def _starts(x: FloatArray, mesh: _Mesh) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and shifts to start from, shapes (n, 3, 3) and (n, 3)."""
-    turns = np.array([np.eye(3)[list(order)] * sign for order in permutations(range(3)) for sign in _signs()])
-    turns = turns[np.linalg.det(turns) > 0]
-    V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
-    turns = np.concatenate([turns, W.T @ turns @ V * np.linalg.det(W.T @ V)])
-    R, t = [], []
-    low, high = mesh.places.min(axis=0), mesh.places.max(axis=0)
-    for turn in turns:
-        turned = x @ turn.T
-        ends = turned.min(axis=0), turned.max(axis=0)
-        shifts = [
-            np.zeros(3),
-            mesh.places.mean(axis=0) - turned.mean(axis=0),
-            0.5 * (low + high - ends[0] - ends[1]),
-        ]
-        shifts += [np.where(corner, high - ends[1], low - ends[0]) for corner in product((True, False), repeat=3)]
-        R += [turn] * len(shifts)
-        t += shifts
-    return np.array(R), np.array(t)
-
-
-def _signs() -> list[FloatArray]:
-    return [np.array(signs) for signs in product((1.0, -1.0), repeat=3)]
-
-
-def _three(x: FloatArray) -> FloatArray:
-    """Return at least three points, for a singular value decomposition with three directions."""
-    return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
-
-
-def _closest(
-    x: FloatArray, mesh: _Mesh, R: FloatArray, t: FloatArray, steps: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return alignments (n, 3, 3) and (n, 3) after so many steps of iterative closest points."""
-    for _ in range(steps):
-        placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
-        turn, shift = kabsch(placed, mesh.places[mesh.tree.query(placed)[1]])
-        R, before = turn @ R, t
-        t = (turn @ t[..., None])[..., 0] + shift
-        if np.abs(t - before).max() < 1e-12 * mesh.size and np.abs(turn - np.eye(3)).max() < 1e-12:
-            break
-    return R, t
-
-
-def _places(x: FloatArray, mesh: _Mesh, R: FloatArray, t: FloatArray) -> IntArray:
-    """Return the places nearest to the points after each alignment, shape (n, n_points)."""
-    return np.asarray(mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1])
-
-
-def _rms(x: FloatArray, mesh: _Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
-    distance = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[0]
-    return np.asarray(np.sqrt(np.mean(distance**2, axis=1)))
-
-
-def _differ(x: FloatArray, mesh: _Mesh, one: tuple[Any, Any], other: tuple[Any, Any]) -> bool:
-    """Say whether two alignments give other nodes, or other directions."""
-    places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
-    return bool(np.any(places[0] != places[1])) or _turn(one[0] @ other[0].T)[0] > _ELSEWHERE
-
-
-def _turn(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return angle in degrees and axis of a rotation."""
-    vector = Rotation.from_matrix(R).as_rotvec()
-    angle = float(np.linalg.norm(vector))
-    return np.degrees(angle), vector / angle if angle > 0 else vector
-
-
 def _in_words(R: FloatArray, t: FloatArray) -> str:
-    angle, axis = _turn(R)
+    angle, axis = turn_of(R)
     turned = f"turned by {significant(angle)}° about ({listed(np.round(axis, 2) + 0.0)}), " if angle > 0.05 else ""
     return f"{turned}moved by ({listed(np.round(t, 6) + 0.0)}) m"
 
@@ -469,7 +307,7 @@ def _of_distances(found: Matching, second: FloatArray) -> list[str]:
     return doubts if more <= 0 else [*doubts[:_MOST_NAMED], f"So it is with {more} more points."]
 
 
-def _no_fit(x: FloatArray, mesh: _Mesh, placed: FloatArray) -> str:
+def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
     """Return that points do not fit a mesh, and by how much."""
     size, distance = float(np.ptp(x, axis=0).max()), mesh.tree.query(placed)[0]
     return (
@@ -478,20 +316,20 @@ def _no_fit(x: FloatArray, mesh: _Mesh, placed: FloatArray) -> str:
     )
 
 
-def _in_another_unit(given: FloatArray, mesh: _Mesh, unit: str) -> str:
+def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
     """Return in which unit the points would fit; empty if in none."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
-            R, t, _ = _aligned(factor * given, mesh)
+            R, t, _ = aligned(factor * given, mesh)
             if mesh.fits(factor * given @ R.T + t):
                 return f"; they fit in {other}: unit = {other!r}"
     return ""
 
 
-def _mirrored(x: FloatArray, mesh: _Mesh, placed: FloatArray) -> str:
+def _mirrored(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
     """Return that the mirrored points would fit, and much better; empty if they would not."""
     mirrored = x * [-1.0, 1.0, 1.0]
-    R, t, _ = _aligned(mirrored, mesh)
+    R, t, _ = aligned(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):
         return ""
     return "; they fit mirrored: the axes of the test must be right-handed"

@@ -1,4 +1,4 @@
-"""The lines that draw a mesh: line elements, and edges of faces."""
+"""The lines that draw a mesh: line elements, and edges of faces; and which nodes are inside solids."""
 
 from __future__ import annotations
 
@@ -21,7 +21,13 @@ _FACES = {
     "hexahedron": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
 """Corners around each face, the last one twice in a triangle."""
-_SOLIDS = ("tetra", "pyramid", "wedge", "hexahedron")
+_SOLIDS = {
+    "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
+    "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
+    "hexahedron": ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
+}
+"""Both ends of the edges that hold the midside nodes, in meshio's order."""
 
 
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
@@ -29,6 +35,32 @@ def edges(mesh: Mesh | ExportedModel) -> IntArray:
 
     Midside nodes are left out. Of solids the surface is drawn.
     """
+    lines, faces = _lines_and_faces(mesh)
+    drawn = [lines, _of_faces(faces, mesh.coordinates)]
+    return np.unique(np.sort(np.concatenate(drawn), axis=1), axis=0)
+
+
+def inside(mesh: Mesh | ExportedModel) -> IntArray:
+    """Return the rows of `mesh.nodes` inside solids, ascending: no sensor is there.
+
+    A midside node is on the surface where both ends of its edge are.
+    """
+    lines, faces = _lines_and_faces(mesh)
+    row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
+    outer, inner = {*lines.ravel().tolist(), *faces.ravel().tolist()}, set[int]()
+    for kind, element in zip(mesh.kinds, mesh.elements, strict=True):
+        sides = _SOLIDS.get(kind.rstrip("0123456789"), ())
+        if sides:
+            rows = [row[node] for node in element]
+            corners = 1 + max(max(side) for side in sides)
+            inner.update(node for node in rows[:corners] if node not in outer)
+            ends = zip(sides, rows[corners:], strict=False)
+            inner.update(node for (a, b), node in ends if not {rows[a], rows[b]} <= outer)
+    return np.array(sorted(inner), dtype=np.int64)
+
+
+def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
+    """Return rows of the ends of line elements (n, 2), and of the corners of faces on the surface (m, 4)."""
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     lines: list[tuple[int, int]] = []
     skin: list[tuple[int, ...]] = []
@@ -43,8 +75,7 @@ def edges(mesh: Mesh | ExportedModel) -> IntArray:
     faces = np.array(skin, dtype=np.int64).reshape(-1, 4)
     if inner:
         faces = np.concatenate([faces, _outer(np.array(inner, dtype=np.int64))])
-    drawn = [np.array(lines, dtype=np.int64).reshape(-1, 2), _of_faces(faces, mesh.coordinates)]
-    return np.unique(np.sort(np.concatenate(drawn), axis=1), axis=0)
+    return np.array(lines, dtype=np.int64).reshape(-1, 2), faces
 
 
 def _outer(faces: IntArray) -> IntArray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.formats.models.edges import MOST_EDGES, edges
+from fmu.formats.models.edges import MOST_EDGES, edges, inside
 from fmu.formats.models.exported import mesh_of
 
 
@@ -30,6 +30,24 @@ def bricks(n):
         for k in range(n)
     ]
     return mesh_of(places, elements, ["hexahedron"] * n**3)
+
+
+def test_nodes_inside_solids():
+    """27 of 125 nodes of 4³ bricks; of the midside nodes, those between two outer nodes are on the surface."""
+    mesh = bricks(4)
+    within = mesh.coordinates[inside(mesh)]
+    assert len(within) == 27
+    assert within.min() == 1.0
+    assert within.max() == 3.0
+    assert len(inside(plate(4))) == 0
+    first = mesh.elements[0]
+    sides = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
+    ends = np.array(first)[np.array(sides)] - 1
+    middle = dict(enumerate(mesh.coordinates[ends].mean(axis=1), 1001))
+    places = dict(zip(mesh.nodes.tolist(), mesh.coordinates, strict=True)) | middle
+    finer = mesh_of(places, ((*first, *middle), *mesh.elements[1:]), ("hexahedron20", *mesh.kinds[1:]))
+    midside = {int(node) for node in finer.nodes[inside(finer)] if node > 1000}
+    assert midside == {node for node, place in middle.items() if min(place) > 0.0}
 
 
 def test_each_edge_of_a_small_mesh_once():

@@ -1,0 +1,187 @@
+"""Rigid alignment of points to a mesh: iterative closest points from many starts.
+
+Each step (Besl & McKay 1992) is the least-squares rotation of Kabsch (1976) to the nearest nodes. It starts from
+the 24 rotations that carry axes to axes, from the principal axes of points and mesh, and from hundreds of others.
+A regular mesh has a minimum at every shift by its spacing: the neighbours of the best alignments are tried too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from fmu.types import FloatArray, IntArray
+
+_FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
+"""Steps from every start, and from the best of them."""
+_FEW, _ROUNDS = 8, 10
+"""Of how many alignments the neighbours are tried, and how often at most."""
+_OTHERS = 600
+"""Rotations to start from beside those of axes; two neighbours differ by some 20°."""
+_AS_GOOD = 1.2
+"""An alignment fits as well as the best if its distances are at most so many times as large."""
+_EXACT = 1e-3
+"""Distances below this, in units of the spacing, are all as good as zero."""
+_ELSEWHERE = 5.0
+"""Degrees by which two alignments differ at least that count as two."""
+_MOST_FAR = 0.2
+"""Points fit a mesh if at most this share of them is farther from it than its spacing."""
+_KEEPS = 1e-10
+"""Weight of the rotation so far, about an axis that points on one line leave free."""
+
+
+def kabsch(points: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations R and shifts t of the least Σ |R x + t − y|² (Kabsch 1976), for n points a set.
+
+    About an axis that the points leave free, as those on one line do, nothing is turned.
+
+    Parameters
+    ----------
+    points, targets : ndarray, shape (..., n, 3)
+
+    Returns
+    -------
+    R : ndarray, shape (..., 3, 3)
+        With determinant +1: a mirrored set is not met.
+    t : ndarray, shape (..., 3)
+    """
+    centre, target = points.mean(axis=-2), targets.mean(axis=-2)
+    H = np.swapaxes(points - centre[..., None, :], -1, -2) @ (targets - target[..., None, :])
+    size = np.linalg.norm(H, axis=(-2, -1))[..., None, None]
+    U, _, Vt = np.linalg.svd(H + (_KEEPS * size + np.finfo(float).tiny) * np.eye(3))
+    flip = np.ones((*U.shape[:-2], 3))
+    flip[..., 2] = np.sign(np.linalg.det(U @ Vt))
+    R = np.swapaxes(Vt, -1, -2) * flip[..., None, :] @ np.swapaxes(U, -1, -2)
+    return R, target - (R @ centre[..., None])[..., 0]
+
+
+class Mesh:
+    """Places of nodes, each once, and the spacing between them."""
+
+    def __init__(self, nodes: Sequence[Any], coordinates: ArrayLike) -> None:
+        given = np.asarray(coordinates, dtype=float)
+        if given.shape != (len(nodes), 3) or len(nodes) < 2 or not np.all(np.isfinite(given)):
+            raise ValueError(f"coordinates: must be finite, for two nodes or more (got shape {given.shape})")
+        self.size = float(np.ptp(given, axis=0).max())
+        _, first, self._place_of = np.unique(
+            np.round(given / (1e-9 * self.size)), axis=0, return_index=True, return_inverse=True
+        )
+        self._nodes, self.places = list(nodes), given[first]
+        self.index = {str(node): k for k, node in enumerate(nodes)}
+        self.given = given
+        self.tree = KDTree(self.places)
+        self.spacing = self.tree.query(self.places, k=2)[0][:, 1]
+        self.usual = float(np.median(self.spacing))
+
+    def at(self, place: int) -> list[Any]:
+        """Return the nodes at a place."""
+        return [self._nodes[k] for k in np.flatnonzero(self._place_of.ravel() == place)]
+
+    def rms(self, x: FloatArray) -> float:
+        """Return the root mean square of the distances of points (n, 3) from their nearest nodes."""
+        return float(np.sqrt(np.mean(self.tree.query(x)[0] ** 2)))
+
+    def fits(self, x: FloatArray) -> bool:
+        """Say whether points (n, 3) lie on the mesh, most of them."""
+        distance, place = self.tree.query(x)
+        return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
+
+
+def aligned(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
+    """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
+    R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
+    R, t = _closest(x, mesh, R, t, _STEPS)
+    # on a regular mesh every shift by its spacing is near a minimum
+    shifts = mesh.usual * np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
+    for _ in range(_ROUNDS):
+        least = _rms(x, mesh, R, t).min()
+        near = _best(x, mesh, R, t, _FEW)
+        beside = (near[1][:, None] + shifts).reshape(-1, 3)
+        others = _closest(x, mesh, np.repeat(near[0], len(shifts), axis=0), beside, _FIRST_STEPS)
+        R, t = _best(x, mesh, np.concatenate([R, others[0]]), np.concatenate([t, others[1]]), _BEST)
+        if _rms(x, mesh, R, t).min() > 0.999 * least:
+            break
+    R, t = _closest(x, mesh, R, t, _STEPS)
+    rms = _rms(x, mesh, R, t)
+    good = np.flatnonzero(rms <= max(_AS_GOOD * float(rms.min()), _EXACT * mesh.usual))
+    turn = np.round(Rotation.from_matrix(R[good]).magnitude(), 3)
+    moved = np.linalg.norm(x @ np.swapaxes(R[good], -1, -2) + t[good][:, None] - x, axis=2).mean(axis=1)
+    kept: list[int] = []
+    for k in good[np.lexsort((moved, turn))].tolist():
+        if all(_differ(x, mesh, (R[k], t[k]), (R[other], t[other])) for other in kept):
+            kept.append(k)
+    return R[kept[0]], t[kept[0]], [(R[k], t[k]) for k in kept[1:]]
+
+
+def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the alignments that fit best, each once, at most so many."""
+    places = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1]
+    which = np.concatenate([places, np.round(4.0 * R.reshape(-1, 9))], axis=1)
+    once = np.unique(which, axis=0, return_index=True)[1]
+    best = once[np.argsort(_rms(x, mesh, R[once], t[once]), kind="stable")[:count]]
+    return R[best], t[best]
+
+
+def _starts(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray]:
+    """Return rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
+
+    From those of axes, and of principal axes, with centres, corners or origins at one place; from many others with
+    the centres.
+    """
+    axes = Rotation.create_group("O").as_matrix()
+    V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
+    likely = np.concatenate([axes, W.T @ axes @ V * np.linalg.det(W.T @ V)])
+    others = Rotation.random(_OTHERS, rng=np.random.default_rng(0)).as_matrix()
+    R, t = [], []
+    low, high = mesh.places.min(axis=0), mesh.places.max(axis=0)
+    for k, turn in enumerate(np.concatenate([likely, others])):
+        turned = x @ turn.T
+        first, last = turned.min(axis=0), turned.max(axis=0)
+        shifts = [mesh.places.mean(axis=0) - turned.mean(axis=0), 0.5 * (low + high - first - last)]
+        if k < len(likely):
+            corners = product((True, False), repeat=3)
+            shifts += [np.zeros(3), *(np.where(corner, high - last, low - first) for corner in corners)]
+        R += [turn] * len(shifts)
+        t += shifts
+    return np.array(R), np.array(t)
+
+
+def _three(x: FloatArray) -> FloatArray:
+    """Return at least three points, for a singular value decomposition with three directions."""
+    return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
+
+
+def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+    """Return alignments (n, 3, 3) and (n, 3) after so many steps of iterative closest points."""
+    for _ in range(steps):
+        placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
+        turn, shift = kabsch(placed, mesh.places[mesh.tree.query(placed)[1]])
+        R, before = turn @ R, t
+        t = (turn @ t[..., None])[..., 0] + shift
+        if np.abs(t - before).max() < 1e-12 * mesh.size and np.abs(turn - np.eye(3)).max() < 1e-12:
+            break
+    return R, t
+
+
+def _rms(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
+    distance = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[0]
+    return np.asarray(np.sqrt(np.mean(distance**2, axis=1)))
+
+
+def _differ(x: FloatArray, mesh: Mesh, one: tuple[Any, Any], other: tuple[Any, Any]) -> bool:
+    """Say whether two alignments give other nodes, or other directions."""
+    places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
+    return bool(np.any(places[0] != places[1])) or turn_of(one[0] @ other[0].T)[0] > _ELSEWHERE
+
+
+def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
+    """Return angle in degrees and axis of a rotation."""
+    vector = Rotation.from_matrix(R).as_rotvec()
+    angle = float(np.linalg.norm(vector))
+    return np.degrees(angle), vector / angle if angle > 0 else vector
