@@ -7,7 +7,7 @@ CalculiX        ``job.sti``, with ``job.mas`` and ``job.dof`` beside it      ``j
 Abaqus          ``job_STIF1.mtx`` and ``job_MASS1.mtx``                      ``job.inp``
 Ansys           ``file.full``                                                ``.cdb`` or ``.rst``
 Nastran         OP4, ``.op4``; DMIG in ``.pch`` or the bulk data             ``.bdf``, ``.dat``, ``.nas``
-MATLAB          K and M of ``.mat``, or in two files
+MATLAB          K and M of ``.mat`` or ``.m``, or in two files
 any other       two files of `fmu.formats.matrices.read`, names of rows
 ==============  ===========================================================  =======================
 
@@ -73,7 +73,7 @@ def read_model(
     ------
     ValueError
         If a file does not exist, is broken, of another kind or of another model. The text begins with the argument
-        at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``variables:``.
+        at fault: ``path:``, ``mass:``, ``mesh:`` or ``dofs:``.
     """
     path = Path(path)
     found = NO_MESH if mesh is None else mesh

@@ -28,7 +28,17 @@ def names(model):
 
 
 @pytest.mark.parametrize(
-    "file", ["little.op4", "big.op4", "strings.op4", "bigmat.op4", "dense.op4", "sparse.op4", "bigmat-text.op4"]
+    "file",
+    [
+        "little.op4",
+        "big.op4",
+        "strings.op4",
+        "bigmat.op4",
+        "long.op4",
+        "dense.op4",
+        "sparse.op4",
+        "bigmat-text.op4",
+    ],  # fmt: skip
 )
 def test_op4_has_the_frequencies_of_the_frame(model, file):
     read = fmu.read_model(FILES / file, mesh=FILES / "portal.bdf")

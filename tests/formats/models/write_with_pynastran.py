@@ -126,7 +126,39 @@ def write_files(source, folder):
             )  # fmt: skip
         text = "".join(one.write_card(8) for one in model.dmig.values())
         (folder / f"{name}.pch").write_text("$TITLE   = PORTAL\n" + text)
+    write_long(folder / "long.op4", K, M)
+    for name, matrix in yeti.read(str(folder / "long.op4")).items():
+        assert np.array_equal(matrix, {"kgg": K, "mgg": M}[name])
     write_modes(K, M, T, folder / "turned.f06")
+
+
+def write_long(path, K, M):
+    """Write OP4 with words of 8 bytes, the stiffness with full columns and the mass with strings.
+
+    Neither program writes it, and pyYeti reads it.
+    """
+
+    def record(file, content):
+        size = np.array([len(content)], "<i4").tobytes()
+        file.write(size + content + size)
+
+    def whole(*numbers):
+        return np.array(numbers, "<i8").tobytes()
+
+    n = len(K)
+    with open(path, "wb") as file:
+        for name, matrix, rows in (("KGG", K, n), ("MGG", M, -n)):
+            record(file, whole(n, rows, 6, 2) + name.ljust(16).encode())
+            for j, column in enumerate(matrix.T, 1):
+                there = np.flatnonzero(column)
+                parts = np.split(there, np.flatnonzero(np.diff(there) > 1) + 1) if len(there) else []
+                if rows < 0 and parts:
+                    words = [whole(len(part) + 1, part[0] + 1) + column[part].tobytes() for part in parts]
+                    record(file, whole(j, 0, sum(map(len, words)) // 8) + b"".join(words))
+                elif parts:
+                    values = column[there[0] : there[-1] + 1]
+                    record(file, whole(j, there[0] + 1, len(values)) + values.tobytes())
+            record(file, whole(n + 1, 1, 1) + np.ones(1).tobytes())
 
 
 def write_modes(K, M, T, path):
