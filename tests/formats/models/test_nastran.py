@@ -38,7 +38,7 @@ def names(model):
         "dense.op4",
         "sparse.op4",
         "bigmat-text.op4",
-    ],  # fmt: skip
+    ],
 )
 def test_op4_has_the_frequencies_of_the_frame(model, file):
     read = fmu.read_model(FILES / file, mesh=FILES / "portal.bdf")
