@@ -23,11 +23,14 @@ $(READY): pyproject.toml constraints.txt
 paper: $(READY)  ## Run both experiments of the paper with every sampler, into results/
 	.venv/bin/fmu paper --out results
 
+# Left to `make test-programs`.
+RUN_PROGRAMS := tests/programs tests/report/test_there_and_back.py
+
 # Byte code is kept: processes that tests start would compile the package again and again.
 test: export OPENBLAS_NUM_THREADS = 1
 test: export PYTHONDONTWRITEBYTECODE =
 test: $(READY)  ## Run the whole test suite, a worker a core
-	.venv/bin/python -m pytest --numprocesses=auto --no-loadscope-reorder
+	.venv/bin/python -m pytest --numprocesses=auto --no-loadscope-reorder $(RUN_PROGRAMS:%=--ignore=%)
 
 # What rounding decides: eigenvalues, null spaces, reduced models and what is compared with them.
 NUMERICAL := tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_structure.py tests/fem/test_frame.py \
@@ -68,8 +71,8 @@ $(READY_PROGRAMS): $(READY)
 
 # What reads other programs' files, and what runs these programs: CalculiX, where there is one (ccx).
 OF_PROGRAMS := tests/formats/models tests/config/test_models_of_programs.py tests/report/test_mode_files.py \
-  tests/report/test_there_and_back.py tests/fem/programs tests/config/test_command_table.py \
-  tests/config/test_opensees_table.py tests/config/test_templates.py
+  tests/fem/programs tests/config/test_command_table.py tests/config/test_opensees_table.py \
+  tests/config/test_templates.py $(RUN_PROGRAMS)
 
 test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or the libraries that read their files
 	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --quiet $(OF_PROGRAMS)
@@ -83,8 +86,11 @@ $(READY_BENCH): $(READY)
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,bench]'
 	touch $(READY_BENCH)
 
+# One of them runs CalculiX.
+WITHOUT_CCX := $(shell command -v ccx >/dev/null || echo --ignore=notebooks/06-from-another-program.ipynb)
+
 notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they are
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --nbmake --nbmake-timeout=300 notebooks
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --nbmake --nbmake-timeout=300 notebooks $(WITHOUT_CCX)
 
 notebooks-save: $(READY)  ## Run the notebooks and keep what they show
 	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter nbconvert --to notebook --execute --inplace \

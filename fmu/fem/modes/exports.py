@@ -104,7 +104,8 @@ class Recovery:
     def sentences(self, what: str, names: Sequence[str]) -> list[str]:
         """Return what there is to say of the `what` (``"stiffness"``), parameters by their names."""
         terms = names_in_words([_in_words(term.powers, names) for term in self.terms])
-        said = [f"The {what} is a sum of {len(self.terms)} terms: {terms}."]
+        many = f"The {what} is a sum of {len(self.terms)} terms: {terms}."
+        said = [many if len(self.terms) > 1 else f"The {what} has one term: {terms}."]
         if self.checked is None:
             said.append(f"No export checks the {what}: nothing shows that its powers are right.")
         else:
@@ -365,18 +366,34 @@ def _recovery(
     """Return one matrix as a sum of terms; `changed` (n_parameters, n) tells which entries a parameter changes.
 
     Entries changed by the same parameters have the same terms. Where a parameter alone changes an element, and
-    another one its neighbour, the entries between them have the terms of both, which are known by then.
+    another one its neighbour, the entries between them have the terms of both, which are known by then. Where the
+    changes of two elements cancel in the exports, such an entry may depend on all that changes the diagonal of its
+    row and of its column, where nothing cancels.
     """
     relative, everything = values / values[0], np.ones(len(used), dtype=bool)
     corners = _corners(bounds / values[0])
     found: dict[Powers, FloatArray] = {}
     decided, error, rounding = False, np.zeros(len(used)), 0.0
+    diagonal = np.flatnonzero(entries.row == entries.column)
+    of_row = np.zeros((len(names), len(entries.dofs)), dtype=bool)
+    of_row[:, entries.row[diagonal]] = changed[:, diagonal]
+
+    def on_diagonal(own: Any) -> BoolArray:
+        """Return which parameters change the diagonal both of the row and of the column of entries."""
+        return np.asarray(of_row[:, entries.row[own]] & of_row[:, entries.column[own]])
+
     by_parameters, of_entry = np.unique(changed, axis=1, return_inverse=True)
     for k in np.argsort(by_parameters.sum(axis=0), kind="stable"):
-        group, own = np.flatnonzero(by_parameters[:, k]).tolist(), np.flatnonzero(of_entry == k)
+        own = np.flatnonzero(of_entry == k)
         sample = entries.entry[:, own[:: max(len(own) // _MOST_SAMPLED, 1)]]
-        known = [powers for powers in found if any(powers) and set(np.flatnonzero(powers)) <= set(group)]
-        chosen, first = _fewest(known, group, relative, used, sample, entries.noise)
+        groups = [np.flatnonzero(by_parameters[:, k]).tolist()]
+        around = np.flatnonzero(on_diagonal(own).any(axis=1)).tolist()
+        groups += [around] if len(around) > len(groups[0]) else []
+        for group in groups:
+            known = [powers for powers in found if any(powers) and set(np.flatnonzero(powers)) <= set(group)]
+            chosen, first = _fewest(known, group, relative, used, sample, entries.noise)
+            if chosen is not None:
+                break
         fit = None if chosen is None else _Fit.of(chosen, relative, used)
         if fit is None:
             raise ValueError(_refusal(what, names, known, group, relative, used, exports, entries, own))

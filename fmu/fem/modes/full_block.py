@@ -84,17 +84,26 @@ class FullBlock(Block):
         phi = np.full((len(theta), self.size, count), np.nan)
         if count == 0:
             return lam, phi
+        has_rank_of_all = np.all(self._M_map(theta) > 0, axis=1) & self._has_semidefinite_masses
         for i, (K, M) in enumerate(self._matrices(theta)):
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
-                lam[i], phi[i] = eigen(K, M, count, self._rank(M))
+                lam[i], phi[i] = eigen(K, M, count, self._rank(M, bool(has_rank_of_all[i])))
             except SingularMassError:
                 continue
         return lam, phi
 
-    def _rank(self, M: Any) -> int:
-        if not self.constant_mass:
+    @cached_property
+    def _has_semidefinite_masses(self) -> bool:
+        """Whether the mass terms are semidefinite, so that all sums with positive weights have one rank."""
+        try:
+            return all(rank(term.matrix) >= 0 for term in self.M_terms)
+        except SingularMassError:
+            return False
+
+    def _rank(self, M: Any, is_that_of_all: bool) -> int:
+        if not (self.constant_mass or is_that_of_all):
             return rank(M)
         if self._constant_rank is None:  # it costs a factorisation
             self._constant_rank = rank(M)
