@@ -176,3 +176,24 @@ def test_craig_bampton_keeps_the_modes_that_there_are():
     reduced = craig_bampton(K, M, boundary, 100)
     assert len(reduced.K) == len(boundary) + eigensolver.rank(M) - 6
     assert_allclose(reduced.eigen(6)[0], condensed(model, START, 6)[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("second", "once"), [(1.0, True), (-1e-3, False)], ids=["semidefinite", "indefinite"])
+def test_the_rank_of_masses_that_only_scale_is_found_once(second, once, monkeypatch):
+    """Sums of semidefinite terms with positive weights have one null space; not so where a term takes mass away."""
+    K = 2.0 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1)
+    masses = [np.diag([1.0, 2.0, 0.0, 0.0]), np.diag([0.0, second, 1.0, 0.0])]
+    model = SeparableModel.from_terms(["a", "b"], [K], list(zip(masses, ("a", "b"), strict=True)))
+    block = full_block.FullBlock(model, np.arange(4))
+    theta = np.array([[1.0, 1.0], [2.0, 0.5], [0.3, 4.0]])
+    alone = [block.modes(one[None], 3)[0][0] for one in theta]
+    asked = []
+    rank = full_block.rank
+    monkeypatch.setattr(full_block, "rank", lambda M: asked.append(1) or rank(M))
+    found = full_block.FullBlock(model, np.arange(4)).modes(theta, 3)[0]
+    assert_allclose(found, alone, rtol=1e-12)
+    for values, weights in zip(found, theta, strict=True):
+        M = weights[0] * masses[0] + weights[1] * masses[1]
+        compliance = np.sort(np.linalg.eigvals(np.linalg.solve(K, M)).real)[::-1][:3]
+        assert_allclose(values, 1.0 / compliance, rtol=1e-10)
+    assert (len(asked) <= 4) == once
