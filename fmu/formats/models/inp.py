@@ -40,6 +40,7 @@ _REFUSED = {
     "ELCOPY": "elements that *ELCOPY generates are not read: give each in *ELEMENT",
 }
 _REFUSED["INSTANCE"] = _REFUSED["PART"]
+LONGEST_KEYWORD = 10_000
 
 
 def parse(lines: Iterator[str]) -> Mesh:
@@ -59,11 +60,15 @@ def parse(lines: Iterator[str]) -> Mesh:
     is_transformed = False
     reading, kind, needed = "", "", 0
     ahead: list[int] = []
+    begun = ""
     for number, line in enumerate(lines, 1):
-        line = line.strip()
+        line = begun + line.strip()
         if not line or line.startswith("**"):
             continue
         if line.startswith("*"):
+            begun = line if line.endswith(",") and len(line) < LONGEST_KEYWORD else ""
+            if begun:  # options go on in the next line
+                continue
             reading, options = _keyword(line)
             if ahead:
                 raise ValueError(f"line {number}: an element has {len(ahead) - 1} of its {needed} nodes")

@@ -92,6 +92,7 @@ BROKEN = {
     "points in line": ({"a.bdf": "CORD2R,1,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,5,1,0.,0.,0.\n"}, None, r"not in line"),
     "absurd THRU": ({"a.bdf": BULK + "SPOINT,1,THRU,999999999\n"}, None, r"at most 1048576 numbers"),
     "superelements": ({"a.bdf": BULK + "BEGIN SUPER=1\n" + BULK}, None, r"one structure \(it has superelements"),
+    "repeated fields": ({"a.bdf": BULK + "=,*1,==\n"}, None, r"repeat fields of the one before"),
     "lacking node": ({"a.bdf": BULK.replace("5,9\n", "5\n")}, None, r"CBAR 1 must have 2 nodes"),
     # others
     "unknown suffix": ({"a.stl": ""}, None, r"must end in"),

@@ -17,7 +17,8 @@ ABAQUS = """\
   30, 1., 1., 0.
   40, 0., 1., 0.
   50, 0.5, , 1.0
-*Element, type=S4R, elset=PLATE
+*Element, type=S4R,
+ elset=PLATE
  1, 10, 20, 30, 40
 *ELEMENT , TYPE = B32 , ELSET = B
  7, 10, 50,

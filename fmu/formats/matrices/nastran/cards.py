@@ -22,7 +22,7 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     Raises
     ------
     RefusedError
-        If other files are included, superelements begin, or an entry is too long.
+        If other files are included, superelements begin, an entry repeats another, or is too long.
     """
     name, fields = "", list[str]()
     for line in lines:
@@ -39,6 +39,8 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
         if upper.startswith("ENDDATA"):
             break
         first, rest = _fields(line)
+        if first.startswith("="):
+            raise RefusedError("entries that repeat fields of the one before (=) are not read: write each in full")
         if first and first[0] not in "+*":
             if name:
                 yield name, fields
