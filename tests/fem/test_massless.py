@@ -180,7 +180,7 @@ def test_craig_bampton_keeps_the_modes_that_there_are():
 
 @pytest.mark.parametrize(("second", "once"), [(1.0, True), (-1e-3, False)], ids=["semidefinite", "indefinite"])
 def test_the_rank_of_masses_that_only_scale_is_found_once(second, once, monkeypatch):
-    """Sums of semidefinite terms with positive weights have one null space; not so where a term takes mass away."""
+    """Sums of semidefinite terms with positive weights have one null space; not so if a term takes mass away."""
     K = 2.0 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1)
     masses = [np.diag([1.0, 2.0, 0.0, 0.0]), np.diag([0.0, second, 1.0, 0.0])]
     model = SeparableModel.from_terms(["a", "b"], [K], list(zip(masses, ("a", "b"), strict=True)))
