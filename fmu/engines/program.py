@@ -13,6 +13,7 @@ from pathlib import Path
 
 from fmu.formats.shown import one_line
 
+TOO_LONG = "took longer than the time limit"
 _TOLD, _LINES, _TAIL = 300, 5, 2**13
 
 # Runs between fmu and the program, on POSIX. It kills the program when the pipe that is its own standard input is
@@ -85,7 +86,7 @@ def run_program(
         if process.stdin is not None:
             process.stdin.close()
     if late.is_set():
-        return f"took longer than the time limit of {timeout_s:g} s"
+        return f"{TOO_LONG} of {timeout_s:g} s"
     if code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"

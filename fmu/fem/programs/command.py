@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from fmu.durable_files import digest
-from fmu.engines.program import last_lines, run_program
+from fmu.engines.program import TOO_LONG, last_lines, run_program
 from fmu.fem.black_box import AnswerError, BlackBoxModel
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.decks import filled, filled_name, placeholders, read_deck, write_deck
@@ -274,11 +274,11 @@ class CommandModel(BlackBoxModel):
     def solve(self, theta: FloatArray) -> Solve:
         """Return what the program gives at theta (n_parameters,): from the store, or by running it."""
         theta, store = np.asarray(theta, dtype=float), self.solves
-        known = store.find(theta)
+        known = self._known(theta)
         if known is not None:
             return known
         with store.only_one(theta) as folder:
-            known = store.find(theta)
+            known = self._known(theta)
             if known is not None:
                 return known
             for _ in range(self.retries + 1):
@@ -291,6 +291,11 @@ class CommandModel(BlackBoxModel):
                 shutil.rmtree(folder, ignore_errors=True)
             store.keep(solve)
         return solve
+
+    def _known(self, theta: FloatArray) -> Solve | None:
+        """Return what is stored of a theta, unless it took longer than a limit that is higher now."""
+        found = self.solves.find(theta)
+        return None if found is not None and TOO_LONG in found.reason and found.seconds < self.timeout else found
 
     def _run(self, theta: FloatArray, folder: Path) -> Solve:
         """Run the program once, in a folder that is made anew."""

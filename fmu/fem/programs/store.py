@@ -79,6 +79,8 @@ class SolveStore:
         path = self._paths(solve.theta)[bool(solve.reason)]
         path.parent.mkdir(parents=True, exist_ok=True)
         write_durably(path, signed(TITLE, payload))
+        if not solve.reason:  # it may have failed before
+            self._paths(solve.theta)[1].unlink(missing_ok=True)
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[Path]:

@@ -153,6 +153,17 @@ def test_a_program_that_hangs_is_ended_with_its_children(tmp_path):
     assert "took longer than the time limit of 0.6 s; it printed at the end: solving for k1 = 1.2" in solve.reason
 
 
+def test_with_a_longer_time_limit_it_is_tried_again(tmp_path, runs, monkeypatch):
+    monkeypatch.setenv("FMU_TEST_SECONDS", "1.0")
+    for _ in range(2):
+        assert command_model(tmp_path, "slow", timeout=0.7).solve(THETA).reason
+    assert len(runs()) == 1
+    model = command_model(tmp_path, "slow", timeout=60.0)
+    assert_allclose(model.solve(THETA).frequencies, exact(THETA), rtol=1e-13)
+    assert len(list(model.solves)) == 1
+    assert len(runs()) == 2
+
+
 def test_a_run_that_fails_is_repeated(tmp_path, runs):
     model = command_model(tmp_path, "exit", retries=2)
     assert model.solve(THETA).reason
