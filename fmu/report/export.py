@@ -395,7 +395,10 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
         (target / kept).parent.mkdir(parents=True, exist_ok=True)
         for one in (path, *read_beside(path)):
             if (source / one).is_file():
-                shutil.copyfile(source / one, target / (kept if one == path else one))
+                copy = target / (kept if one == path else one)
+                shutil.copyfile(source / one, copy)
+                if os.access(source / one, os.X_OK):  # a program that the problem runs
+                    shutil.copymode(source / one, copy)
     return renamed
 
 

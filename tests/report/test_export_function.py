@@ -1,12 +1,13 @@
 """The updated model of a function of the user's own, and what may go wrong between a run and its export."""
 
+import os
 import shutil
 
 import pytest
 
 import fmu
 from fmu.analysis.trace.conversion import save_trace
-from fmu.report.export import _from_prior, export, updated_text
+from fmu.report.export import _from_prior, copy_companions, export, updated_text
 from tests.report.exported import run
 
 MODULE = """
@@ -157,3 +158,13 @@ def test_what_the_data_did_not_inform_is_a_remark():
         "The data did not inform a and b: their values come from their priors alone."
     ]
     assert _from_prior([]) == []
+
+
+def test_a_program_beside_the_file_can_still_be_run(tmp_path):
+    (tmp_path / "solve.sh").write_text("#!/bin/sh\n")
+    (tmp_path / "mesh.inp").write_text("")
+    (tmp_path / "solve.sh").chmod(0o755)
+    (tmp_path / "copy").mkdir()
+    assert copy_companions(["./solve.sh", "mesh.inp"], tmp_path, tmp_path / "copy") == {}
+    assert os.access(tmp_path / "copy" / "solve.sh", os.X_OK)
+    assert not (tmp_path / "copy" / "mesh.inp").stat().st_mode & 0o111

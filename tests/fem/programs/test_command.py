@@ -312,6 +312,17 @@ from fmu.engines.program import run_program
 here = Path(sys.argv[1])
 run_program([sys.executable, "-c", sys.argv[2], str(here / "pids")], here, here / "out", 60.0)
 """
+POOL = """\
+import sys
+from pathlib import Path
+import fmu
+from fmu.engines.program import run_program
+here = Path(sys.argv[1])
+def work(shared, task, report):
+    return run_program([sys.executable, "-c", shared, str(here / "pids")], here, here / "out", 60.0)
+with fmu.engine(workers=2) as engine:
+    engine.run_tasks(work, sys.argv[2], [0])
+"""
 FAMILY = """\
 import os, subprocess, sys, time
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
@@ -322,10 +333,13 @@ time.sleep(60)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-@pytest.mark.parametrize("by", ["SIGKILL", "SIGTERM", "SIGINT"])
-def test_a_program_ends_with_the_process_that_runs_it(tmp_path, by):
+@pytest.mark.parametrize(
+    ("script", "by"),
+    [(PARENT, "SIGKILL"), (PARENT, "SIGTERM"), (PARENT, "SIGINT"), (POOL, "SIGKILL"), (POOL, "SIGINT")],
+)
+def test_a_program_ends_with_the_process_that_runs_it(tmp_path, script, by):
     parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, str(tmp_path), FAMILY], stderr=subprocess.DEVNULL, env=os.environ.copy()
+        [sys.executable, "-c", script, str(tmp_path), FAMILY], stderr=subprocess.DEVNULL, env=os.environ.copy()
     )
     end = time.monotonic() + 30.0
     while not (tmp_path / "pids").exists() and time.monotonic() < end:
