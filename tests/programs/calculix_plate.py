@@ -1,10 +1,6 @@
 """A clamped plate of two materials as a deck of CalculiX, and what CalculiX says of it."""
 
-import shutil
-import subprocess
-
-import numpy as np
-import pytest
+from tests.formats.models.test_calculix import own, run
 
 NOMINAL = {"E left": 7e10, "t": 0.04, "E right": 2e11, "rho": 2700.0}
 LENGTH, WIDTH = 0.6, 0.3
@@ -41,16 +37,6 @@ def plate(solver="", **values):
     return "\n".join(["*NODE, NSET=ALL", *nodes, *elements, *clamp, *step]) + "\n"
 
 
-def run(folder, name, deck):
-    """Run CalculiX on a deck, and return the path of its files without suffix."""
-    if shutil.which("ccx") is None:
-        pytest.skip("CalculiX (ccx) is not installed")
-    (folder / f"{name}.inp").write_text(deck)
-    done = subprocess.run(["ccx", name], cwd=folder, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stdout[-500:]
-    return folder / name
-
-
 def exported(folder, name, **values):
     """Return the path of the stiffness that CalculiX stores with these values, the mass beside it."""
     return run(folder, name, plate(", SOLVER=MATRIXSTORAGE", **values)).with_suffix(".sti")
@@ -58,6 +44,4 @@ def exported(folder, name, **values):
 
 def frequencies(folder, **values):
     """Return the frequencies that CalculiX finds itself, Hz; it prints seven digits of the eigenvalues."""
-    lines = run(folder, "own", plate(**values)).with_suffix(".dat").read_text().splitlines()
-    rows = [line.split() for line in lines if len(line.split()) == 5 and line.split()[0].isdecimal()]
-    return np.sqrt([float(row[1]) for row in rows[:MODES]]) / (2 * np.pi)
+    return own(run(folder, "own", plate(**values)), MODES)
