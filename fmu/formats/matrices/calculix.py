@@ -60,7 +60,7 @@ def parse(file: BinaryIO, n_dof: int) -> Any:
         if np.any(places != np.floor(places)) or np.any(places < 1):
             raise ValueError("rows and columns must be whole numbers from 1")
         if places.max() > n_dof:
-            raise RefusedError(f"must have the {n_dof} rows of the .dof file (got row {places.max():.0f})")
+            raise RefusedError(f"must have the {n_dof} rows of the .dof file (got row {int(places.max())})")
         row, column = (places - 1).astype(np.int32).T
         rows.append(row)
         columns.append(column)

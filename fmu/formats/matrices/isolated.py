@@ -17,7 +17,7 @@ import numpy as np
 from fmu.formats.matrices.limits import LARGEST_CONTENT, RefusedError
 from fmu.formats.shown import one_line
 
-LONGEST = 300.0
+LONGEST = 300
 """Seconds that a reader may take."""
 LARGEST_MEMORY = 2**33
 """Bytes of addresses that a reader may use, where the system can limit them."""
@@ -66,7 +66,7 @@ def isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, Any
                 command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=LONGEST
             )
         except subprocess.TimeoutExpired:
-            raise RefusedError(f"{library} took more than {LONGEST:.0f} s to read it") from None
+            raise RefusedError(f"{library} took more than {LONGEST} s to read it") from None
         if done.returncode == _TOLD:
             raise RefusedError(one_line(done.stderr.decode(errors="replace").splitlines()[-1], 300))
         if done.returncode or not out.exists():
