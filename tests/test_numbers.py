@@ -198,6 +198,7 @@ SYNTAX = {
     "analysis/prediction.py": "names of columns",
     "paper/page.py": "names of columns",
     "config/parameters.py": "a power of ten that no float can hold",
+    "formats/decks.py": "fields of other programs",
 }
 """Where numbers are not for people."""
 

@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from fmu.formats.shown import one_line
+from fmu.numbers import typed
 
 TOO_LONG = "took longer than the time limit"
 _TOLD, _LINES, _TAIL = 300, 5, 2**13
@@ -86,7 +87,7 @@ def run_program(
         if process.stdin is not None:
             process.stdin.close()
     if late.is_set():
-        return f"{TOO_LONG} of {timeout_s:g} s"
+        return f"{TOO_LONG} of {typed(timeout_s)} s"
     if code < 0:
         with suppress(ValueError):
             return f"was ended by {signal.Signals(-code).name}"

@@ -26,7 +26,7 @@ from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
 from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.models.exported import ExportedModel
-from fmu.numbers import hertz, names_in_words, significant
+from fmu.numbers import hertz, names_in_words, significant, typed
 from fmu.types import BoolArray, FloatArray
 
 POWERS = (1, 2, 3, -1)
@@ -109,7 +109,9 @@ class Recovery:
         if self.checked is None:
             said.append(f"No export checks the {what}: nothing shows that its powers are right.")
         else:
-            said.append(f"The {what} of the exports kept for checking is reproduced to {self.checked:.1g}.")
+            said.append(
+                f"The {what} of the exports kept for checking is reproduced to {significant(self.checked, 1)}."
+            )
         if self.decided:
             said.append(f"Without it the powers of the {what} would be open: one more export would check them.")
         return said
@@ -191,8 +193,8 @@ def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
         return []
     f = hertz(float(frequency_hz(eigenvalues[elastic[:1]])[0]))[0]
     return [
-        f"The {found.digits} digits of the exported stiffness give the lowest frequency, {f} Hz, to {sd:.0e}: "
-        "larger steps of the parameters, files with more digits, or elements that are less thin make it better."
+        f"The {found.digits} digits of the exported stiffness give the lowest frequency, {f} Hz, to "
+        f"{significant(sd, 1)}: larger steps of the parameters, files with more digits, or elements that are less thin make it better."
     ]
 
 
@@ -522,6 +524,8 @@ def _in_words(powers: Sequence[float], names: Sequence[str]) -> str:
     """Return a term as ``"E t³"``; that without parameters is ``"constant"``."""
     raised: Mapping[float, str] = {1: "", 2: "²", 3: "³", -1: "⁻¹"}
     factors = [
-        f"{name}{raised.get(power, f'^{power:g}')}" for name, power in zip(names, powers, strict=True) if power
+        f"{name}{raised.get(power, f'^{typed(power)}')}"
+        for name, power in zip(names, powers, strict=True)
+        if power
     ]
     return " ".join(factors) or "constant"

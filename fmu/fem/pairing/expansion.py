@@ -19,6 +19,7 @@ import scipy.sparse.linalg as ssl
 from numpy.typing import ArrayLike
 
 from fmu.fem.modes.separable import SeparableModel
+from fmu.numbers import typed
 from fmu.types import FloatArray
 
 METHODS = ("serep", "dynamic")
@@ -108,8 +109,8 @@ def dynamic(measured: FloatArray, frequencies_hz: ArrayLike, rows: Any, K: Any, 
             u = np.full(n, np.nan)
         if not np.linalg.norm(rows @ u - measured[:, k]) <= 1e-6 * np.linalg.norm(measured[:, k]):
             raise ValueError(
-                f"sensors: must be distinct, and the model must not resonate at {frequency:g} Hz with them held, "
-                "to expand shapes by the dynamic stiffness; use method='serep'"
+                f"sensors: must be distinct, and the model must not resonate at {typed(frequency)} Hz with them "
+                "held, to expand shapes by the dynamic stiffness; use method='serep'"
             )
         shapes[:, k] = u
     return shapes

@@ -29,6 +29,7 @@ from fmu.fem.modes.modal import frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, names_shown, shown
+from fmu.numbers import typed
 from fmu.types import FloatArray
 
 Build = Callable[[FloatArray], Any]
@@ -157,7 +158,7 @@ def from_opensees(
             dict(zip(names, point.tolist(), strict=True)),
             exported(build, point),
             bool(check),
-            f"the model at {', '.join(f'{name} = {x:.6g}' for name, x in zip(names, point, strict=True))}",
+            f"the model at {', '.join(f'{name} = {typed(x)}' for name, x in zip(names, point, strict=True))}",
         )
         for point, check in zip(points, checks, strict=True)
     ]
