@@ -185,6 +185,12 @@ class ProblemFile(TomlTable):
         ]
 
     @property
+    def decks(self) -> list[str]:
+        """Templates that ``fmu export`` fills: that of a program's model, and those of ``[export]``."""
+        own = [self.model.template] if isinstance(self.model, CommandTable) else []
+        return list(dict.fromkeys([*own, *([] if self.export is None else self.export.templates)]))
+
+    @property
     def measured(self) -> MeasurementTable:
         """The measurement, of a file with one."""
         if self.measurement is None:

@@ -108,12 +108,12 @@ def export(
         ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
         that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
         ``dofs.csv``, the degrees of freedom of their rows; where its geometry is known, the updated and measured
-        mode shapes (`fmu.report.mode_files.write_modes`); and the input decks whose templates the problem file
-        names under ``[export]``, with these values (`fmu.formats.decks`). Of several tests, ``theta.csv`` has all
-        that was inferred; starts, decks and matrices are at the shared values, those of the reference state, the
-        means or medians of populations, and for what varies freely the values in the first test or group, all at
-        mean covariates.
-        Masses and springs that were added for a test are left out of the matrices.
+        mode shapes (`fmu.report.mode_files.write_modes`). The input decks whose templates the problem file names,
+        for its model or under ``[export]``, are filled with these values (`fmu.formats.decks`). Of several tests,
+        ``theta.csv`` has all that was inferred; starts, decks and matrices are at the shared values, those of the
+        reference state, the means or medians of populations, and for what varies freely the values in the first
+        test or group, all at mean covariates. Masses and springs that were added for a test are left out of the
+        matrices.
 
     Raises
     ------
@@ -148,13 +148,14 @@ def export(
         text, words = updated_text(original, starts, source.pairing, about, from_prior)
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
-        templates = [] if described.export is None else described.export.templates
         sd = dict(zip(names, parameter_draws(trace).std(axis=(0, 1), ddof=1).tolist(), strict=True))
         sd |= {key: sd[name] for key, name in source_of.items()}
-        unused = write_decks(templates, source.folder, starts | {f"{key} sd": x for key, x in sd.items()}, stage)
+        unused = write_decks(
+            described.decks, source.folder, starts | {f"{key} sd": x for key, x in sd.items()}, stage
+        )
         remarks = [*_remarks(problem, trace, theta, at, diagnosis), *_from_prior(left)]
         remarks += write_modes(problem, theta, stage)
-        remarks += _not_in_a_deck([name for name in source_of if name in unused] if templates else [])
+        remarks += _not_in_a_deck([name for name in source_of if name in unused] if described.decks else [])
         remarks += _incomplete(stage / PROBLEM)
         files = tuple(sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file()))
     return Exported(output.root, files, name, tuple(remarks))

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.config import ConfigurationError
+from fmu.analysis.trace.conversion import save_trace
+from fmu.config import ConfigurationError, load
+from fmu.config.kept import KeptProblem
 from fmu.formats.decks import columns, number
 from fmu.report.export import export
+from tests.config.test_command_table import folder_of
 from tests.report.exported import run
 from tests.report.test_export_function import MODULE, PYTHON
 
@@ -92,6 +95,19 @@ def test_broken_templates_are_told_before_a_run(templates, text, rule, tmp_path)
     with pytest.raises(ConfigurationError) as caught:
         fmu.load(tmp_path / "a.toml")
     assert f"export.{rule}" in str(caught.value)
+
+
+def test_the_deck_of_a_command_is_the_answer(tmp_path):
+    path, out = folder_of(tmp_path / "springs"), tmp_path / "out"
+    trace = fmu.sample(load(path, "index"), "mh", draws=4, warmup=4, chains=2, init="start")
+    out.mkdir()
+    KeptProblem(path, path.parent, "index").save(out)
+    save_trace(trace, out / "mh.nc")
+    written = export(out)
+    values = load(written.directory / "updated.toml").start
+    lines = (written.directory / "springs.txt").read_text().splitlines()
+    assert lines == [f"k1 {values[0]:.17g}", f"k2 {values[1]:.17g}"]
+    assert "springs.txt.in" in written.files
 
 
 BEAM = """*NODE, NSET=ALL
