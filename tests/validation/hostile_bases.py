@@ -90,13 +90,13 @@ def bases(folder: Path) -> dict[str, Base]:
     tests = "tests = [[2.31, 6.31, 8.81], [2.32, 6.33, 8.80], [2.30, nan, 8.83], [2.31, 6.30, 8.82]]\n"
     nodes = '[measurement.uff]\nfile = "modes.uff"\n[measurement.uff.nodes]\n1 = "floor 1"\n3 = "floor 3"\n'
     table = 'file = "modes.csv"\nshapes_file = "shapes.csv"\n'
-    deck = {"structure.inp.in": b"*ELASTIC\n"}
+    deck, other_deck = ({"structure.inp.in": text} for text in (b"{k feet}\n", b"{lower columns}\n"))
     tables = {"modes.csv": FREQUENCIES.encode(), "shapes.csv": SHAPES.encode()}
     return {
         "frame": Base(_without_options(plain("frame")), {}),
         "frame with errors": Base(_with_errors(plain("frame")), deck),
         "matrices": Base(_without_options(plain("matrices")), matrices),
-        "matrices with errors": Base(_with_errors(plain("matrices")), matrices | deck),
+        "matrices with errors": Base(_with_errors(plain("matrices")), matrices | other_deck),
         "rows of matrices": Base(f'name = "rows"\nreduction = false\n[model]\ntype = "matrices"\n{rows}', {}),
         "python": Base(python, storeys),
         "python with errors": Base(_with_errors(plain("python")), storeys),

@@ -194,7 +194,8 @@ def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
     f = hertz(float(frequency_hz(eigenvalues[elastic[:1]])[0]))[0]
     return [
         f"The {found.digits} digits of the exported stiffness give the lowest frequency, {f} Hz, to "
-        f"{significant(sd, 1)}: larger steps of the parameters, files with more digits, or elements that are less thin make it better."
+        f"{significant(sd, 1)}: larger steps of the parameters, files with more digits, or elements that are less "
+        "thin make it better."
     ]
 
 
