@@ -84,12 +84,12 @@ class FullBlock(Block):
         phi = np.full((len(theta), self.size, count), np.nan)
         if count == 0:
             return lam, phi
-        has_rank_of_all = np.all(self._M_map(theta) > 0, axis=1) & self._has_semidefinite_masses
+        has_rank_of_all = np.all(self._M_map(theta) > 0, axis=1)
         for i, (K, M) in enumerate(self._matrices(theta)):
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
-                lam[i], phi[i] = eigen(K, M, count, self._rank(M, bool(has_rank_of_all[i])))
+                lam[i], phi[i] = eigen(K, M, count, self._rank(M, has_rank_of_all[i]))
             except SingularMassError:
                 continue
         return lam, phi
@@ -102,8 +102,8 @@ class FullBlock(Block):
         except SingularMassError:
             return False
 
-    def _rank(self, M: Any, is_that_of_all: bool) -> int:
-        if not (self.constant_mass or is_that_of_all):
+    def _rank(self, M: Any, is_that_of_all: Any) -> int:
+        if not (self.constant_mass or (is_that_of_all and self._has_semidefinite_masses)):
             return rank(M)
         if self._constant_rank is None:  # it costs a factorisation
             self._constant_rank = rank(M)
