@@ -126,6 +126,7 @@ def test_asked_to_stop(tmp_path, whole, started, number):
 def test_asked_twice_it_stops_at_once(tmp_path, whole, started):
     with started(tmp_path, DRAWS, "warmup", 15) as process:
         wait_for("warmup 15", process)
+        time.sleep(1.0)  # until it is in the step that takes for ever, not before it, where one signal is enough
         os.kill(process.pid, signal.SIGINT)
         assert process.stderr.readline().startswith("Stopping after the current step")
         began = time.monotonic()
