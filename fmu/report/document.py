@@ -151,24 +151,34 @@ class Omitted:
 
 @dataclass(frozen=True)
 class Verdict:
-    """An answer to one question about a run.
+    """An answer to one question about a run: a line of the first screen, and reasons below it.
 
     Attributes
     ----------
     question, answer : str
     is_good : bool or None
-        None if the question does not apply.
+        None if the answer is neither good nor bad.
     because : str
-        Heading of the reasons.
+        Heading of the reasons; empty for a fact, which needs none.
     reasons : tuple of str
         Reasons for the answer.
+    said : str
+        A sentence beside the answer.
     """
 
     question: str
     answer: str
     is_good: bool | None
-    because: str
-    reasons: tuple[str, ...]
+    because: str = ""
+    reasons: tuple[str, ...] = ()
+    said: str = ""
+
+    @property
+    def tone(self) -> str:
+        """How it looks: ``"fact"``, ``"unknown"``, ``"good"`` or ``"bad"``."""
+        if self.is_good is None:
+            return "unknown" if self.because else "fact"
+        return "good" if self.is_good else "bad"
 
 
 @dataclass(frozen=True)

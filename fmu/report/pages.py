@@ -15,8 +15,8 @@ from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
 from fmu.report.sections import comparison, of_a_sampler, origin, updating
-from fmu.report.sections.prediction import verdicts
 from fmu.report.sections.structure import structure_drawing
+from fmu.report.sections.verdicts import verdicts
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,11 +111,13 @@ def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:
     answer = "All converged" if not failed else f"{good} of {len(runs)} converged" if good else "None converged"
     reasons = tuple(f"{run.title}: {run.diagnosis.verdict}" for run in runs.values())
     told = _told(runs)
-    others = verdicts(told)[1:]
+    *others, trust = verdicts(told)
     by = f"From the draws of {told.title}."
     return (
-        Verdict("Have the samplers converged?", answer, not failed, "Verdict on each sampler", reasons),
-        *(replace(verdict, reasons=(by, *verdict.reasons)) for verdict in others),
+        *(replace(one, reasons=(by, *one.reasons)) if one.reasons else one for one in others),
+        replace(
+            trust, answer=answer, is_good=not failed, because="Verdict on each sampler", reasons=reasons, said=by
+        ),
     )
 
 

@@ -100,7 +100,7 @@ def test_verdicts_come_first(beam_report):
     page = Parsed((beam_report / "hmc.html").read_text())
     titles = [title for _, title in page.headings]
     assert titles[:5] == [
-        "cantilever-young, by shape", "Verdict", "Assumptions", "Why the run has not converged",
+        "cantilever-young, by shape", "Verdict", "Assumptions", "Why the parameters count as updated",
         "What contradicts the model",
     ]  # fmt: skip
     assert page.text.index("✗ Not converged") < page.text.index("Contents") < page.text.index("Updated parameters")
@@ -127,7 +127,7 @@ def test_a_converged_run_says_so_and_a_single_chain_does_not(plain_report):
     good, bad, index = (
         Parsed((plain_report / f"{name}.html").read_text()).text for name in ("hmc", "mh", "index")
     )
-    assert "✓ Converged" in good
+    assert "✓ Yes, converged" in good
     assert "Not converged" not in good
     assert UNSEARCHED in good[: good.index("Contents")]
     assert "✗ Not converged" in bad

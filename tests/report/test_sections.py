@@ -10,13 +10,14 @@ from fmu.analysis.convergence.diagnosis import UNSEARCHED
 from fmu.analysis.held_out.modes import leave_one_out
 from fmu.analysis.identifiability import kept_identifiability
 from fmu.analysis.information import CRITERION, information, left_along
+from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MEASURED
 from fmu.fem.pairing.correlation import ALIKE
 from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
 from fmu.report.sections.fit import model_fit
-from fmu.report.sections.prediction import COVERED, SOUND, convergence
+from fmu.report.sections.verdicts import COVERED, SOUND, convergence, verdicts
 
 
 @pytest.fixture(scope="module")
@@ -267,6 +268,33 @@ def test_a_good_verdict_says_what_it_covers(plain_traces):
     assert convergence(run).reasons == (SOUND, UNSEARCHED)
     searched = replace(run, diagnosis=replace(run.diagnosis, searched=True))
     assert convergence(searched).reasons == (SOUND, COVERED)
+
+
+def test_the_first_screen_has_the_numbers_of_the_tables(hmc):
+    """Five lines: the largest changes, the same parameters' deviations, what is open, the fit, the run."""
+    changes, sure, _, fit, trust = verdicts(hmc)
+    by_change = (hmc.summary["mean"] / 2.4e11 - 1.0).sort_values(key=np.abs, ascending=False)
+    for k, (name, change) in enumerate(by_change[:3].items()):
+        told, value = changes.answer.split(", ")[k], sure.answer.split(", ")[k]
+        assert told.startswith(f"{name} ")
+        assert number(told.removeprefix(f"{name} ")) == pytest.approx(100 * change, abs=0.06)
+        mean, sd = value.removeprefix(f"{name} ").removesuffix(" GPa").split(" ± ")
+        assert shows(mean, hmc.summary["mean"][name] / 1e9)
+        assert shows(sd, hmc.summary["sd"][name] / 1e9)
+    error = hmc.prediction["mean"] / hmc.prediction["measured"] - 1.0
+    k = int(np.argmax(np.abs(error)))
+    assert f"{100 * error.iloc[k]:+.2f} % after (mode {k + 1})" in changes.said.replace("−", "-")
+    assert ("at the bounds" in sure.said) == bool(at_bounds(hmc.trace))
+    assert fit == model_fit(hmc)
+    assert f"R-hat at most {hmc.summary['rhat'].max():.4f}" in trust.said
+    assert [one.tone for one in (changes, sure)] == ["fact", "fact"]
+
+
+def test_what_the_data_leave_to_the_prior_has_not_changed(plain_traces):
+    changes, sure, told, *_ = verdicts(runs_of({"hmc": plain_traces["hmc"]})["hmc"])
+    assert (changes.answer, changes.said) == ("Nothing that the data determine", "")
+    assert sure.answer == "The priors alone decide"
+    assert (told.answer, told.is_good) == ("x0, x1", False)
 
 
 def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):

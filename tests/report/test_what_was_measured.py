@@ -18,7 +18,7 @@ from fmu.report.plots.style import GREY
 from fmu.report.run import runs_of
 from fmu.report.sections import origin, prediction, updating
 from fmu.report.sections.fit import model_fit
-from fmu.report.sections.prediction import updated
+from fmu.report.sections.verdicts import updated
 from tests.linear import LinearModel
 
 N = 40
@@ -116,7 +116,8 @@ def test_what_was_not_updated_is_not_among_what_was(run):
     assert table.greyed == (2,)
     assert "Grey: not informed by the data" in table.caption
     verdict = updated(run)
-    assert (verdict.answer, verdict.is_good) == ("2 of 3", False)
+    assert (verdict.answer, verdict.is_good) == ("c", False)
+    assert verdict.said == "The data updated 2 of 3 parameters."
     assert verdict.reasons[0].startswith("c was not updated by the data: ")
     assert verdict.reasons[0] in run.diagnosis.warnings
     assert verdict.reasons[0] not in model_fit(run).reasons
@@ -153,9 +154,11 @@ def test_the_pages_have_it(traces, problem, tmp_path):
     index = write_pages(traces, tmp_path / "report")
     for page in (index, index.parent / "hmc.html"):
         text = page.read_text(encoding="utf-8")
-        assert "Did the data update the parameters?" in text
+        assert "What could the data not tell?" in text
         assert "c was not updated by the data" in text
-        assert 0 < text.index("Did the data update") < text.index(">Assumptions<") < text.index("Contents")
+        assert (
+            0 < text.index("What could the data not tell") < text.index(">Assumptions<") < text.index("Contents")
+        )
     assert '<tr class="greyed"><th scope="row">c</th>' in (index.parent / "hmc.html").read_text(encoding="utf-8")
     found = fmu.check(problem, draws=20)
     verdicts = {verdict.question: verdict for verdict in check_page(found).verdicts}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.checks import LEVEL
-from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN
+from fmu.analysis.fit.checks import LEVEL, failed
+from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.information import information_warnings
 from fmu.analysis.prediction import measured_mac, shape_warnings
 from fmu.analysis.trace.modal_states import MEAN
@@ -33,7 +33,21 @@ def model_fit(run: ReportedRun) -> Verdict:
     if not run.diagnosis.converged:
         found = (*found, "These statements are provisional, because the draws have not converged.")
     reasons = (*fit.reasons, *_shapes(run), *found)
-    return Verdict("Does the model fit the data?", answer, _IS_GOOD[fit.verdict], _BECAUSE[fit.verdict], reasons)
+    question, because = "Does the model fit the data?", _BECAUSE[fit.verdict]
+    return Verdict(question, answer, _IS_GOOD[fit.verdict], because, reasons, _told(fit))
+
+
+def _told(fit: ModelFit) -> str:
+    """Return which check speaks most against the model, or how many could have."""
+    against = failed(fit.checks)
+    if against:
+        p = f", p = {significant(against[0].p, 2)}" if np.isfinite(against[0].p) else ""
+        return f"Most against it: {against[0].of}{p}."
+    if fit.verdict != NOT_CONTRADICTED:
+        return ""
+    return (
+        f"{sum(check.could_fail for check in fit.checks)} of {len(fit.checks)} checks could have contradicted it."
+    )
 
 
 def _shapes(run: ReportedRun) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The verdicts that come first, and whether the posterior predicts what was measured."""
+"""Whether the posterior predicts what was measured."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from fmu.analysis.held_out.modes import FEWEST, NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
-from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import (
     measured_tests,
     measurement_in_words,
@@ -15,45 +14,11 @@ from fmu.analysis.prediction import (
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.reading import array_of, has, is_pseudo, mode_names, used_modes
 from fmu.numbers import MISSING, change, decimals, fixed, given, interval, significant, with_sd
-from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, Verdict, picture
+from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check
 from fmu.report.run import ReportedRun
-from fmu.report.sections.fit import model_fit
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.types import FloatArray
-
-SOUND = "The chains agree, and every parameter has enough effective draws."
-COVERED = "All maxima found that hold at least 1 % of the probability were visited."
-
-
-def verdicts(run: ReportedRun) -> tuple[Verdict, Verdict, Verdict]:
-    """Return the verdicts on a run."""
-    return convergence(run), model_fit(run), updated(run)
-
-
-def convergence(run: ReportedRun) -> Verdict:
-    """Return the verdict on the sampler."""
-    question = "Has the sampler converged?"
-    if run.diagnosis.converged:
-        beside = run.diagnosis.remarks or (COVERED,)
-        return Verdict(question, "Converged", True, "Why the run counts as converged", (SOUND, *beside))
-    return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.remarks)
-
-
-def updated(run: ReportedRun) -> Verdict:
-    """Return the verdict on the data: whether they updated every parameter."""
-    question = "Did the data update the parameters?"
-    found = information(run.trace)
-    if found is None:
-        nothing = "The trace has no draws from the prior to compare the posterior with."
-        return Verdict(question, "Unknown", None, "Why this is unknown", (nothing,))
-    n, left = len(found.names), sum(basis != DATA for basis in found.basis)
-    if not found.uninformed:
-        narrowed = "In every direction of the parameter space the posterior is narrower than the prior."
-        return Verdict(question, "Yes", True, "Why the parameters count as updated", (narrowed,))
-    answer = f"{n - left} of {n}" if left else "All, but not every combination"
-    return Verdict(question, answer, False, "What the data did not update", tuple(found.warnings()))
-
 
 HOW = {
     REFIT: "updated without it",

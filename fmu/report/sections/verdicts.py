@@ -1,0 +1,133 @@
+"""The first screen: what changed, how sure that is, what stays open, fit and convergence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
+from fmu.analysis.convergence.remedies import required_ess
+from fmu.analysis.information import DATA, information
+from fmu.analysis.prediction import at_bounds
+from fmu.analysis.trace.reading import constant, mode_names
+from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
+from fmu.report.document import Verdict
+from fmu.report.plots.frequencies import frequencies_before
+from fmu.report.run import ReportedRun
+from fmu.report.sections.fit import model_fit
+
+SOUND = "The chains agree, and every parameter has enough effective draws."
+COVERED = "All maxima found that hold at least 1 % of the probability were visited."
+_FEW = 3
+"""Parameters that a line names."""
+
+
+def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
+    """Return the five lines of the first screen, in the order in which an engineer asks."""
+    names = _most_changed(run)
+    return changed(run, names), certainty(run, names), updated(run), model_fit(run), convergence(run)
+
+
+def _most_changed(run: ReportedRun) -> tuple[str, ...]:
+    """Return the names of the parameters that the data informed, the largest relative change first."""
+    found = information(run.trace)
+    names = [name for name in run.names if found is None or name not in found.not_informed]
+    return tuple(sorted(names, key=lambda name: -abs(_change(run, name))))
+
+
+def _change(run: ReportedRun, name: str) -> float:
+    """Return the relative change from the start to the posterior mean, zero where the start is zero or unknown."""
+    start = constant(run.trace, "start", name)
+    ratio = float(run.summary["mean"][name]) / start - 1.0 if start else 0.0
+    return ratio if np.isfinite(ratio) else 0.0
+
+
+def changed(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
+    """Return what updating changed: `names` begin with the largest change."""
+    question = "What changed?"
+    if not names:
+        return Verdict(question, "Nothing that the data determine", None, said=_errors(run))
+    words = []
+    for name in names[:_FEW]:
+        start, mean, n = (
+            constant(run.trace, "start", name) / run.unit(name).factor,
+            run.value(name, "mean"),
+            decimals(run.value(name, "sd")),
+        )
+        told = change(mean / start - 1) if start and np.isfinite(start) else f"to {fixed(mean, n)}"
+        words.append(f"{name} {told}")
+    most = "" if len(names) <= _FEW else f"The largest changes of {len(names)} parameters. "
+    return Verdict(question, ", ".join(words), None, said=most + _errors(run))
+
+
+def _errors(run: ReportedRun) -> str:
+    """Return the largest error of a frequency before and after updating, in words."""
+    if run.prediction is None:
+        return ""
+    measured, after = (run.prediction[column].to_numpy() for column in ("measured", "mean"))
+    labels, before = mode_names(run.trace), frequencies_before(run.trace)
+    said = []
+    for words, hz in (("before", before), ("after", after)):
+        if hz is not None and np.isfinite(hz).all():
+            error = hz / measured - 1.0
+            k = int(np.argmax(np.abs(error)))
+            said.append(f"{change(float(error[k]))} {words} (mode {labels[k]})")
+    return f"Largest frequency error: {', '.join(said)}." if said else ""
+
+
+def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
+    """Return the posterior means and standard deviations of the parameters of `changed`."""
+    question = "How sure is that?"
+    if not names:
+        return Verdict(question, "The priors alone decide", None)
+    words = []
+    for name in names[:_FEW]:
+        mean, sd = run.value(name, "mean"), run.value(name, "sd")
+        told = with_sd(mean, sd) if sd > 0 else given(mean)
+        words.append(f"{name} {told} {run.unit(name).name}".rstrip())
+    spread = {name: run.value(name, "sd") / (abs(run.value(name, "mean")) or np.inf) for name in names}
+    least = max(spread, key=lambda name: spread[name])
+    low, high, sd = (run.value(least, column) for column in ("eti90_lb", "eti90_ub", "sd"))
+    ends = f"{interval(low, high, decimals(sd))} {run.unit(least).name}".rstrip()
+    said = f"Mean ± sd. Least certain: {least}, 90 % interval {ends}."
+    if stopped := [one.name for one in at_bounds(run.trace)]:
+        said += (
+            f" {names_in_words(stopped)} {'lie' if len(stopped) > 1 else 'lies'} at the bounds, which narrow it."
+        )
+    if not run.diagnosis.converged:
+        said += " Provisional, because the draws have not converged."
+    return Verdict(question, ", ".join(words), None, said=said)
+
+
+def updated(run: ReportedRun) -> Verdict:
+    """Return the verdict on the data: what they left to the priors."""
+    question = "What could the data not tell?"
+    found = information(run.trace)
+    if found is None:
+        nothing = "The trace has no draws from the prior to compare the posterior with."
+        return Verdict(question, "Unknown", None, "Why this is unknown", (nothing,))
+    if not found.uninformed:
+        narrowed = "In every direction of the parameter space the posterior is narrower than the prior."
+        said = f"Along the least informed direction {share(float(found.remaining_sd[0]))} of the prior sd remains."
+        return Verdict(question, "Nothing", True, "Why the parameters count as updated", (narrowed,), said)
+    left = [name for name, basis in zip(found.names, found.basis, strict=True) if basis != DATA]
+    few = ", ".join(left[:_FEW]) + (f" and {len(left) - _FEW} more" if len(left) > _FEW else "")
+    said = f"The data updated {len(found.names) - len(left)} of {len(found.names)} parameters."
+    if not left:
+        few, said = "Not every combination", "The data updated each parameter, but not every combination of them."
+    return Verdict(question, few, False, "What the data did not update", tuple(found.warnings()), said)
+
+
+def convergence(run: ReportedRun) -> Verdict:
+    """Return the verdict on the sampler."""
+    question = "Can the run be trusted?"
+    rhat, needed = float(run.summary["rhat"].max()), required_ess(run.trace["posterior"].sizes["chain"])
+    ess = float(run.summary[["ess_bulk", "ess_tail"]].min().min())
+    said = (
+        f"R-hat at most {fixed(rhat, 4)} (below {given(RHAT_LIMIT)} needed), at least {fixed(ess, 0)} effective "
+        f"draws ({given(needed)} needed)."
+    )
+    if run.diagnosis.converged:
+        beside = run.diagnosis.remarks or (COVERED,)
+        why = "Why the run counts as converged"
+        return Verdict(question, "Yes, converged", True, why, (SOUND, *beside), said)
+    return Verdict(question, "Not converged", False, "Why the run has not converged", run.diagnosis.remarks, said)
