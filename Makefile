@@ -1,10 +1,11 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test test-kernels test-fast test-programs lint notebooks notebooks-save bench bench-whole validate mutants clean-environment
+.PHONY: help paper test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
 READY_BENCH := .venv/.ready-bench
+READY_DOCS := .venv/.ready-docs
 READY_FAST := .venv/fast/.ready
 READY_PROGRAMS := .venv/programs/.ready
 
@@ -95,6 +96,15 @@ notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they a
 notebooks-save: $(READY)  ## Run the notebooks and keep what they show
 	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter nbconvert --to notebook --execute --inplace \
 	  --ExecutePreprocessor.timeout=300 --ExecutePreprocessor.record_timing=False notebooks/*.ipynb
+
+$(READY_DOCS): $(READY)
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,docs]'
+	touch $(READY_DOCS)
+
+docs: $(READY_DOCS)  ## Build the guide and the reference, from docstrings and notebooks, into .docs/html
+	rm -rf .docs
+	mkdir -p .docs/source
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --jobs auto -c notebooks/guide .docs/source .docs/html
 
 bench: export OPENBLAS_NUM_THREADS = 1
 bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into results/benchmarks.md

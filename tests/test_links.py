@@ -11,7 +11,7 @@ from markdown_it import MarkdownIt
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(
     path.relative_to(ROOT)
-    for pattern in ("*.md", "results/**/*.md", "notebooks/*.ipynb")
+    for pattern in ("*.md", "results/**/*.md", "notebooks/guide/*.md", "notebooks/*.ipynb")
     for path in ROOT.glob(pattern)
 )
 OF_THE_PAST = ("CHANGELOG.md",)

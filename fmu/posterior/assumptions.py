@@ -122,7 +122,10 @@ def _errors(
     noise = {name: next(p for p in parameters if p["name"] == name) for name in likelihood.get("noise", ())}
     for one in likelihood.get("errors", [likelihood]):
         kind = str(one.get("error", "unknown"))
-        what = _OF.get(kind, f"Errors of the kind {kind!r}")
+        if kind not in _OF:
+            said.append(f"Errors of the kind {kind!r}: an error model that is not fmu's own.")
+            continue
+        what = _OF[kind]
         shape = "half-Gaussian" if kind == "MAC" else "Gaussian"
         if "freedom" in one:
             shape = f"Student's with {significant(one['freedom'])} degrees of freedom"

@@ -72,6 +72,19 @@ def test_errors_of_frequencies(error, words, expected):
         assert float(row[3]) == pytest.approx(100 * float(row[2]) / f, rel=0.01)
 
 
+def test_nothing_is_said_of_the_distribution_of_an_error_model_of_the_user():
+    class Own(FrequencyErrors):
+        def bind(self, data, index):
+            term = super().bind(data, index)
+            given = term.as_dict()
+            term.as_dict = lambda: given | {"error": "logistic"}
+            return term
+
+    words = said(storeys([Own("absolute", sd=0.02)]))
+    assert "Errors of the kind 'logistic': an error model that is not fmu's own." in words
+    assert "Gaussian" not in words.split("Priors")[0]
+
+
 def test_an_inferred_sd_is_said_with_its_prior_and_after_a_run_with_its_posterior():
     problem = storeys(FrequencyErrors("relative", NOISE))
     assert "a σ that is inferred, noise (prior: log-normal, median 0.02, sigma 0.5)." in said(problem)

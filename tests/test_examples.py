@@ -1,0 +1,123 @@
+"""Every example of README.md, CONTRIBUTING.md and the guide runs: Python by page, shell commands by line."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import click
+import pytest
+
+from fmu.cli import main
+from fmu.config.template import template
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("notebooks/guide/*.md"))]
+ELSEWHERE = "head:8786"
+"""Address of a cluster: lines that name it are read, and not run."""
+
+
+def blocks(page, language):
+    """The code blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def lines(page):
+    """The words of each shell line, without comments, and the file that its output goes to."""
+    for line in "".join(blocks(page, "sh")).splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            command, target = (words[:-2], words[-1]) if ">" in words else (words, None)
+            yield command, target
+
+
+def with_blocks(language):
+    return [page for page in PAGES if blocks(page, language)]
+
+
+def names(pages):
+    return [page.name for page in pages]
+
+
+def test_every_block_is_of_a_kind_that_is_tested():
+    kinds = {kind for page in PAGES for kind in re.findall(r"^```(\S+)\n", page.read_text("utf-8"), re.MULTILINE)}
+    assert {kind for kind in kinds if kind[0] != "{"} <= {"python", "sh", "text"}
+    assert {"README.md", "own-structure.md", "own-error-model.md", "own-sampler.md"} < set(
+        names(with_blocks("python"))
+    )
+
+
+# Several seconds each: they are the examples that users repeat, with draws enough to show something.
+@pytest.mark.parametrize(
+    "page", [p for p in with_blocks("python") if p.name != "CONTRIBUTING.md"], ids=lambda p: p.name
+)
+def test_python_examples_run(page, tmp_path):
+    program = tmp_path / "example.py"
+    program.write_text("\n".join(blocks(page, "python")), encoding="utf-8")
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", program.name],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_cluster_of_contributing_md_is_asked_for_as_it_says(tmp_path, monkeypatch):
+    """With an object in place of SLURM: it is told what it must know, and the run asks its scheduler."""
+    told = {}
+
+    class SLURMCluster:
+        scheduler_address = "tcp://127.0.0.1:1"  # where nothing listens
+
+        def __init__(self, **options):
+            told.update(options)
+
+        def adapt(self, **options):
+            told.update(options)
+
+    (code,) = blocks(ROOT / "CONTRIBUTING.md", "python")
+    (tmp_path / "beam.toml").write_text(template("frame"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", types.SimpleNamespace(SLURMCluster=SLURMCluster))
+    with pytest.raises(ValueError, match="127\\.0\\.0\\.1:1"):
+        exec(compile(code, "CONTRIBUTING.md", "exec"), {"__name__": "__main__"})
+    assert {"queue", "cores", "walltime", "maximum_jobs"} <= set(told)
+
+
+def prepared(folder):
+    """A folder with the files that the lines refer to."""
+    for name in ("runs/long", "runs/beam-shape", "runs/four"):
+        (folder / name).mkdir(parents=True)
+    (folder / "beam.toml").write_text(template("frame"), encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", with_blocks("sh"), ids=lambda page: page.name)
+def test_shell_examples_are_understood(page, tmp_path, monkeypatch):
+    prepared(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for (program, name, *arguments), _ in lines(page):
+        if program == "make":
+            assert re.search(rf"^{name}:", makefile, re.MULTILINE)
+        else:
+            assert program == "fmu"
+            with main.commands[name].make_context(name, list(arguments)) as context:
+                assert isinstance(context, click.Context)
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("page", with_blocks("sh"), ids=lambda page: page.name)
+def test_shell_examples_run(page, tmp_path):
+    (tmp_path / "beam.toml").write_text(template("frame"), encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+    for (program, *arguments), target in lines(page):
+        if program == "make" or any(ELSEWHERE in word for word in arguments):
+            continue
+        with open(tmp_path / (target or "out.txt"), "w", encoding="utf-8") as file:
+            subprocess.run(
+                [sys.executable, "-m", "fmu", *arguments], cwd=tmp_path, env=environment, stdout=file, check=True
+            )
