@@ -6,11 +6,14 @@ import base64
 import io
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from markupsafe import Markup, escape
+
+from fmu.report.packed import packed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,6 +108,30 @@ class Pictures:
     pictures: tuple[Picture, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class View:
+    """A drawing to be turned, for the script ``structure.js``; hidden where scripts are off, and in print.
+
+    Attributes
+    ----------
+    name : str
+        Unique on the page.
+    content : mapping
+        What is drawn, see `fmu.report.model_view`.
+    caption : str
+    """
+
+    kind: ClassVar[str] = "view"
+    name: str
+    content: Mapping[str, Any]
+    caption: str
+
+    @property
+    def packed(self) -> str:
+        """The content as the script reads it."""
+        return packed(self.content)
+
+
 @dataclass(frozen=True)
 class Code:
     """Preformatted text."""
@@ -122,7 +149,7 @@ class Details:
     parts: tuple[Part, ...]
 
 
-Part = Text | Items | PageTable | Picture | Pictures | Code | Details
+Part = Text | Items | PageTable | Picture | Pictures | View | Code | Details
 
 
 @dataclass(frozen=True)

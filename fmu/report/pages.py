@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from markupsafe import Markup
 
 from fmu.analysis.trace.conversion import load_trace
 from fmu.progress.phases import Phase, phase
@@ -23,6 +29,7 @@ if TYPE_CHECKING:
 
 
 INDEX = "index"
+_SCRIPTS = ("data.js", "structure.js", "start.js")
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
@@ -212,4 +219,14 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html").render(page=page)
+    script, script_hash = _script()
+    return environment.get_template("page.html").render(page=page, script=script, script_hash=script_hash)
+
+
+@cache
+def _script() -> tuple[Markup, str]:
+    """Return the script of all pages, and the hash by which browsers run it and no other."""
+    files = resources.files("fmu.report") / "templates"
+    parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
+    text = f'"use strict";\n{"".join(parts)}'
+    return Markup(text), f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

@@ -18,6 +18,7 @@ from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report.pages import write_pages
 from tests.linear import LinearModel
+from tests.report.browser import short_run, started
 from tests.report.parsed import IMAGE, SCRIPT
 
 EXPERIMENT = ("cantilever-section", "shape")
@@ -55,6 +56,14 @@ def result(plan, messages):
 @pytest.fixture(scope="session")
 def findings(result):
     return Findings.of(result)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """Chromium, started once for all tests of a worker."""
+    driver = started(tmp_path_factory.mktemp("profile"))
+    yield driver
+    driver.quit()
 
 
 class Gaussian:
@@ -134,6 +143,12 @@ def beam_report(request, tmp_path_factory):
 def hostile_report(request, tmp_path_factory):
     """Directory of the pages on `hostile_traces`."""
     return written_once("hostile_traces", request, tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def garteur_report(tmp_path_factory):
+    """Directory of a page on eleven parameters and ten modes with long names, in space."""
+    return short_run("garteur", tmp_path_factory.mktemp("garteur"))
 
 
 @pytest.fixture(scope="session")

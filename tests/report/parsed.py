@@ -49,6 +49,11 @@ class Parsed(HTMLParser):
         """Return the attributes of all elements of a kind."""
         return [attrs for name, attrs in self.tags if name == tag]
 
+    @property
+    def foreign_scripts(self):
+        """Attributes of the scripts that are neither data nor the one at the end of the page."""
+        return [tag for tag in self.all("script")[:-1] if tag != {"type": "application/octet-stream"}]
+
     def values(self, attribute):
         """Return all values of an attribute."""
         return [attrs[attribute] for _, attrs in self.tags if attribute in attrs]

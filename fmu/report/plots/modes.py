@@ -37,6 +37,8 @@ _FLAT = 1e-6
 _EXPANDED = "measured, expanded"
 _SWING = 0.12
 """Largest displacement drawn, relative to the size of the structure."""
+_MOST_STROKES = 300
+"""Elements of a structure that is drawn as lines; one of more is drawn as pixels."""
 _ONE_COLUMN = 6
 """At most so many modes of a structure in space are drawn in one column."""
 
@@ -144,7 +146,7 @@ def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
     return (START, "before updating", GREY, "--"), (MEAN, "posterior mean", base, "-")
 
 
-def _measured(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
+def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
     """Return the measured components of one mode scaled to the posterior mean, NaN where nothing was measured.
 
     With ``of="expanded"`` the displacements of all nodes, by the same factor.
@@ -155,9 +157,9 @@ def _measured(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
     return np.asarray(one[of].to_numpy() * np.nansum(seen * computed) / np.nansum(seen**2))
 
 
-def _measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
+def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
     """Return the places of the sensors and the measured displacements there, shapes (places, 3)."""
-    seen = _measured(one)
+    seen = scaled_to_mean(one)
     if seen is None:
         return None
     places, at = np.unique(one["site"].to_numpy(), axis=0, return_inverse=True)
@@ -186,10 +188,10 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
         shape = one["displacement"].sel(state=state).to_numpy()
         points = np.stack([coordinates[:, along], upright * shape[:, direction]], axis=1)
         _lines(axis, points, ends, shade, dashes, words)
-    if (whole := _measured(one, "expanded")) is not None:
+    if (whole := scaled_to_mean(one, "expanded")) is not None:
         points = np.stack([coordinates[:, along], upright * whole[:, direction]], axis=1)
         _lines(axis, points, ends, BLACK, ":", _EXPANDED, 1.2)
-    if (seen := _measured_at(one)) is not None:
+    if (seen := measured_at(one)) is not None:
         _mark(axis, np.stack([seen[0][:, along], upright * seen[1][:, direction]], axis=1))
     axis.set_ylim(-1.15, 1.15)
     axis.set_yticks([-1, 0, 1])
@@ -206,9 +208,9 @@ def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
     for state, words, shade, dashes in _styles(base):
         moved = coordinates + swing * one["displacement"].sel(state=state).to_numpy()
         _lines(axis, moved @ project, ends, shade, dashes, words)
-    if (whole := _measured(one, "expanded")) is not None:
+    if (whole := scaled_to_mean(one, "expanded")) is not None:
         _lines(axis, (coordinates + swing * whole) @ project, ends, BLACK, ":", _EXPANDED, 1.2)
-    if (seen := _measured_at(one)) is not None:
+    if (seen := measured_at(one)) is not None:
         _mark(axis, (seen[0] + swing * seen[1]) @ project)
     axis.set_aspect("equal")
     axis.set_axis_off()
@@ -225,7 +227,7 @@ def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
     for state, words, shade, dashes in _styles(base):
         axis.plot(x, one["component"].sel(state=state), color=shade, linestyle=dashes, marker="o", markersize=3,
                   linewidth=1.4, label=words)  # fmt: skip
-    if (seen := _measured(one)) is not None:
+    if (seen := scaled_to_mean(one)) is not None:
         _mark(axis, np.stack([x, seen], axis=1))
     axis.set_xticks(x, [literal(place) for place in places], **turned(places, NARROW))
     direction = f"{directions.pop()} " if len(directions) == 1 else ""
@@ -238,7 +240,8 @@ def _lines(
 ) -> None:
     """Draw all elements as one line, with gaps between elements that are not connected in sequence."""
     x, y = _strokes(nodes, ends).T
-    axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width, label=words or None)
+    axis.plot(x, y, color=shade, linestyle=dashes, linewidth=width, label=words or None,
+              rasterized=len(ends) > _MOST_STROKES)  # fmt: skip
 
 
 def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:

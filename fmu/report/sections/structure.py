@@ -18,6 +18,7 @@ from fmu.analysis.trace.reading import has, parameter_names
 from fmu.fem.frame.drawing import UNCHANGED, drawn, parameter_colours
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
+from fmu.report.model_view import model_view
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import ReportedRun
 from fmu.types import FloatArray
@@ -238,4 +239,6 @@ def shapes(run: ReportedRun) -> PageSection | Omitted:
             words += " Dotted: expanded, the combination of the modes that is closest (SEREP)."
         alt += " The measured shapes are marked at the sensors."
     drawing = picture(plot_mode_shapes(run.trace), "shapes", alt, words)
-    return PageSection("shapes", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))
+    view = model_view(run)
+    turning = () if view is None else (view,)
+    return PageSection("shapes", title, (*turning, PageTable(caption, header, tuple(rows)), Pictures((drawing,))))

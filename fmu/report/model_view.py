@@ -1,0 +1,157 @@
+"""A structure to be turned on a page: its modes before and after updating, and what changed where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmu.analysis.information import not_informed
+from fmu.analysis.trace.modal_states import GROUP, MEAN, START, sketch_of
+from fmu.analysis.trace.reading import constant, has
+from fmu.fem.frame.drawing import Sketch
+from fmu.numbers import change, given, hertz, share
+from fmu.report.document import View
+from fmu.report.packed import Rounded
+from fmu.report.plots.modes import measured_at, scaled_to_mean
+from fmu.report.plots.style import colour
+from fmu.report.run import ReportedRun
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MOST_LINES = 20_000
+"""A structure of more lines is not shown."""
+_MOST_NUMBERS = 300_000
+"""Displacements that a page keeps; of a large mesh the first modes only."""
+_DETAILED = 2000
+"""Nodes of a structure whose displacements have 16 bits; of a larger one 8, a pixel."""
+_CORNER = (0.6, 0.45)
+
+
+def model_view(run: ReportedRun) -> View | None:
+    """Return the structure with its modes, coloured by the changes of the parameters; None without geometry."""
+    found = sketch_of(run.trace)
+    if found is None or len(found.elements) > MOST_LINES or not has(run.trace, GROUP, "displacement"):
+        return None
+    modes = run.trace[GROUP].to_dataset()
+    n_modes = max(1, min(modes.sizes["mode"], _MOST_NUMBERS // (6 * len(found.nodes))))
+    modes = modes.isel(mode=slice(n_modes))
+    names, tips = run.names[: found.changed.shape[1]], _changes(run)
+    content = _structure(found, names, {name: words for name, (_, _, words) in tips.items()})
+    content |= {
+        "modes": _labels(run, modes),
+        "shapes": _shapes(modes),
+        "colourings": _colourings(run, found, names),
+        "colour": colour(str(run.trace.attrs["sampler"])),
+        "view": _view(found.nodes, modes["displacement"].to_numpy()),
+    }
+    content |= _sensors(found, modes)
+    shown = "" if n_modes == run.trace[GROUP].sizes["mode"] else f" The first {n_modes} modes."
+    caption = (
+        "Drag to turn, click and scroll to zoom; keys: arrows, +, −, space, Page Up, Page Down. Grey: before "
+        f"updating, at the start. Thick: after it, at the posterior mean.{shown}"
+    )
+    return View("structure", content, caption)
+
+
+def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, Any]:
+    """Return nodes, elements, and what is said of each element: elements of the same parameters are one group."""
+    combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
+    tips = [
+        "; ".join(said[name] for name, is_changed in zip(names, row, strict=True) if is_changed and name in said)
+        or "no parameter changes this element"
+        for row in combinations
+    ]
+    label = f"The structure: {len(found.nodes)} nodes, {len(found.elements)} elements."
+    return {
+        "label": label,
+        "nodes": found.nodes,
+        "ends": found.elements,
+        "groups": groups.ravel(),
+        "tips": tips,
+    }
+
+
+def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
+    """Return the relative change of each parameter from the start, its sd, and both in words."""
+    left, found = not_informed(run.trace), {}
+    for name in run.names:
+        start = constant(run.trace, "start", name)
+        if name in left:
+            found[name] = (np.nan, np.nan, f"{name}: not informed by the data")
+        elif start and np.isfinite(start):
+            mean, sd = (float(run.summary[column][name]) for column in ("mean", "sd"))
+            ratio, spread = mean / start - 1.0, sd / abs(start)
+            found[name] = (ratio, spread, f"{name}: {change(ratio)} ± {share(spread)} (sd)")
+    return found
+
+
+def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the change of the parameter of each element that changed most, and its standard deviation."""
+    known = _changes(run)
+    ratio, spread = (np.array([known.get(name, (np.nan,) * 2)[k] for name in names]) for k in (0, 1))
+    of_element = np.where(found.changed & np.isfinite(ratio), np.abs(ratio), -1.0)
+    if not np.any(of_element >= 0):
+        return []
+    largest, is_known = np.argmax(of_element, axis=1), of_element.max(axis=1) >= 0
+    values = np.where(is_known, ratio[largest], np.nan)
+    return [
+        coloured("Change of the parameter", values, True),
+        coloured("Standard deviation of the change", np.where(is_known, spread[largest], np.nan), False),
+    ]
+
+
+def coloured(label: str, values: FloatArray, both: bool) -> dict[str, Any]:
+    """Return values of the elements, shares of one, as colours: of both signs, or from zero."""
+    largest = float(np.nanmax(np.abs(values)))
+    ends = (change(-largest), change(largest)) if both else ("0 %", share(largest))
+    return {"label": label, "values": values, "scale": largest, "both": both, "ends": ends}
+
+
+def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
+    """Return name and frequencies of each mode."""
+    measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
+    labels = []
+    for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
+        hz = hertz(*(float(modes["frequency"].sel(state=state)[k]) for state in (START, MEAN)))
+        seen = "" if measured is None else f"{given(float(measured[k]))} Hz"
+        labels.append({"label": label, "before": f"{hz[0]} Hz", "after": f"{hz[1]} Hz", "measured": seen})
+    return labels
+
+
+def _shapes(modes: xr.Dataset) -> dict[str, Any]:
+    """Return the displacements (mode, node, direction) before and after updating, and measured, expanded."""
+    bits = 16 if modes.sizes["node"] <= _DETAILED else 8
+    moved = modes["displacement"].transpose("state", "mode", "node", "direction")
+    found = {key: moved.sel(state=state).to_numpy() for key, state in (("start", START), ("mean", MEAN))}
+    if "expanded" in modes and bits > 8:  # over so many lines the arrows are clearer
+        each = (scaled_to_mean(modes.isel(mode=k), "expanded") for k in range(modes.sizes["mode"]))
+        found["expanded"] = np.stack([one for one in each if one is not None])
+    return {key: Rounded(values, bits) for key, values in found.items()}
+
+
+def _sensors(found: Sketch, modes: xr.Dataset) -> dict[str, Any]:
+    """Return places and measured displacements, or where no shapes were measured the sensors' directions."""
+    if "measured" in modes and "site" in modes:
+        seen = [measured_at(modes.isel(mode=k)) for k in range(modes.sizes["mode"])]
+        places = next(one[0] for one in seen if one is not None)
+        moved = np.stack([np.zeros_like(places) if one is None else one[1] for one in seen])
+        return {"sites": places, "measured": np.nan_to_num(moved), "directions": np.zeros(0), "near": np.zeros(0)}
+    kinds = np.array(found.kinds)
+    is_drawn = (kinds == "sensor") & np.isfinite(found.places).all(axis=1) & np.isfinite(found.ends).all(axis=1)
+    places = found.places[is_drawn]
+    near = np.array([np.argmin(np.sum((found.nodes - at) ** 2, axis=1)) for at in places], dtype=int)
+    return {"sites": places, "measured": None, "directions": found.ends[is_drawn], "near": near}
+
+
+def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
+    """Return azimuth and elevation from which the motion is seen: a straight structure from its side."""
+    wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
+    moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))
+    if wide.sum() == 1 and not wide[2]:
+        yaw = 0.0 if wide[0] else np.pi / 2
+        return (yaw - 0.15, 0.2) if moves == 2 else (yaw, 1.3)
+    return _CORNER
