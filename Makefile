@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
+.PHONY: help paper environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -70,13 +70,16 @@ $(READY_PROGRAMS): $(READY)
 	  'ansys-mapdl-reader>=0.56' 'mapdl-archive>=0.4' openseespy meshio
 	touch $(READY_PROGRAMS)
 
-# What reads other programs' files, and what runs these programs: CalculiX, where there is one (ccx).
-OF_PROGRAMS := tests/formats/models tests/config/test_models_of_programs.py tests/report/test_mode_files.py \
-  tests/fem/programs tests/config/test_command_table.py tests/config/test_opensees_table.py \
-  tests/config/test_templates.py $(RUN_PROGRAMS)
+# What needs these libraries or is other with them, and the longest tests of CalculiX, where there is one (ccx).
+OF_PROGRAMS := tests/formats/models/test_ansys.py tests/formats/models/test_broken_models.py \
+  tests/fem/programs/test_opensees.py tests/config/test_opensees_table.py \
+  'tests/config/test_templates.py::test_it_loads_checks_and_runs[opensees]' \
+  tests/report/test_mode_files.py::test_elements_of_every_kind_and_names_with_angles $(RUN_PROGRAMS)
 
 test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or the libraries that read their files
-	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --quiet $(OF_PROGRAMS)
+	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --numprocesses=auto --quiet $(OF_PROGRAMS)
+
+environments: $(READY_FAST) $(READY_PROGRAMS)  ## Make the environments of all tests
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

@@ -1,21 +1,30 @@
 """What every test runs under: one BLAS thread, a cache of reduced bases that ends with the session, its worker."""
 
 import gc
+import importlib
 import os
+import pkgutil
 
 import pytest
 from markupsafe import Markup
 from threadpoolctl import threadpool_limits
 
 import fmu
+from fmu.analysis import certificate
 from fmu.analysis.held_out import modes
+from fmu.report import sections
+from fmu.report.document import Picture
 
 FREE_S = modes._FREE_S
 
 
 def pytest_collection_finish():
-    """Keep what the collection made out of the garbage collector, which would walk through it again and again."""
+    """Keep what the collection made out of the garbage collector, and have that run seldom.
+
+    Otherwise it takes one second in twenty.
+    """
     gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
 
 
 ROOMS = ("tests/cli/", "tests/engines/", "tests/report/")
@@ -66,6 +75,27 @@ def _no_time_for_refits():
         yield
 
 
+CERTIFIED = {name: getattr(certificate, name) for name in ("_MOST", "_FEWEST", "_FEWEST_SOLVED", "_WORST")}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _few_draws_certified():
+    """Certify reduced models at a few draws, or that takes longer than most runs; `certified` asks for all."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, n in zip(CERTIFIED, (6, 6, 4, 2), strict=True):
+            patch.setattr(certificate, name, n)
+        yield
+
+
+@pytest.fixture(scope="module")
+def certified():
+    """Certify runs at as many draws as a user's are."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, n in CERTIFIED.items():
+            patch.setattr(certificate, name, n)
+        yield
+
+
 @pytest.fixture(scope="module")
 def refits():
     """Give runs the time that a user's have, for updating without single modes."""
@@ -98,7 +128,19 @@ def quick_figures():
 
 @pytest.fixture(scope="module")
 def no_pictures():
-    """Leave the pictures of pages empty."""
+    """Leave the pictures of pages empty: most of the time of a page. Some are drawn for what is said of them."""
+    read = {"plot_ranks", "plot_autocorrelation", "plot_running_rhat"}
+
+    def empty(axes, key, alt, caption):
+        assert alt.strip()
+        return Picture(Markup("<svg></svg>"), caption, 400)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fmu.report.document.inline_svg", lambda *_: Markup("<svg></svg>"))
+        for found in pkgutil.iter_modules(sections.__path__, f"{sections.__name__}."):
+            module = importlib.import_module(found.name)
+            for name in vars(module).copy():
+                if name.startswith("plot_") and name not in read:
+                    patch.setattr(module, name, lambda *_, **__: None)
+            if hasattr(module, "picture"):
+                patch.setattr(module, "picture", empty)
         yield

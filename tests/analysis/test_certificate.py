@@ -6,6 +6,8 @@ from fmu.analysis.certificate import CertificateWarning, certify
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.train_reduced import Tolerance
 
+pytestmark = pytest.mark.usefixtures("certified")
+
 
 @pytest.fixture(scope="module")
 def problem():
@@ -13,7 +15,7 @@ def problem():
 
 
 @pytest.fixture(scope="module")
-def trace(problem):
+def trace(problem, certified):
     return fmu.sample(problem, "slice", draws=40, warmup=40, chains=2, seed=3)
 
 

@@ -31,11 +31,10 @@ def run(ess, evaluations, seconds):
     return {"ess": ess, "rhat": 1.001, "warmup": warmup, "draws": draws, "mean": [0.0], "mcse": [0.1]}
 
 
-@pytest.fixture
-def written(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
     """Write page and picture of the contenders; return the page and the picture's names of bars by posterior."""
-    drawn = []
-    monkeypatch.setattr(report, "draw", lambda *a: drawn.append(figure.draw(*a)))
+    drawn, folder = [], tmp_path_factory.mktemp("written")
     rows = [
         {"case": case, "label": label, "model": model, "unit": "gradient", "cost": cost, "prepared_s": 1.0}
         | {"runs": [run(*figures)]}
@@ -43,11 +42,13 @@ def written(tmp_path, monkeypatch):
         for label, model, cost, *figures in CONTENDERS
     ]
     result = {"versions": {}, "differences": {"a": {"b": 1e-9}}, "near_a_bound": NEAR, "rows": rows}
-    (tmp_path / "run.json").write_text(json.dumps(result))
-    report.main(*(str(tmp_path / name) for name in ("run.json", "page.md", "benchmarks/peers.png")))
+    (folder / "run.json").write_text(json.dumps(result))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "draw", lambda *a: drawn.append(figure.draw(*a)))
+        report.main(*(str(folder / name) for name in ("run.json", "page.md", "benchmarks/peers.png")))
     axes = drawn[0].axes[::2]
     bars = {a.get_title("left"): [tick.get_text() for tick in a.get_yticklabels()] for a in axes}
-    return (tmp_path / "page.md").read_text(), bars, tmp_path
+    return (folder / "page.md").read_text(), bars, folder
 
 
 def test_the_picture_has_every_row_of_the_tables_and_is_where_the_page_says(written):

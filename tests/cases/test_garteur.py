@@ -93,10 +93,11 @@ def test_a_look_at_it_before_updating_takes_the_order_as_given(problem):
 def kind(problem, theta, k):
     model = problem.model.structure
     nodes, shape = model.geometry.nodes, problem.model.full_shapes(theta)[:, k]
+    forces = model.M(theta) @ shape
     energy, moved = np.zeros((2, len(nodes), 6))
     for (node, direction), i in model.dof_of.items():
         moved[node, DIRECTIONS.index(direction)] = shape[i]
-        energy[node, DIRECTIONS.index(direction)] = shape[i] * (model.M(theta) @ shape)[i]
+        energy[node, DIRECTIONS.index(direction)] = shape[i] * forces[i]
     mirrored = [int(np.argmin(np.linalg.norm(nodes - node * [1, -1, 1], axis=1))) for node in nodes]
     parity = np.sign(np.sum(moved[:, [0, 2]] * moved[mirrored][:, [0, 2]]))
     # y and the rotations about x and z change sign in the mirror

@@ -100,7 +100,7 @@ def test_chains_in_one_mode_are_not_taken_for_converged(problem, maxima):
     for k, other in ((0, 1), (1, 0)):
         start = np.repeat(maxima[k].theta[None], 4, axis=0)
         trace = fmu.sample(
-            problem, "mh", draws=1000, warmup=200, chains=4, seed=1, init=start, maxima=maxima, jumps=False
+            problem, "mh", draws=500, warmup=200, chains=4, seed=1, init=start, maxima=maxima, jumps=False
         )
         assert len(set(np.ravel(theta_of(trace)[..., 0] > BETWEEN))) == 1
         assert np.all(fmu.summary(trace)["rhat"] < 1.05)

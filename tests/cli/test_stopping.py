@@ -12,7 +12,10 @@ import pytest
 
 from tests.cli.runs import PROBLEM, QUIET, SECOND, assert_same, invoke, of, resume
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
+    pytest.mark.usefixtures("certified"),  # as in the processes beside this one
+]
 
 ROOT = Path(__file__).parents[2]
 PHASES = ("training", "search", "warmup", "draws", "predictions", "certificate", "report")

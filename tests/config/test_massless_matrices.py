@@ -40,6 +40,7 @@ def problem(tmp_path, monkeypatch):
     return fmu.load(path)
 
 
+@pytest.mark.usefixtures("certified")
 def test_from_the_file_to_the_certificate(problem):
     exact = np.sqrt(condensed(bridge(7), START, 5)[0]) / (2 * np.pi)
     assert_allclose(problem.frequencies(START), exact, rtol=1e-6)

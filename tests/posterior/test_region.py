@@ -28,7 +28,7 @@ def wide():
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, certified):
     patch = pytest.MonkeyPatch()
     patch.setenv("FMU_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
     patch.setattr(training, "affordable", lambda n_dof: PAYS)

@@ -79,7 +79,7 @@ SAMPLERS = {
     "hmc, given mass": HamiltonianMonteCarlo(inverse_mass=np.eye(5)),
     "mixture": MixtureSampler(jumps=3),
     "mixture, slice": MixtureSampler(local=Slice()),
-    "mixture, given": a_mixture(0.1, 0.2, 0.3, 0.1, 0.1, 0.1),
+    "mixture, given": a_mixture(0.1, 0.2, 0.3),
     "emcee": Ensemble(walkers=12),
     "emcee, two moves": Ensemble(walkers=12, moves={"de": 0.5, "snooker": 0.5}),
     "tempering, slice": Tempering(),

@@ -16,7 +16,7 @@ def test_chains_cross_in_the_right_proportion(name):
     target = Apart()
     sampler = with_jumps(named(name)).starting_from(target.components(), np.array([0.5, 0.5]))
     assert sampler.name == name
-    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=1500)
+    result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=750)
     left = result.posterior.position[..., 0] < 0
     assert left.mean() == pytest.approx(0.7, abs=0.05)
     assert np.sum(left[:, 1:] != left[:, :-1], axis=1).min() > 20

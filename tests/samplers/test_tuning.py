@@ -103,6 +103,9 @@ class TestLearnt:
         np.testing.assert_allclose(np.sort(learnt["width"]), 3.0 * sd, rtol=0.25)
 
 
+SHORT = {"warmup": 120, "draws": 20}
+
+
 class TestGivenByHand:
     @pytest.mark.parametrize(
         "sampler",
@@ -124,17 +127,17 @@ class TestGivenByHand:
         np.testing.assert_array_equal(unwarmed.posterior.position, whole)
 
     def test_inverse_mass(self):
-        learnt = warmed(SkewedGumbel(), HamiltonianMonteCarlo(inverse_mass=[1.0, 2.0, 0.5])).learnt
+        learnt = warmed(SkewedGumbel(), HamiltonianMonteCarlo(inverse_mass=[1.0, 2.0, 0.5]), **SHORT).learnt
         assert list(learnt["inverse_mass"]) == [1.0, 2.0, 0.5]
         assert learnt["step_size"] is not None
 
     def test_number_of_steps(self):
-        result = warmed(SkewedGumbel(), HamiltonianMonteCarlo(n_steps=7))
+        result = warmed(SkewedGumbel(), HamiltonianMonteCarlo(n_steps=7), **SHORT)
         assert result.learnt["n_steps"] == 7
         assert set(np.unique(result.posterior.stats["n_steps"])) == {7}
 
     def test_scheme_of_slice(self):
-        result = warmed(SkewedGumbel(), Slice("coordinate"))
+        result = warmed(SkewedGumbel(), Slice("coordinate"), **SHORT)
         assert result.learnt["scheme"] == "coordinate"
         assert result.posterior.stats["n_steps_out"].sum() > 0
 

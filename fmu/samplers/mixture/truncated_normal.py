@@ -37,10 +37,12 @@ class SequentialNormal:
     def __init__(self, mean: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
         covariance = np.linalg.inv(precision)
         covariance = 0.5 * (covariance + covariance.T)
-        self.order, expected = _ordered(mean, covariance, lower, upper)
+        is_free = bool(np.isinf(lower).all() and np.isinf(upper).all())  # all in order, and nothing to tilt
+        none = np.arange(len(mean)), np.zeros(len(mean))
+        self.order, expected = none if is_free else _ordered(mean, covariance, lower, upper)
         self.L = np.linalg.cholesky(covariance[np.ix_(self.order, self.order)])
         self.mean, self.lower, self.upper = mean[self.order], lower[self.order], upper[self.order]
-        self.tilt = self._minimax(expected)
+        self.tilt = expected if is_free else self._minimax(expected)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Return `n` draws within the box, shape (n, ndim)."""
