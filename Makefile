@@ -79,7 +79,7 @@ OF_PROGRAMS := tests/formats/models/test_ansys.py tests/formats/models/test_brok
 test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or the libraries that read their files
 	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --numprocesses=auto --quiet $(OF_PROGRAMS)
 
-environments: $(READY_FAST) $(READY_PROGRAMS)  ## Make the environments of all tests
+environments: $(READY_FAST) $(READY_PROGRAMS) $(READY_DOCS)  ## Make the environments of all tests
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

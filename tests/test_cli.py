@@ -135,7 +135,7 @@ def test_run_writes_traces_and_tables_and_compare_repeats_the_comparison(invoke,
     assert again.stdout.strip() in result.stdout
 
 
-@pytest.mark.usefixtures("quick_figures")
+@pytest.mark.usefixtures("no_pictures")
 def test_run_writes_pages_to_read(invoke, tmp_path):
     result = invoke("run", "cantilever-young", *SHORT, "--out", "here", "--report")
     assert result.exit_code == 0, result.output

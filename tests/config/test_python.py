@@ -277,7 +277,7 @@ def test_values_changed_at_random_never_crash(folder, data):
         loaded(folder, TOML[:first] + data.draw(NASTY) + TOML[last:])
 
 
-@pytest.mark.usefixtures("quick_figures")
+@pytest.mark.usefixtures("no_pictures")
 def test_a_run_with_a_report(folder, tmp_path, monkeypatch):
     """From the file to the pages; there is no structure to draw."""
     monkeypatch.chdir(tmp_path)

@@ -37,9 +37,11 @@ class SequentialNormal:
     def __init__(self, mean: FloatArray, precision: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
         covariance = np.linalg.inv(precision)
         covariance = 0.5 * (covariance + covariance.T)
-        is_free = bool(np.isinf(lower).all() and np.isinf(upper).all())  # all in order, and nothing to tilt
-        none = np.arange(len(mean)), np.zeros(len(mean))
-        self.order, expected = none if is_free else _ordered(mean, covariance, lower, upper)
+        is_free = bool(np.isinf(lower).all() and np.isinf(upper).all())
+        if is_free:  # any order is as good, and nothing is to be tilted
+            self.order, expected = np.arange(len(mean)), np.zeros(len(mean))
+        else:
+            self.order, expected = _ordered(mean, covariance, lower, upper)
         self.L = np.linalg.cholesky(covariance[np.ix_(self.order, self.order)])
         self.mean, self.lower, self.upper = mean[self.order], lower[self.order], upper[self.order]
         self.tilt = expected if is_free else self._minimax(expected)
