@@ -16,7 +16,7 @@ from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKer
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture, refitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted
 from fmu.samplers.mixture.tuner import MixtureTuner, first_warp, groups_of_chains
-from tests.samplers.targets import SkewedGumbel, Target, TwoModes
+from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TwoModes
 
 LOWER, UPPER = np.array([0.0, -1.0]), np.array([1.0, 2.0])
 STEEP = Quadratic(np.array([1.0, 0.2]), 3.0, np.array([9.0, -1.0]), np.array([[50.0, 12.0], [12.0, 9.0]]))
@@ -163,6 +163,12 @@ def test_arrays_keep_components_with_a_covariance_beside_one_without():
     again = Mixture.of_arrays(q.arrays(), LOWER, UPPER)
     np.testing.assert_array_equal(again.log_density(u), q.log_density(u))
     assert again.quadratics[1].covariance is None
+
+
+def test_arrays_keep_the_share_of_wider_copies():
+    q = Mixture([FLAT], [1.0], Warp(LOWER, UPPER, np.array([False, False])), wide=0.05)
+    u = np.random.default_rng(8).uniform(LOWER, UPPER, (60, 2))
+    np.testing.assert_array_equal(Mixture.of_arrays(q.arrays(), LOWER, UPPER).log_density(u), q.log_density(u))
 
 
 def test_arrays_keep_weights_bit_for_bit():
@@ -471,6 +477,23 @@ def test_refits_learn_the_weights_of_the_maxima_from_all_candidates():
     assert np.asarray(learnt["weights"])[left].sum() == pytest.approx(0.7, abs=0.06)
 
 
+@pytest.mark.parametrize(
+    ("target", "settings", "expected"),
+    [
+        (CorrelatedGaussian(), {}, (0.05, 79)),
+        (Banana(), {}, (0.1, 39)),
+        (CorrelatedGaussian(), {"wide": 0.2}, (0.2, 39)),
+        (CorrelatedGaussian(), {"local": Slice(), "jumps": 1}, (0.05, 1)),
+    ],
+)
+def test_a_good_mixture_has_fewer_wide_candidates_and_local_steps(target, settings, expected):
+    """Unless their numbers were given. In warm-up they are the usual ones."""
+    result = drawn(target, MixtureSampler(**settings), draws=160, warmup=200, init="prior")
+    assert (result.learnt["wide"], result.learnt["jumps"]) == expected
+    local = np.isnan(result.posterior.stats[CANDIDATE]).mean()
+    assert local == pytest.approx(1 / (1 + expected[1]), abs=0.01)
+
+
 def test_nothing_is_learnt_after_warm_up():
     target = Apart()
     sampler = MixtureSampler(target.components(), (0.5, 0.5))
@@ -505,6 +528,8 @@ def test_what_a_fit_evaluates_is_counted():
     [
         ({"jumps": 0}, "jumps: must be a whole number of at least 1"),
         ({"local_steps": 0}, "local_steps: must be a whole number of at least 1"),
+        ({"wide": 1.0}, r"wide: must be between 0 and 1 \(got 1.0\)"),
+        ({"wide": float("nan")}, "wide: must be a positive finite number"),
         ({"adapt": False}, "components: must be given if adapt is False"),
         ({"components": [STEEP], "weights": [0.2, 0.8]}, r"weights: must be 1, one per component \(got 2\)"),
         ({"components": [STEEP], "weights": [-1.0]}, "weights: must be positive"),

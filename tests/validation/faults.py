@@ -345,8 +345,22 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: a maximum that a fit loses is lost",
         "fmu/samplers/mixture/tuner.py",
-        "self._take(_with_found(mixture, lost))",
-        "self._take(mixture)",
+        "mixture = _with_found(mixture, lost)",
+        "mixture = _with_found(mixture, [])",
+        MIXTURE,
+    ),
+    Fault(
+        "mixture: fewer wide candidates and local steps where it is poor",
+        "fmu/samplers/mixture/tuner.py",
+        "return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture",
+        "return less",
+        MIXTURE,
+    ),
+    Fault(
+        "mixture: share of the wider copies forgotten when a run is resumed",
+        "fmu/samplers/mixture/proposal.py",
+        'float(arrays["wide"])',
+        "WIDE",
         MIXTURE,
     ),
     Fault(

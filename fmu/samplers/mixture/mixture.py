@@ -12,12 +12,15 @@ from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.mixture.kernel import MixtureKernel
-from fmu.samplers.mixture.proposal import Mixture
+from fmu.samplers.mixture.proposal import WIDE, Mixture
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.tuner import MixtureTuner, first_warp
-from fmu.samplers.settings import positive_scale, vector, whole_number
+from fmu.samplers.settings import positive_number, positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
+
+_JUMPS, _JUMPS_IF_GOOD = 39, 79
+"""Candidates between local steps. These take some ten evaluations each: a fifth of all, or a tenth."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +43,15 @@ class MixtureSampler(Sampler):
     bent : vector of bool, optional
         The coordinates of which the components take log(1 + 10 (u − lower)) instead of u, see `Warp`; learnt if
         not given.
+    wide : float, optional
+        Part of every component's weight that its wider copies have, so that w stays bounded. If not given, warm-up
+        chooses: 0.05 where the effective share of the candidates is at least 0.9, else 0.1.
     local : HamiltonianMonteCarlo, MetropolisHastings or Slice, optional
         The local steps: HMC if the density has exact gradients, otherwise slice sampling.
     local_steps, jumps : int
-        So many local steps, then so many candidates of the mixture. Where at least every other step is one of
-        `local`, it is that sampler with jumps, and has its name: `with_jumps`.
+        So many local steps, then so many candidates of the mixture; 39 if not given, and 79 where `wide` is below
+        0.1. Where at least every other step is one of `local`, it is that sampler with jumps, and has its name:
+        `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
 
@@ -62,9 +69,10 @@ class MixtureSampler(Sampler):
     components: tuple[Quadratic, ...] | None = None
     weights: Any = None
     bent: Any = None
+    wide: float | None = None
     local: HamiltonianMonteCarlo | MetropolisHastings | Slice | None = None
     local_steps: int = 1
-    jumps: int = 39
+    jumps: int | None = None
     adapt: bool = True
 
     name: ClassVar[str] = "mixture"
@@ -75,8 +83,11 @@ class MixtureSampler(Sampler):
 
     def __post_init__(self) -> None:
         whole_number("local_steps", self.local_steps, 1)
-        whole_number("jumps", self.jumps, 1)
-        if self.local is not None and self.local_steps >= self.jumps:
+        if self.jumps is not None:
+            whole_number("jumps", self.jumps, 1)
+        if self.wide is not None and not 0.0 < positive_number("wide", self.wide) < 1.0:
+            raise ValueError(f"wide: must be between 0 and 1 (got {self.wide})")
+        if self.local is not None and self.local_steps >= self.jumps_with(WIDE):
             object.__setattr__(self, "name", self.local.name)
         if self.components is None:
             if not self.adapt:
@@ -100,7 +111,15 @@ class MixtureSampler(Sampler):
     def bind(self, density: LogDensity) -> MixtureKernel:
         """Return the kernel that samples `density`."""
         local = self.local_of(density).bind(density)
-        return MixtureKernel(Target(density), self.mixture(density), local, self.local_steps, self.jumps)
+        mixture = self.mixture(density)
+        jumps = self.jumps_with(WIDE if mixture is None else mixture.wide)
+        return MixtureKernel(Target(density), mixture, local, self.local_steps, jumps)
+
+    def jumps_with(self, wide: float) -> int:
+        """Return the candidates between local steps, of a mixture whose wider copies have a share `wide`."""
+        if self.jumps is not None:
+            return self.jumps
+        return _JUMPS if wide >= WIDE else _JUMPS_IF_GOOD
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MixtureTuner | None:
         """Return a tuner that fits the mixture in `steps` warm-up steps; None if it is not to be fitted."""
@@ -110,11 +129,12 @@ class MixtureSampler(Sampler):
         """Return the mixture that the components make; None if there are none."""
         if self.components is None:
             return None
-        warp = first_warp(density)
+        warp, wide = first_warp(density), WIDE if self.wide is None else self.wide
         if self.bent is not None:  # components that were fitted are in the coordinates of the warp
             warp = replace(warp, bent=np.array(self.bent))
-            return Mixture(self.components, np.asarray(self.weights), warp)
-        return Mixture([warp.quadratic(one) for one in self.components], np.asarray(self.weights), warp)
+            return Mixture(self.components, np.asarray(self.weights), warp, wide)
+        components = [warp.quadratic(one) for one in self.components]
+        return Mixture(components, np.asarray(self.weights), warp, wide)
 
     def local_of(self, density: LogDensity) -> HamiltonianMonteCarlo | MetropolisHastings | Slice:
         """Return the settings of the local steps."""

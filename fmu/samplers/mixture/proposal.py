@@ -23,8 +23,9 @@ MOST = 8
 """Components of a mixture."""
 GOOD, POOR = 0.9, 0.6
 """Effective share of the draws above which a component is not split, and below which moments are tried."""
-_WIDE_SHARE = 0.1
-"""The wider copies of every component have this part of its weight, so that weights P/q stay bounded."""
+WIDE, LESS_WIDE = 0.1, 0.05
+"""Part of a component's weight that its wider copies have, so that weights P/q stay bounded: usually, and in draws
+from a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 185-194."""
 _POINTS = 3
 """Points per coefficient of a quadratic, of all that a component is fitted to."""
 _LEAST = 1e-3
@@ -113,10 +114,14 @@ class Mixture:
     weights : array_like, shape (components,)
         Positive; they are normalised.
     warp : Warp
+    wide : float
+        Part of every component's weight that its wider copies have.
     """
 
-    def __init__(self, quadratics: Sequence[Quadratic], weights: FloatArray, warp: Warp) -> None:
-        self.quadratics, self.warp = tuple(quadratics), warp
+    def __init__(
+        self, quadratics: Sequence[Quadratic], weights: FloatArray, warp: Warp, wide: float = WIDE
+    ) -> None:
+        self.quadratics, self.warp, self.wide = tuple(quadratics), warp, wide
         self._given = np.asarray(weights, dtype=float)
         self.weights = self._given / np.sum(self._given)
         lower, upper = warp.to_x(warp.lower), warp.to_x(warp.upper)
@@ -125,7 +130,7 @@ class Mixture:
         self._of = np.repeat(np.arange(len(proposals)), [len(parts) for parts in proposals])
         self._shares = np.concatenate(
             [
-                w * np.array([1.0 - _WIDE_SHARE, *[_WIDE_SHARE / (len(parts) - 1)] * (len(parts) - 1)])
+                w * np.array([1.0 - wide, *[wide / (len(parts) - 1)] * (len(parts) - 1)])
                 for w, parts in zip(self.weights, proposals, strict=True)
             ]
         )
@@ -136,7 +141,8 @@ class Mixture:
         quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
         covariances = [None if np.isnan(c).any() else c for c in arrays["covariance"]]
         quadratics = [replace(q, covariance=c) for q, c in zip(quadratics, covariances, strict=True)]
-        return cls(quadratics, arrays["weights"], Warp(lower, upper, np.asarray(arrays["bent"], dtype=bool)))
+        warp = Warp(lower, upper, np.asarray(arrays["bent"], dtype=bool))
+        return cls(quadratics, arrays["weights"], warp, float(arrays["wide"]))
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return the mixture as arrays, with a row per component; NaN for a covariance that it has not."""
@@ -144,7 +150,11 @@ class Mixture:
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
         found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
         # normalised a second time, the weights would differ in their last bits
-        return found | {"weights": self._given, "bent": self.warp.bent.astype(float)}
+        return found | {"weights": self._given, "bent": self.warp.bent.astype(float), "wide": np.array(self.wide)}
+
+    def with_wide(self, wide: float) -> Mixture:
+        """Return the mixture with another share of the wider copies."""
+        return Mixture(self.quadratics, self._given, self.warp, wide)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Return `n` independent draws, shape (n, ndim)."""

@@ -14,7 +14,17 @@ from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.mixture.kernel import MixtureKernel
-from fmu.samplers.mixture.proposal import MOST, Mixture, Points, Warp, fitted_mixture, refitted_mixture
+from fmu.samplers.mixture.proposal import (
+    GOOD,
+    LESS_WIDE,
+    MOST,
+    WIDE,
+    Mixture,
+    Points,
+    Warp,
+    fitted_mixture,
+    refitted_mixture,
+)
 from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted, n_coefficients
 from fmu.samplers.slice import Slice
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
@@ -107,6 +117,8 @@ class MixtureTuner:
             components=self.mixture.quadratics,
             weights=tuple(self.mixture.weights.tolist()),
             bent=tuple(self.mixture.warp.bent.tolist()),
+            wide=self.mixture.wide,
+            jumps=self.sampler.jumps_with(self.mixture.wide),
             local=local,
             adapt=False,
         )
@@ -183,9 +195,20 @@ class MixtureTuner:
         mixture = _with_found(mixture, new)
         if mixture is not self.mixture:
             lost, more = self._unknown_maxima(mixture, seen)
-            self._take(_with_found(mixture, lost))
+            mixture = _with_found(mixture, lost)
             spent += more
+        if self.done == self.steps:
+            mixture = self._at_last(mixture, Points.weighted(u, log_prob, seen.log_q[:n]))
+        if mixture is not self.mixture:
+            self._take(mixture)
         return spent
+
+    def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
+        """Return the mixture with the share of wider copies that was asked for; if none, less where it is good."""
+        if self.sampler.wide is not None:
+            return mixture.with_wide(self.sampler.wide)
+        less = mixture.with_wide(LESS_WIDE)
+        return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 
     def _unknown_maxima(self, mixture: Mixture, seen: Seen) -> tuple[list[Found], IntArray]:
         """Return the maxima that a mixture does not know, and evaluations of each chain.
@@ -239,14 +262,14 @@ class MixtureTuner:
 
     def _take_covariance(self, covariance: FloatArray) -> None:
         self.covariance = covariance
-        cycle = self.sampler.local_steps + self.sampler.jumps
+        cycle = self.sampler.local_steps + self.sampler.jumps_with(WIDE)
         remaining = max((self.steps - self.first) * self.sampler.local_steps // cycle, 1)
         self.local_settings = shaped(self.sampler.local_of(self.density), covariance)
         self.local = self.local_settings.tuner(self.density, self.chains, remaining)
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
-        steps, jumps = self.sampler.local_steps, self.sampler.jumps
+        steps, jumps = self.sampler.local_steps, self.sampler.jumps_with(WIDE)
         self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages), gathers=True)
 
 
