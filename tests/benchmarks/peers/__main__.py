@@ -1,7 +1,8 @@
-"""Run all samplers on all posteriors, or on some: python -m tests.benchmarks.peers OUT.json [--one-seed] [CASE …].
+"""Run all samplers on all posteriors, or some: python -m tests.benchmarks.peers OUT.json [--one-seed] [NAME …].
 
-Everything runs on one processor core, whatever threads a library starts: processor seconds are then seconds. The
-samplers take turns, a seed each, so that what else the machine does slows all of them.
+Names are of cases or of samplers, such as "NumPyro NUTS"; the report needs all samplers. Everything runs on one
+processor core, whatever threads a library starts: processor seconds are then seconds. The samplers take turns, a
+seed each, so that what else the machine does slows all of them.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ def main(out: str, *options: str) -> None:
         target = Target.load(case, CASES[case])
         differences[case] = check(target)
         ready = []
-        for contender in contenders(target):
+        everybody = list(contenders(target))
+        for contender in [one for one in everybody if one.label in options] or everybody:
             began = time.process_time()
             run = contender.prepare()
             row = {

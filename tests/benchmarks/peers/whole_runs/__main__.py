@@ -1,6 +1,7 @@
 """Run everybody on every posterior: python -m tests.benchmarks.peers.whole_runs OUT.json [NAME …].
 
-Names of cases, or of contenders, pick some. `--one-seed` for one run of each. All run on one processor core.
+Names of posteriors (cantilever-young, or cantilever-young-index), or of contenders, pick some. `--one-seed` for
+one run of each. All run on one processor core.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ def main(out: str, *options: str) -> None:
     versions = {name: version(name) for name in ("nautilus-sampler", "dynesty")}
     rows = []
     Path(out).parent.mkdir(parents=True, exist_ok=True)
-    for posterior in [one for one in POSTERIORS if one[0] in options] or POSTERIORS:
+    for posterior in [one for one in POSTERIORS if {one[0], "-".join(one)} & set(options)] or POSTERIORS:
         rows += measured(*posterior, options, one_seed="--one-seed" in options)
         Path(out).write_text(json.dumps({"versions": versions, "rows": rows}, indent=1))
 
