@@ -1,6 +1,7 @@
 """Runs on disk: the draws and the state of the chains are saved during a run, so that it can be resumed.
 
-Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status for ``fmu watch``.
+Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status, words and web for
+``fmu watch``.
 """
 
 from __future__ import annotations

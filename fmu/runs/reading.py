@@ -44,6 +44,8 @@ class Progress:
     solves_per_s : float
     remaining_s : float or None
         Seconds left at the pace so far.
+    chains : int
+        Number of chains; for an ensemble sampler, of ensembles. 0 if not known.
     """
 
     group: str = ""
@@ -58,6 +60,7 @@ class Progress:
     failed: int = 0
     solves_per_s: float = np.nan
     remaining_s: float | None = None
+    chains: int = 0
 
 
 class KeptGroup(NamedTuple):
@@ -86,6 +89,13 @@ class KeptGroup(NamedTuple):
     def done(self) -> dict[str, int]:
         """Steps of each phase."""
         return dict(self.state.group_state.done)
+
+    @property
+    def chains(self) -> int:
+        """Number of chains."""
+        at = self.state.group_state
+        position = at.start if at.state is None else at.state.position
+        return 0 if position is None else len(position)
 
     @property
     def elapsed_s(self) -> float:
@@ -131,6 +141,7 @@ class KeptGroup(NamedTuple):
             failed=sum(segment.failed for segment in self.state.segments),
             solves_per_s=_per_s(solves, self.elapsed_s),
             remaining_s=left_s if left_s is None or not runs else max(left_s - kept_s, 0.0),
+            chains=self.chains,
         )
 
 
@@ -228,6 +239,7 @@ def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Pr
         failed=sum(group.failed for group in groups),
         solves_per_s=_per_s(solves, max(one.elapsed_s for one in kept if one is not None)),
         remaining_s=None if None in left else max(s for s in left if s is not None),
+        chains=sum(group.chains for group in groups),
     )
 
 
@@ -256,6 +268,7 @@ def of_trace(path: Path) -> Progress:
         solves=solves,
         failed=sum(int(group["n_nonfinite"].sum()) for group in stats if "n_nonfinite" in group),
         solves_per_s=_per_s(solves, float(attrs["wall_s"])),
+        chains=int(trace["posterior"].sizes["chain"]),
     )
 
 

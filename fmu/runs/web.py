@@ -1,0 +1,231 @@
+"""A page that follows a run, for browsers on this machine or at the other end of an SSH tunnel.
+
+Whoever knows the address may read and stop the run: a random token is part of it, and every request without it is
+refused. So is one whose Host names another machine, as that of a page elsewhere does whose name was made to lead
+here (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import os
+import secrets
+import signal
+import socket
+import sys
+import threading
+import time
+from dataclasses import asdict
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from fmu.progress.words import as_json
+from fmu.runs.status import FINISHED, KILLED, RUNNING, STOPPED, RunReader, RunReading
+from fmu.runs.words import HEADER, WORDS, rows, state_of, to_resume
+
+LOOPBACK = "127.0.0.1"
+_PAGE = Path(__file__).with_name("page.html")
+_IDLE_S = 60.0
+"""How long a connection may take over its request."""
+
+
+class WatchServer(ThreadingHTTPServer):
+    """Serves the page of a run until it is closed; what happens to it or its readers never touches the run.
+
+    Parameters
+    ----------
+    directory : Path
+        As for `fmu.runs.status.RunReader`.
+    every : float
+        Seconds between two readings of the directory.
+    host : str
+        Address to listen at.
+    port : int
+        0 for any that is free.
+
+    Attributes
+    ----------
+    address : str
+        Address of the page, with the token.
+    closing : Event
+        Set when no more readings are to be sent.
+
+    Raises
+    ------
+    ValueError
+        If the directory holds no run, or nothing can listen at host and port.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, directory: Path, every: float, host: str = LOOPBACK, port: int = 0) -> None:
+        self.every, self.host, self.closing = every, host, threading.Event()
+        self._reader, self._lock, self._read_at = RunReader(directory), threading.Lock(), -float("inf")
+        self._reading = self._reader.read()
+        self._token = secrets.token_urlsafe(32)
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            super().__init__((host, port), _Handler)
+        except OSError as error:
+            why = error.strerror or error
+            raise ValueError(f"--web: must be able to listen at {host}, port {port} ({why})") from None
+        shown = f"[{host}]" if ":" in host else host
+        self.address = f"http://{shown}:{self.server_port}/{self._token}/"
+
+    def reading(self) -> RunReading:
+        """Return how far the run has got, not older than `every`; ValueError if its directory has gone."""
+        with self._lock:
+            if time.monotonic() - self._read_at >= self.every:
+                self._reading = self._reader.read()
+                self._read_at = time.monotonic()
+            return self._reading
+
+    def stop_run(self) -> str:
+        """Send the process of the run SIGTERM; return why that is not possible, or nothing."""
+        with self._lock:
+            reading = self._reading = self._reader.read()
+            why = why_not_to_stop(reading)
+            if not why and reading.at_work is not None:
+                try:
+                    os.kill(reading.at_work.pid, signal.SIGTERM)
+                except OSError as error:
+                    why = f"Process {reading.at_work.pid} could not be stopped: {error.strerror}."
+            return why
+
+    def admits(self, host: str | None, path: str) -> bool:
+        """Return whether a request to a host with a path comes from somebody who was given the address."""
+        token = path.split("/")[1] if "/" in path else ""
+        known = hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode())
+        return known and self._is_own(host or "")
+
+    def _is_own(self, host: str) -> bool:
+        """Return whether the value of a Host header names this machine: by its number, or by a name of its own."""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return name in ("localhost", self.host.lower(), socket.gethostname().lower())
+        return True
+
+    def server_close(self) -> None:
+        """Close the page, where it is open too."""
+        self.closing.set()
+        super().server_close()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a reader that has gone; anything else is a fault, which is said."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            super().handle_error(request, client_address)
+
+
+def why_not_to_stop(reading: RunReading) -> str:
+    """Return why a run cannot be stopped from here, as a sentence; empty if it can."""
+    who = reading.at_work
+    if who is None or reading.state != RUNNING:
+        return "It is not running."
+    if who.is_alive() is None:
+        return f"It runs on {who.host}: only there can it be stopped."
+    return ""
+
+
+def told(reading: RunReading) -> dict[str, Any]:
+    """Return what the page shows: the reading, as ``fmu watch --json`` prints it, and the same in words."""
+    return {
+        "reading": asdict(reading),
+        "runs": reading.state == RUNNING,
+        "ended": reading.state in (STOPPED, KILLED, FINISHED),
+        "state": state_of(reading),
+        "header": HEADER,
+        "words": WORDS,
+        "rows": rows(reading),
+        "verdicts": [(one.name, one.verdict) for one in reading.samplers if one.verdict],
+        "to_resume": to_resume(reading),
+        "why_not_to_stop": why_not_to_stop(reading),
+        "at": time.time(),
+    }
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers one connection."""
+
+    server: WatchServer
+    server_version, sys_version = "fmu", ""
+    timeout = _IDLE_S
+
+    def do_GET(self) -> None:
+        """Send the page, or what happens to the run for as long as the page is open."""
+        if not self._is_admitted():
+            return
+        what = self.path.split("/", 2)[2] if self.path.count("/") > 1 else None
+        if what == "":
+            nonce = secrets.token_urlsafe(16)
+            page = _PAGE.read_text(encoding="utf-8").replace("NONCE", nonce)
+            self._send(HTTPStatus.OK, page, "text/html", nonce)
+        elif what == "events":
+            self._events()
+        else:
+            self._send(HTTPStatus.NOT_FOUND, "There is no such page.")
+
+    def do_POST(self) -> None:
+        """Stop the run."""
+        origin = self.headers.get("Origin")
+        if not self._is_admitted() or (origin is not None and not self._is_from_here(origin)):
+            return
+        if self.path.split("/", 2)[2:] != ["stop"]:
+            self._send(HTTPStatus.NOT_FOUND, "There is no such page.")
+            return
+        why = self.server.stop_run()
+        self._send(HTTPStatus.CONFLICT if why else HTTPStatus.ACCEPTED, why)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log nothing: the address is secret."""
+
+    def _is_admitted(self) -> bool:
+        admitted = self.server.admits(self.headers.get("Host"), self.path)
+        if not admitted:
+            self._send(HTTPStatus.FORBIDDEN, "Open the whole address that fmu watch --web has printed.")
+        return admitted
+
+    def _is_from_here(self, origin: str) -> bool:
+        same = urlsplit(origin).netloc == self.headers.get("Host")
+        if not same:
+            self._send(HTTPStatus.FORBIDDEN, "Only the page itself may stop the run.")
+        return same
+
+    def _send(self, status: HTTPStatus, text: str, kind: str = "text/plain", nonce: str = "") -> None:
+        body = text.encode()
+        self.send_response(status)
+        self._headers(f"{kind}; charset=utf-8", nonce)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _headers(self, kind: str, nonce: str = "") -> None:
+        own = f"'nonce-{nonce}'"
+        inline = f"script-src {own}; style-src {own}; connect-src 'self'; img-src data:; " if nonce else ""
+        self.send_header("Content-Type", kind)
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", f"default-src 'none'; {inline}frame-ancestors 'none'")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("X-Content-Type-Options", "nosniff")
+
+    def _events(self) -> None:
+        """Send a server-sent event for every reading, until the page is closed."""
+        self.send_response(HTTPStatus.OK)
+        self._headers("text/event-stream")
+        self.end_headers()
+        while not self.server.closing.is_set():
+            try:
+                what = told(self.server.reading())
+            except (ValueError, OSError) as error:
+                what = {"gone": str(error)}
+            self.wfile.write(f"data: {as_json(what)}\n\n".encode())
+            self.wfile.flush()
+            self.server.closing.wait(self.server.every)

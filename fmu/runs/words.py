@@ -1,0 +1,99 @@
+"""What a reading of a run says in words: its state, a table of samplers and groups, and how to resume it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+
+from fmu.numbers import fixed
+from fmu.progress.words import duration, number
+from fmu.runs.reading import Progress
+from fmu.runs.status import FINISHED, KILLED, SILENT, STOPPED, RunReading, SamplerReading
+
+HEADER = ("sampler", "group", "state", "phase", "chains", "steps", "save age", "accept", "R-hat", "ESS", "solves",
+          "per s", "failed", "left")  # fmt: skip
+WORDS = HEADER[:4]
+"""Columns that hold words."""
+_PHASES = {"warmup": "warm-up", "draws": "draws"}
+_EXACT = 99_999  # the most steps that are written in full
+_LONG_S = 36_000.0  # a time from which on hours are given
+
+
+def state_of(reading: RunReading) -> str:
+    """Return the state of a run, with the process that runs it."""
+    who = reading.at_work
+    if who is None or reading.state in (STOPPED, FINISHED):
+        return reading.state
+    process = f"process {who.pid} on {who.host}"
+    if reading.state == KILLED:
+        return f"killed ({process})"
+    if reading.state == SILENT:
+        return f"silent ({process} cannot be reached from here and has saved nothing for a long time)"
+    phase = f", {reading.phase}" if reading.phase else ""
+    return f"running for {duration(max(time.time() - who.began, 0.0))}{phase} ({process})"
+
+
+def rows(reading: RunReading) -> list[tuple[str, ...]]:
+    """Return the rows below `HEADER`: of each sampler all groups together, then each group."""
+    return [row for sampler in reading.samplers for row in _rows(sampler)]
+
+
+def to_resume(reading: RunReading) -> str:
+    """Return how to resume a run that has stopped or was killed; empty if it has not."""
+    if reading.state not in (STOPPED, KILLED):
+        return ""
+    if reading.is_of_command:
+        return f"fmu run --resume {reading.directory}"
+    return f"repeat the same call of fmu.sample, with checkpoint={str(reading.directory)!r}"
+
+
+def _rows(sampler: SamplerReading) -> Iterator[tuple[str, ...]]:
+    yield _row(sampler.name, "all" if sampler.groups else "", sampler.state, sampler.together)
+    for group in sampler.groups:
+        yield _row("", group.group, "", group)
+
+
+def _row(name: str, group: str, state: str, at: Progress) -> tuple[str, ...]:
+    if not at.phase:
+        return (name, group, state, *[""] * (len(HEADER) - 3))
+    return (
+        name,
+        group,
+        state,
+        _PHASES[at.phase],
+        str(at.chains or ""),
+        f"{_steps(at.done)}/{'?' if at.total is None else _steps(at.total)}",
+        "" if at.kept_s is None else _age(at.kept_s),
+        _fixed(at.accept, 2),
+        _fixed(at.rhat, 3),
+        _number(at.ess),
+        number(at.solves),
+        _number(at.solves_per_s),
+        number(at.failed),
+        "" if at.remaining_s is None or at.done == at.total else _left(at.remaining_s),
+    )
+
+
+def _steps(n: int) -> str:
+    return str(n) if n <= _EXACT else number(n)
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else number(value)
+
+
+def _fixed(value: float, digits: int) -> str:
+    return fixed(value, digits) if abs(value) < 10.0 else _number(value)
+
+
+def _age(seconds: float) -> str:
+    """Return a time in one unit."""
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{fixed(seconds / size, 0)} {unit}"
+    return f"{fixed(seconds, 0)} s"
+
+
+def _left(seconds: float) -> str:
+    return duration(seconds) if seconds < _LONG_S else f"{number(seconds / 3600.0)} h"
