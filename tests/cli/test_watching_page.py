@@ -24,7 +24,8 @@ from fmu.runs.lock import announce
 from fmu.runs.status import RunReader
 from fmu.runs.web import WatchServer
 from tests.cli.runs import problem_in
-from tests.report.test_browser import BROWSER, DRIVER, WIDTHS, browser  # noqa: F401
+from tests.report.browser import needs_browser
+from tests.report.conftest import browser  # noqa: F401
 from tests.runs.keeping import at_keep
 
 ROOT = Path(__file__).parents[2]
@@ -213,7 +214,7 @@ def test_it_follows_by_itself(out, more):
     assert told.stderr == "Error: --web follows the run by itself: leave out --json and --follow.\n"
 
 
-@pytest.mark.skipif(not (BROWSER and DRIVER), reason="needs chromium and chromedriver")
+@needs_browser
 def test_in_a_browser(browser, stopped, tmp_path):  # noqa: F811
     from selenium.webdriver.support.wait import WebDriverWait
 
@@ -221,7 +222,7 @@ def test_in_a_browser(browser, stopped, tmp_path):  # noqa: F811
     announce(directory / "checkpoints")
     wait, text = WebDriverWait(browser, 10), "return document.body.innerText"
     with served(directory, 0.1) as server:
-        for width in WIDTHS.values():
+        for width in (390, 768, 1280):
             size = {"width": width, "height": 740, "deviceScaleFactor": 1, "mobile": False}
             browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
             for log in ("browser", "performance"):
