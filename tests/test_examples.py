@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -50,12 +51,21 @@ def test_every_block_is_of_a_kind_that_is_tested():
     )
 
 
+IN_ONE_PROCESS = [p for p in with_blocks("python") if p.name not in ("CONTRIBUTING.md", "cluster.md")]
+
+
 # Several seconds each: they are the examples that users repeat, with draws enough to show something.
-@pytest.mark.parametrize(
-    "page", [p for p in with_blocks("python") if p.name != "CONTRIBUTING.md"], ids=lambda p: p.name
-)
-def test_python_examples_run(page, tmp_path):
+@pytest.mark.parametrize("page", IN_ONE_PROCESS, ids=lambda page: page.name)
+def test_python_examples_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     program = tmp_path / "example.py"
+    program.write_text("\n".join(blocks(page, "python")), encoding="utf-8")
+    runpy.run_path(os.fspath(program), run_name="example")
+
+
+@pytest.mark.validate
+def test_the_example_with_workers_runs(tmp_path):
+    page, program = ROOT / "notebooks/guide/cluster.md", tmp_path / "example.py"
     program.write_text("\n".join(blocks(page, "python")), encoding="utf-8")
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}

@@ -8,7 +8,7 @@ import fmu
 from fmu.analysis.convergence import effective
 from fmu.analysis.trace.reading import parameter_draws
 
-WALKERS, STEPS, DISCARD = 32, 1200, 400
+WALKERS, STEPS, DISCARD = 32, 800, 300
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_plain_emcee_agrees_with_ours(problem, plain_draws):
 
 
 def test_plain_emcee_agrees_with_hamiltonian_monte_carlo(problem, plain_draws):
-    trace = fmu.sample(problem, "hmc", draws=500, warmup=300, chains=4, seed=4)
+    trace = fmu.sample(problem, "hmc", draws=300, warmup=200, chains=4, seed=4)
     assert fmu.summary(trace)["rhat"].max() < 1.01
     assert np.all(np.abs(z_scores(plain_draws, WALKERS, parameter_draws(trace), 1)) < 5)
     # and the test can fail: a posterior standard deviation would be seen

@@ -90,7 +90,7 @@ def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, sectio
         ("mh", 100, 200),
         pytest.param("slice", 100, 100, marks=pytest.mark.validate),
         pytest.param(fmu.HamiltonianMonteCarlo(0.003, 10), 60, 30, marks=pytest.mark.validate),
-        (fmu.Ensemble(walkers=16), 60, 20),
+        pytest.param(fmu.Ensemble(walkers=16), 60, 20, marks=pytest.mark.validate),
     ],
     ids=["mh", "slice", "hmc", "emcee"],
 )

@@ -1,5 +1,6 @@
 """What a run is said to cost, against what it costs."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +22,7 @@ def problem():
     return fmu.UpdatingProblem(fmu.BlackBoxModel(frequencies, 2), fmu.ModalData([4.0, 9.0], sd_hz=0.3), parameters)
 
 
-@pytest.mark.parametrize("name", [pytest.param("mh", marks=pytest.mark.validate), "slice", "emcee"])
+@pytest.mark.parametrize("name", ["mh", "slice", pytest.param("emcee", marks=pytest.mark.validate)])
 def test_solves_within_a_factor_of_two(problem, name, monkeypatch):
     monkeypatch.setattr("fmu.analysis.estimate._timed", lambda work: 1.0)
     (said,) = [part for part in estimates(problem, ORDERS | {"samplers": [name]}, 16, 1) if part.name == name]
@@ -40,7 +41,8 @@ def test_a_function_is_timed_and_its_workers_share(problem, monkeypatch):
     assert one[2].solves > 20 * one[1].solves  # five a gradient, and several gradients a step
 
 
-def test_a_reduced_model_is_timed_in_the_sampler():
+def test_a_reduced_model_is_timed_in_the_sampler(monkeypatch):
+    monkeypatch.setattr("fmu.analysis.estimate.time.perf_counter", time.process_time)  # the machine may be busy
     two = fmu.cases.load("shear-2dof")
     long = ORDERS | {"samplers": ["mh"], "draws": 1_000_000}
     only, *_ = estimates(two, long, 16, 1)

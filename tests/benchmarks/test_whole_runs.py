@@ -94,6 +94,7 @@ def test_a_peer_that_is_cut_off_is_neither_right_nor_the_reference():
     assert line_of(text, "**fmu mixture**").endswith("| yes |")
 
 
+@pytest.mark.validate
 def test_a_whole_run_counts_search_warm_up_and_gradients(monkeypatch):
     monkeypatch.setattr(runs, "ENOUGH", 400)
     target = Target.load("shear-2dof", "index")

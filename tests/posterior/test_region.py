@@ -98,6 +98,7 @@ def test_the_certificate_says_when_draws_leave_the_region(made):
     assert certificate["certificate_bound_exceeded"] == 0
 
 
+@pytest.mark.validate
 def test_a_basis_that_does_not_pay_there_either_is_that_of_the_box(made, monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
     monkeypatch.setattr(training, "affordable", lambda n_dof: 70)

@@ -123,6 +123,7 @@ def test_the_plate_converges_as_trilinear_elements_do():
     assert 1.0 < found[2] / beam < 1.1
 
 
+@pytest.mark.validate
 def test_the_plate_is_a_problem_that_can_be_loaded(tmp_path, monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
     problem = fmu.load(write_plate(tmp_path, (12, 3, 1)))

@@ -132,6 +132,7 @@ def test_too_few_runs_turn_it_red():
     assert Study(few).failures == ["396 runs with candidates; at least 400 are needed"]
 
 
+@pytest.mark.validate
 def test_a_run_at_one_of_two_maxima_is_wrong_and_says_what_it_was_judged_by():
     found = outcome(Job(BY_NAME["two maxima, far"], "slice", "until good", ONE_PLACE, 1))
     assert (found.converged, found.is_wrong, found.told, found.searched) == (True, True, True, False)
@@ -175,6 +176,7 @@ def test_the_page_shows_every_posterior(tmp_path):
     assert "| mixture | importance | 450 | 450 | - | - | 0 |" in page
 
 
+@pytest.mark.validate
 def test_a_maximum_that_warm_up_found_is_visited_before_a_run_is_called_converged():
     """With 129 draws of each chain no draw was at the maximum of 5 %, and R-hat and ESS were good."""
     job = Job(BY_NAME["two maxima, one of 5 %"], "hmc" + JUMPS, "until good", USUAL, 1)

@@ -120,7 +120,7 @@ MEANS, SPREADS = (0.9475, 0.9725, 0.9975), (0.061, 0.081, 0.121)
 @pytest.mark.parametrize("centring", [None, pytest.param(0.3, marks=pytest.mark.validate)])
 def test_posterior_of_mean_and_spread_by_quadrature(by_quadrature, centring):
     problem = springs(centring=centring)
-    trace = fmu.sample(problem, draws=400, warmup=250, seed=2)
+    trace = fmu.sample(problem, draws=250, warmup=250, seed=2)
     ess = fmu.summary(trace)["ess_bulk"].min()
     draws = np.stack([trace["posterior"][name].values.ravel() for name in problem.names], axis=1)
     for column, thresholds, exact in ((0, MEANS, by_quadrature[0]), (1, SPREADS, by_quadrature[1])):
