@@ -18,7 +18,7 @@ FLOORS = (
     {"posterior"},
     {"config", "samplers"},
     {"analysis"},
-    {"runs"},
+    {"runs", "surrogates"},
     {"sampling", "cases"},
     {"report"},
     {"paper"},

@@ -70,6 +70,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         problem was given another one, or above its bound, or if a pairing changed.
     """
     model: Any = getattr(problem, "model", None)
+    if model is not None and model.is_uncertain:
+        return dict(model.record)
     structures = () if model is None else model.structures()
     if not structures or any(structure.reduced is None for structure in structures):
         return {}

@@ -42,11 +42,17 @@ class Phase:
         Number of steps, as far as it is known.
     report : Report or None
     note : Note or None
+
+    Attributes
+    ----------
+    said : dict of str to float
+        Further numbers that a report tells.
     """
 
     def __init__(self, name: str, total: int, report: Report | None, note: Note | None) -> None:
         self.name, self.total = name, total
         self.done = self.solves = 0
+        self.said: dict[str, float] = {}
         self._report, self._note = report, note
         self._began = time.monotonic()
         self._is_told = False
@@ -73,7 +79,7 @@ class Phase:
             self._note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
             self._is_told = True
-            self._report(self.name, self.done, self.total, {"solves": self.solves})
+            self._report(self.name, self.done, self.total, {"solves": self.solves, **self.said})
 
     def end(self) -> None:
         """Report the end of the phase, if the phase was reported at all."""

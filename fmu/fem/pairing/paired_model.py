@@ -78,6 +78,9 @@ class ModalModel:
         Whether `observed` tells what the sensors see.
     is_soft : bool
         Whether all candidates answer to every measured mode, with weights (`fmu.fem.pairing.rules.SoftPairing`).
+    is_uncertain : bool
+        Whether `observed` gives the variances of the model's own errors, as of a surrogate; it then gives
+        frequencies alone where there are no shapes.
     by_shape : bool
         Whether modes are paired by MAC, not by number.
     solves_per_gradient, solves_per_shape_gradient : int
@@ -97,6 +100,7 @@ class ModalModel:
     black_box: BlackBoxModel | None = None
     gives_shapes = False
     is_soft = False
+    is_uncertain = False
     by_shape = False
     solves_per_gradient = 1
     solves_per_shape_gradient = 1

@@ -31,12 +31,19 @@ class ModalPrediction:
         Mass-normalised at the sensors, of either sign.
     frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
+    frequency_variance, shape_variance : ndarray, of the shapes of frequencies (Hz²) and shapes, or None
+        Variances of the model's own errors, independent of each other, where it is a surrogate.
+    frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
     """
 
     frequencies: FloatArray
     shapes: FloatArray
     frequency_slopes: FloatArray | None = None
     shape_slopes: FloatArray | None = None
+    frequency_variance: FloatArray | None = None
+    shape_variance: FloatArray | None = None
+    frequency_variance_slopes: FloatArray | None = None
+    shape_variance_slopes: FloatArray | None = None
 
     @property
     def failed(self) -> BoolArray:

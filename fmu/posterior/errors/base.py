@@ -64,12 +64,16 @@ class Evaluated(NamedTuple):
         Derivative with respect to the components of its shape.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
         Derivative with respect to each inferred standard deviation.
+    by_frequency_variance, by_shape_variance : ndarray, of the shapes of by_frequency and by_shape, or None
+        Derivatives with respect to the variances of the model's own errors.
     """
 
     terms: FloatArray
     by_frequency: FloatArray | None = None
     by_shape: FloatArray | None = None
     by_noise: dict[int, FloatArray] | None = None
+    by_frequency_variance: FloatArray | None = None
+    by_shape_variance: FloatArray | None = None
 
 
 class Residuals(NamedTuple):

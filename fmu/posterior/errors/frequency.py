@@ -305,11 +305,18 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction with z in place of the frequencies, and L⁻¹ times their derivatives."""
-        slopes = seen.frequency_slopes
+        slopes, variance, by_variance = (
+            seen.frequency_slopes,
+            seen.frequency_variance,
+            seen.frequency_variance_slopes,
+        )
+        squares = self._inverse_root**2  # the model's own errors of z are correlated; their variances are kept
         return replace(
             seen,
             frequencies=self._standardised(seen.frequencies),
             frequency_slopes=None if slopes is None else _times(self._inverse_root, slopes, 1),
+            frequency_variance=None if variance is None else _times(squares, variance),
+            frequency_variance_slopes=None if by_variance is None else _times(squares, by_variance, 1),
         )
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:

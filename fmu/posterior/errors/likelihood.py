@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, Self
 
 import numpy as np
@@ -13,6 +14,11 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
+from fmu.posterior.errors.surrogate_variance import (
+    evaluated_with_variance,
+    residuals_with_variance,
+    sensitivity_to_model,
+)
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
 
@@ -74,6 +80,12 @@ class ModalLikelihood(Likelihood):
             other.error = other.terms_of[0]
         return other
 
+    def of_model(self, model: ModalModel) -> Self:
+        """Return the likelihood with another model of the same parameters and modes, as a surrogate."""
+        other = copy(self)
+        other.model = model
+        return other
+
     @property
     def frequency_term(self) -> Any:
         """The errors of the frequencies, the first if there are several; None if there are none."""
@@ -86,7 +98,7 @@ class ModalLikelihood(Likelihood):
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
-        if self.error is not None:  # no shapes, no inferred deviations: a few µs less at a single theta
+        if self.error is not None and not self.model.is_uncertain:  # a few µs less at a single theta
             return np.asarray(self.of_used(self.error.log_prob_terms(self.model.frequencies(theta))))
         return self.terms_of_observed(self.observed(theta), theta)
 
@@ -116,7 +128,7 @@ class ModalLikelihood(Likelihood):
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_used, ndim)."""
         seen = self.observed(theta, True)
-        if self.error is None:
+        if self.error is None or self.model.is_uncertain:
             return self._terms_and_gradient(seen, theta)
         view = self.error.project(seen)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -134,6 +146,20 @@ class ModalLikelihood(Likelihood):
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
         """Return the terms for computed frequencies (n, n_modes), Hz, where no errors are of shapes."""
         return self.terms_of_observed(_without_shapes(frequencies), theta)
+
+    def sensitivity_to_model(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how much the log-likelihood depends on errors of an uncertain model at theta (n, ndim).
+
+        Summed over the error models: `fmu.posterior.errors.surrogate_variance.sensitivity_to_model`.
+        """
+        seen, noise = self.observed(theta), theta[:, self.n_structural :]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            found = [sensitivity_to_model(term, seen, noise) for term in self.terms_of]
+        of_frequency, of_shape = (np.asarray(sum(parts)) for parts in zip(*found, strict=True))
+        if self.used is not None:
+            unused = np.setdiff1d(np.arange(self.model.n_modes), self.used)
+            of_frequency[:, unused], of_shape[:, :, unused] = 0.0, 0.0
+        return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return all errors divided by their standard deviations, and their derivatives by the model's parameters.
@@ -205,7 +231,8 @@ class ModalLikelihood(Likelihood):
         """
         seen = self.observed(theta, True)
         r, J = self._residuals_and_slopes(seen, theta[:, self.n_structural :])
-        if not self.noise and all(term.is_least_squares for term in self.terms_of):
+        is_plain = not (self.noise or self.model.is_uncertain)
+        if is_plain and all(term.is_least_squares for term in self.terms_of):
             value, gradient = self.terms_of_observed(seen, theta).sum(axis=1), -np.einsum("nr,nrk->nk", r, J)
         else:
             terms, slopes = self._terms_and_gradient(seen, theta)
@@ -251,7 +278,7 @@ class ModalLikelihood(Likelihood):
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return what is compared at theta (n, ndim): the frequencies, and the shapes where they have errors."""
         structural = theta[:, : self.n_structural]
-        if self.needs_shapes:
+        if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
         if gradient:
             return _without_shapes(*self.model.frequencies_and_gradient(structural))
@@ -264,7 +291,12 @@ class ModalLikelihood(Likelihood):
         noise = theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             views = [term.project(seen) for term in self.terms_of]
-            parts = [term.evaluate(view, noise, gradient) for term, view in zip(self.terms_of, views, strict=True)]
+            parts = [
+                term.evaluate(view, noise, gradient)
+                if view.frequency_variance is None
+                else evaluated_with_variance(term, view, noise, gradient)
+                for term, view in zip(self.terms_of, views, strict=True)
+            ]
         return views, parts
 
     def _terms_and_gradient(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -289,6 +321,10 @@ class ModalLikelihood(Likelihood):
         if part.by_shape is not None and seen.shape_slopes is not None:
             # a sum in one order, whatever the batch
             leading += np.einsum("nsm,nsmk->nmk", part.by_shape, seen.shape_slopes)
+        if part.by_frequency_variance is not None and seen.frequency_variance_slopes is not None:
+            leading += part.by_frequency_variance[..., None] * seen.frequency_variance_slopes
+        if part.by_shape_variance is not None and seen.shape_variance_slopes is not None:
+            leading += np.einsum("nsm,nsmk->nmk", part.by_shape_variance, seen.shape_variance_slopes)
         for k, slope in (part.by_noise or {}).items():
             gradient[..., n + k] += slope
         return gradient
@@ -301,6 +337,8 @@ class ModalLikelihood(Likelihood):
                     continue
                 view = term.project(seen)
                 r = term.residuals(view, noise)
+                if view.frequency_variance is not None:
+                    r = residuals_with_variance(r, view)
                 n, _, q = r.values.shape
                 J: Any = 0.0
                 if r.by_frequency is not None and view.frequency_slopes is not None:

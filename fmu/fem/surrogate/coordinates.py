@@ -1,0 +1,54 @@
+"""Coordinates in which modal quantities are nearly linear: logarithms of positive parameters, scaled to −1 … 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """A map from theta to x, a parameter at a time: x = (g(θ) − centre)/half, with g the logarithm or θ itself.
+
+    An eigenvalue is the ratio of a linear form in stiffnesses and one in masses (Rayleigh's quotient), so that its
+    logarithm is nearly linear in the logarithms of both.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (n_parameters,)
+        The box that becomes −1 … 1; theta outside it are mapped too.
+    is_log : ndarray of bool, shape (n_parameters,)
+        By default where the box is positive.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    is_log: BoolArray
+
+    @classmethod
+    def of_box(cls, lower: FloatArray, upper: FloatArray, positive: BoolArray) -> Coordinates:
+        """Return the coordinates of a box; `positive` says which parameters are never zero or negative."""
+        return cls(lower, upper, positive & (lower > 0.0))
+
+    def to_x(self, theta: FloatArray) -> FloatArray:
+        """Return x, shape (n, n_parameters), at theta of that shape."""
+        low, high = self._g(self.lower), self._g(self.upper)
+        return (2.0 * self._g(theta) - (high + low)) / (high - low)
+
+    def to_theta(self, x: FloatArray) -> FloatArray:
+        """Return theta at x, both of shape (n, n_parameters); the corners −1 and 1 are those of the box exactly."""
+        low, high = self._g(self.lower), self._g(self.upper)
+        g = 0.5 * (high + low) + 0.5 * x * (high - low)
+        theta = np.where(self.is_log, np.exp(np.where(self.is_log, g, 0.0)), g)
+        return np.where(x == -1.0, self.lower, np.where(x == 1.0, self.upper, theta))
+
+    def slope(self, theta: FloatArray) -> FloatArray:
+        """Return ∂x/∂θ of each parameter, shape (n, n_parameters)."""
+        half = 0.5 * (self._g(self.upper) - self._g(self.lower))
+        return np.where(self.is_log, 1.0 / np.where(self.is_log, theta, 1.0), 1.0) / half
+
+    def _g(self, theta: FloatArray) -> FloatArray:
+        return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)

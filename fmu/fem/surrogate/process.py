@@ -1,0 +1,178 @@
+"""A Gaussian process with a linear trend, fitted by scikit-learn; its values and derivatives, bit for bit the same
+in every batch.
+
+With x the `Coordinates` of theta the prior of a quantity y, scaled to zero mean and unit variance, has the
+covariance
+
+k(x, x′) = a (1 + xᵀx′) + c exp(−½ Σ_j (x_j − x′_j)²/ℓ_j²) + s² [x = x′]:
+
+a trend that is linear with coefficients of variance a, a smooth remainder whose length ℓ_j says how soon parameter
+j is felt (one without effect has a long one, and costs nothing), and the scatter s² of the solver's answers
+(Rasmussen & Williams 2006, *Gaussian Processes for Machine Learning*, chapters 2 and 5). The data choose a, c, ℓ and
+s² by the marginal likelihood. Kriging with a polynomial of fixed degree is the limit of large a, or of long ℓ.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from fmu.types import FloatArray
+
+LEAST_SCATTER = 1e-10
+"""Least s², of a quantity of unit variance: the matrix of covariances stays well-conditioned."""
+_CHUNK = 16  # rows of a matrix product: always as many, so that its sums have one order
+_STARTS = 1.0, 4.0, 15.0  # lengths
+_BOUNDS = {"trend": (1e-4, 1e3), "smooth": (1e-6, 1e3), "length": (0.1, 1e3), "scatter": (LEAST_SCATTER, 0.1)}
+
+
+class Process:
+    """Quantities that share a covariance, conditioned on their values at N points.
+
+    Parameters
+    ----------
+    x : ndarray, shape (N, d)
+    y : ndarray, shape (N, q)
+    before : Process, optional
+        Its hyper-parameters are where the search for new ones begins.
+    search : bool
+        Whether hyper-parameters are searched for; otherwise those of `before` are kept.
+
+    Attributes
+    ----------
+    caution : float
+        Factor of the variances, at least 1: the mean square of the standardised errors where each point is left
+        out (Rasmussen & Williams, eq. 5.12).
+    left_out_error : float
+        Root mean square of these errors, in units of y.
+    scatter : float
+        Standard deviation s of the solver's answers, in units of y.
+    """
+
+    def __init__(self, x: FloatArray, y: FloatArray, before: Process | None = None, search: bool = True) -> None:
+        self.x = np.ascontiguousarray(x)
+        self._mean, spread = y.mean(axis=0), y.std(axis=0)
+        self._unit = np.where(spread > 0.0, spread, 1.0)
+        z = (y - self._mean) / self._unit
+        fitted = _fitted(self.x, z, None if before is None else before.kernel, search)
+        self.kernel = fitted.kernel_
+        p = self.kernel.get_params()
+        self._trend, self._smooth = p["k1__k1__k1__constant_value"], p["k1__k2__k1__constant_value"]
+        length = np.broadcast_to(p["k1__k2__k2__length_scale"], x.shape[1])
+        self._by_length = 1.0 / length**2
+        self._s2 = p["k2__noise_level"]
+        from scipy.linalg import cho_solve, solve_triangular
+
+        # of the factor L of K, as K⁻¹ itself would have lost twice as many digits
+        self._root = np.ascontiguousarray(solve_triangular(fitted.L_, np.eye(len(x)), lower=True))
+        self._alpha = cho_solve((fitted.L_, True), z)
+        variance = 1.0 / np.sum(self._root**2, axis=0)
+        errors = self._alpha * variance[:, None]
+        self.caution = max(1.0, float(np.mean(errors**2 / variance[:, None])))
+        self.left_out_error = float(np.sqrt(np.mean((errors * self._unit) ** 2)))
+        self.scatter = float(np.sqrt(self._s2) * np.max(self._unit))
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return the expected y, shape (n, q), at x (n, d)."""
+        k, _ = self._covariances(x)
+        return self._expected(k)
+
+    def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the expected y and its variance, without the solver's scatter, (n, q) each."""
+        k, _ = self._covariances(x)
+        return self._expected(k), self._variance(self._left(x, _product(k, self._root.T)))
+
+    def predict_with_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return `predict`, and the derivatives of both by x, shape (n, q, d) each."""
+        k, smooth = self._covariances(x)
+        u = _product(k, self._root.T)
+        w = _product(u, self._root)
+        d = x.shape[1]
+        slopes, by_variance = np.empty((len(x), self._alpha.shape[1], d)), np.empty((len(x), d))
+        for j in range(d):
+            dk = self._trend * self.x[:, j] - self._by_length[j] * (x[:, j, None] - self.x[:, j]) * smooth
+            slopes[:, :, j] = np.sum(dk[:, None, :] * self._alpha.T, axis=2)
+            by_variance[:, j] = 2.0 * (self._trend * x[:, j] - np.sum(w * dk, axis=1))
+        left = self._left(x, u)
+        by_variance[left <= 0.0] = 0.0
+        slopes *= self._unit[:, None]
+        return self._expected(k), self._variance(left), slopes, self._variance(by_variance[:, None])
+
+    def covariance(self, x: FloatArray) -> tuple[FloatArray, float]:
+        """Return the covariance of y between points (n, d), in units of `unit`², shape (n, n), and s²."""
+        k, _ = self._covariances(x)
+        prior = self._trend * (1.0 + x @ x.T) + self._smooth * np.exp(-0.5 * _squares(x, x, self._by_length))
+        u = k @ self._root.T
+        return self.caution * (prior - u @ u.T), self.caution * self._s2
+
+    @property
+    def unit(self) -> FloatArray:
+        """Standard deviations by which the quantities were scaled, shape (q,)."""
+        return self._unit
+
+    def _covariances(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the covariances with the N points, (n, N), and the smooth part of them."""
+        smooth = self._smooth * np.exp(-0.5 * _squares(x, self.x, self._by_length))
+        trend = np.ones_like(smooth)
+        for j in range(x.shape[1]):
+            trend += x[:, j, None] * self.x[:, j]
+        return self._trend * trend + smooth, smooth
+
+    def _expected(self, k: FloatArray) -> FloatArray:
+        return self._mean + self._unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
+
+    def _left(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the variance that is left, k(x, x) − uᵀu with u = L⁻¹k, scaled, (n,)."""
+        own = np.ones(len(x))
+        for j in range(x.shape[1]):
+            own += x[:, j] ** 2
+        return self._trend * own + self._smooth - np.sum(u**2, axis=1)
+
+    def _variance(self, scaled: FloatArray) -> FloatArray:
+        """Return variances in units of y², (n, q, …), of scaled ones; those of rounding are not negative."""
+        if scaled.ndim == 1:
+            return self.caution * self._unit**2 * np.maximum(scaled, 0.0)[:, None]
+        return self.caution * (self._unit**2)[:, None] * scaled
+
+
+def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
+    """Return k (n, N) times a matrix (N, N), in chunks of one shape, so that a row does not depend on the others."""
+    n, N = k.shape
+    padded = np.zeros((-(-n // _CHUNK) * _CHUNK, N))
+    padded[:n] = k
+    return (padded.reshape(-1, _CHUNK, N) @ matrix).reshape(-1, N)[:n]
+
+
+def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return Σ_j w_j (x_j − x′_j)², shape (n, N), summed in one order."""
+    total = np.zeros((len(x), len(other)))
+    for j, weight in enumerate(weights):
+        total += weight * (x[:, j, None] - other[:, j]) ** 2
+    return total
+
+
+def _fitted(x: FloatArray, z: FloatArray, kernel: Any, search: bool) -> Any:
+    """Return scikit-learn's regressor, fitted to z (N, q) at x (N, d)."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
+
+    def start(length: float) -> Any:
+        return (
+            ConstantKernel(1.0, _BOUNDS["trend"]) * DotProduct(1.0, "fixed")
+            + ConstantKernel(0.1, _BOUNDS["smooth"]) * RBF(np.full(x.shape[1], length), _BOUNDS["length"])
+            + WhiteKernel(1e-6, _BOUNDS["scatter"])
+        )
+
+    def fitted(kernel: Any, optimizer: str | None) -> Any:
+        return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=optimizer).fit(x, z)
+
+    if not search:
+        return fitted(kernel, None)
+    starts = [*map(start, _STARTS)] if kernel is None else [kernel, start(_STARTS[-1])]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # a parameter without effect has the longest length
+        # the likelihood may have several maxima: one of them explains everything by scatter
+        return max((fitted(one, "fmin_l_bfgs_b") for one in starts), key=lambda one: one.log_marginal_likelihood_value_)

@@ -1,0 +1,191 @@
+"""A model of Gaussian processes that stands for a slow one where its paired modes are asked for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.black_box import Failure
+from fmu.fem.modes.modal import single_thread
+from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.surrogate.coordinates import Coordinates
+from fmu.fem.surrogate.feasibility import Feasibility
+from fmu.fem.surrogate.process import Process
+from fmu.types import BoolArray, FloatArray
+
+_GROWN = 1.15
+"""Hyper-parameters are searched for again when the design is so many times as large as when they were found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What was solved: theta and the paired modes there.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (N, n_parameters)
+    frequencies : ndarray, shape (N, n_modes), Hz
+        NaN where a solve failed.
+    shapes : ndarray, shape (N, n_sensors, n_modes)
+        At the sensors, empty where they are not needed: n_sensors = 0.
+    """
+
+    theta: FloatArray
+    frequencies: FloatArray
+    shapes: FloatArray
+
+    @property
+    def failed(self) -> BoolArray:
+        """Where no frequencies were found, shape (N,): a mode without frequency has no logarithm either."""
+        return ~(np.isfinite(self.frequencies) & (self.frequencies > 0.0)).all(axis=1)
+
+    def joined(self, other: Design) -> Design:
+        """Return this design and another."""
+        return Design(
+            np.concatenate([self.theta, other.theta]),
+            np.concatenate([self.frequencies, other.frequencies]),
+            np.concatenate([self.shapes, other.shapes]),
+        )
+
+
+class SurrogateModel(ModalModel):
+    """Gaussian processes of the logarithms of a slow model's paired eigenvalues, and of its shapes if needed.
+
+    The modes are paired before the processes are fitted, at each theta that was solved: a process follows its mode
+    across others. Shapes have unit length at the sensors, and the sign of the reference.
+
+    Parameters
+    ----------
+    truth : ModalModel
+        The slow model, paired.
+    design : Design
+        At least two theta that were solved.
+    coordinates : Coordinates
+    reference : ndarray, shape (n_sensors, n_modes), optional
+        Shapes that give the sign: the measured ones. Without them shapes are not learnt.
+    before : SurrogateModel, optional
+        One with a smaller design: its hyper-parameters are where the search begins.
+
+    Attributes
+    ----------
+    is_uncertain : bool
+        True: `observed` gives variances.
+    record : mapping of str to number or str
+        The certificate and the number of solves, once it is learnt (`fmu.surrogates.learning`).
+    """
+
+    is_uncertain = True
+
+    def __init__(
+        self,
+        truth: ModalModel,
+        design: Design,
+        coordinates: Coordinates,
+        reference: FloatArray | None = None,
+        before: SurrogateModel | None = None,
+    ) -> None:
+        self.truth, self.design, self.coordinates, self._reference = truth, design, coordinates, reference
+        self.n_parameters, self.n_modes = truth.n_parameters, truth.n_modes
+        self.name, self.by_shape = f"surrogate of {truth.name}", truth.by_shape
+        self.gives_shapes = reference is not None
+        self.record: Mapping[str, Any] = {}
+        good = ~design.failed
+        x = coordinates.to_x(design.theta)
+        self.feasibility = Feasibility(x, design.failed)
+        quantities = [2.0 * np.log(design.frequencies[good, i, None]) for i in range(self.n_modes)]
+        if reference is not None:
+            shapes = oriented(design.shapes[good], reference)
+            quantities += [shapes[:, :, i] for i in range(self.n_modes)]
+        n_searched = 0 if before is None else before._n_searched
+        search = np.sum(good) >= _GROWN * n_searched
+        self._n_searched = int(np.sum(good)) if search else n_searched
+        earlier = [None] * len(quantities) if before is None else before.processes
+        with single_thread():
+            self.processes = [Process(x[good], y, p, bool(search)) for y, p in zip(quantities, earlier, strict=True)]
+
+    def __repr__(self) -> str:
+        return f"SurrogateModel({self.truth!r}, {len(self.design.theta)} solves)"
+
+    @property
+    def reasons(self) -> Sequence[Failure]:
+        """The first points at which the slow model failed, and why."""
+        return self.truth.reasons
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves fail, as far as is known."""
+        x = self.coordinates.to_x(theta)
+        with single_thread():
+            log = np.concatenate([p.values(x) for p in self.processes[: self.n_modes]], axis=1)
+        return self._where_feasible(x, np.exp(0.5 * log))
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        seen = self.observed(theta, gradient=True)
+        assert seen.frequency_slopes is not None  # narrowed for the type checker: asked for above
+        return seen.frequencies, seen.frequency_slopes
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return frequencies, and shapes if they were learnt, with their variances, and derivatives if wanted."""
+        x = self.coordinates.to_x(theta)
+        m = self.n_modes
+        with single_thread():
+            if not gradient:
+                value, variance = zip(*(p.predict(x) for p in self.processes), strict=True)
+            else:
+                by_theta = self.coordinates.slope(theta)[:, None]
+                found = [p.predict_with_slopes(x) for p in self.processes]
+                value, variance, slope, by_variance = zip(*found, strict=True)
+        f = np.exp(0.5 * np.concatenate(value[:m], axis=1))
+        v = np.concatenate(variance[:m], axis=1)
+        f_hz, v_hz2 = self._where_feasible(x, f), 0.25 * f**2 * v
+        shapes = np.stack(value[m:], axis=2) if self.gives_shapes else np.empty((len(x), 0, m))
+        shape_v = np.stack(variance[m:], axis=2) if self.gives_shapes else np.empty((len(x), 0, m))
+        if not gradient:
+            return ModalPrediction(f_hz, shapes, frequency_variance=v_hz2, shape_variance=shape_v)
+        df = 0.5 * f[..., None] * np.concatenate(slope[:m], axis=1) * by_theta
+        dv = 0.25 * f[..., None] ** 2 * np.concatenate(by_variance[:m], axis=1) * by_theta
+        dv = dv + 0.5 * (f * v)[..., None] * df
+        none = np.empty((*shapes.shape, theta.shape[1]))
+        by_theta = by_theta[:, None]
+        ds, dsv = (
+            np.stack(part[m:], axis=2) * by_theta if self.gives_shapes else none for part in (slope, by_variance)
+        )
+        return ModalPrediction(f_hz, shapes, df, ds, v_hz2, shape_v, dv, dsv)
+
+    def full_frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies by the slow model."""
+        return self.truth.frequencies(theta)
+
+    def full_observed(self, theta: FloatArray) -> ModalPrediction:
+        """Return frequencies and shapes by the slow model."""
+        return self.truth.observed(theta)
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the model: the slow one, and what was solved."""
+        digest = hashlib.sha256()
+        for part in (self.design.theta, self.design.frequencies, self.design.shapes):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        return {"surrogate of": self.truth.configuration(), "design": digest.hexdigest()}
+
+    def _where_feasible(self, x: FloatArray, frequencies: FloatArray) -> FloatArray:
+        return np.where(self.feasibility(x)[:, None], frequencies, np.nan)
+
+
+def solved(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
+    """Return what the slow model gives at theta (n, n_parameters)."""
+    if with_shapes:
+        seen = truth.observed(theta)
+        return Design(theta, seen.frequencies, seen.shapes)
+    frequencies = truth.frequencies(theta)
+    return Design(theta, frequencies, np.empty((len(theta), 0, frequencies.shape[1])))
+
+
+def oriented(shapes: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return shapes (n, n_sensors, n_modes) of unit length, with the sign that the reference has."""
+    along = np.sum(shapes * reference, axis=1, keepdims=True)
+    return shapes / np.linalg.norm(shapes, axis=1, keepdims=True) * np.where(along < 0.0, -1.0, 1.0)

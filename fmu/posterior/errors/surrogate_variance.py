@@ -1,0 +1,135 @@
+"""The errors of a surrogate in the likelihood: what it predicts is uncertain, and the log-density is their mean.
+
+Let t(x) be the log-density of an error model as a function of the frequency and the shape of a mode, x, of which the
+surrogate gives the expectation and variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the residuals r, both at
+the expectation,
+
+log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
+
+For independent Gaussian errors of frequencies that are linear in them, this is their density with the variance σ² + v
+in place of σ². For other errors it is right to first order in v.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
+from fmu.types import FloatArray
+
+_STEP = 1e-4  # of an inferred standard deviation, relative
+
+
+def evaluated_with_variance(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
+    """Return the terms of an error model where the model has variances, see `ErrorTerm.evaluate`.
+
+    Derivatives by what is predicted take ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x), and h as constant (Gauss–Newton); those by
+    inferred standard deviations are central differences of the correction.
+    """
+    part, residuals = term.evaluate(seen, noise, True), term.residuals(seen, noise)
+    terms = part.terms + _correction(part, residuals, seen)
+    if not gradient:
+        return Evaluated(terms)
+    by_frequency, by_shape = part.by_frequency, part.by_shape
+    by_frequency_variance = by_shape_variance = None
+    pulled = np.zeros_like(residuals.values)  # Σ_j ∂r/∂x_j g_j v_j/(1 + h_j v_j), (n, n_modes, q)
+    if by_frequency is not None and residuals.by_frequency is not None:
+        h, v = np.sum(residuals.by_frequency**2, axis=2), seen.frequency_variance
+        by_frequency_variance = _by_variance(by_frequency, h, v)
+        pulled += residuals.by_frequency * _gain(by_frequency, h, v)[..., None]
+    if by_shape is not None and residuals.by_shape is not None:
+        h, v = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2), seen.shape_variance
+        by_shape_variance = _by_variance(by_shape, h, v)
+        pulled += np.einsum("nmqs,nsm->nmq", residuals.by_shape, _gain(by_shape, h, v))
+    if by_frequency is not None and residuals.by_frequency is not None:
+        by_frequency = by_frequency - np.sum(residuals.by_frequency * pulled, axis=2)
+    if by_shape is not None and residuals.by_shape is not None:
+        by_shape = by_shape - np.einsum("nmqs,nmq->nsm", residuals.by_shape, pulled)
+    by_noise = {k: slope + _by_noise(term, seen, noise, k) for k, slope in (part.by_noise or {}).items()}
+    return Evaluated(terms, by_frequency, by_shape, by_noise, by_frequency_variance, by_shape_variance)
+
+
+def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Residuals:
+    """Return residuals divided by their standard deviations with the model's own errors, √(1 + Σ_j (∂r/∂x_j)² v_j)."""
+    variance = np.ones_like(residuals.values)
+    if residuals.by_frequency is not None and seen.frequency_variance is not None:
+        variance += residuals.by_frequency**2 * seen.frequency_variance[..., None]
+    if residuals.by_shape is not None and seen.shape_variance is not None:
+        variance += np.einsum("nmqs,nsm->nmq", residuals.by_shape**2, seen.shape_variance)
+    root = np.sqrt(variance)
+    return Residuals(
+        residuals.values / root,
+        None if residuals.by_frequency is None else residuals.by_frequency / root,
+        None if residuals.by_shape is None else residuals.by_shape / root[..., None],
+    )
+
+
+def sensitivity_to_model(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how the log-density changes with the model's errors, in terms of their variances.
+
+    Parameters
+    ----------
+    term : ErrorTerm
+    seen : ModalPrediction
+        With variances, not projected.
+    noise : ndarray, shape (n, n_noise)
+
+    Returns
+    -------
+    of_frequency : ndarray, shape (n, n_modes), 1/Hz²
+    of_shape : ndarray, shape (n, n_sensors, n_modes)
+        g_j² + ½ h_j² v_j: times v_j it is the variance of the log-density that v_j causes, to second order.
+    """
+    n, m = seen.frequencies.shape
+    by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on the frequencies of others
+    view = term.project(replace(seen, frequency_slopes=by_each))
+    part, residuals = term.evaluate(view, noise, True), term.residuals(view, noise)
+    of_frequency, of_shape = np.zeros((n, m)), np.zeros(seen.shapes.shape)
+    if part.by_frequency is not None and residuals.by_frequency is not None:
+        g = np.einsum("nm,nmj->nj", part.by_frequency, view.frequency_slopes)
+        h = np.einsum("nm,nmj->nj", np.sum(residuals.by_frequency**2, axis=2), np.square(view.frequency_slopes))
+        of_frequency = g**2 + 0.5 * h**2 * seen.frequency_variance
+    if part.by_shape is not None and residuals.by_shape is not None:
+        h = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2)
+        of_shape = part.by_shape**2 + 0.5 * h**2 * seen.shape_variance
+    return of_frequency, of_shape
+
+
+def _correction(part: Evaluated, residuals: Residuals, seen: ModalPrediction) -> FloatArray:
+    """Return log E[exp t] − t, (n, n_modes)."""
+    total = np.zeros_like(part.terms)
+    if part.by_frequency is not None and residuals.by_frequency is not None:
+        h = np.sum(residuals.by_frequency**2, axis=2)
+        total += _of_one(part.by_frequency, h, seen.frequency_variance)
+    if part.by_shape is not None and residuals.by_shape is not None:
+        h = np.moveaxis(np.sum(residuals.by_shape**2, axis=2), 1, 2)
+        total += np.sum(_of_one(part.by_shape, h, seen.shape_variance), axis=1)
+    return total
+
+
+def _of_one(g: FloatArray, h: FloatArray, v: FloatArray | None) -> FloatArray:
+    hv = h * v
+    return np.asarray(0.5 * g**2 * v / (1.0 + hv) - 0.5 * np.log1p(hv))
+
+
+def _gain(g: FloatArray, h: FloatArray, v: FloatArray | None) -> FloatArray:
+    return np.asarray(g * v / (1.0 + h * v))
+
+
+def _by_variance(g: FloatArray, h: FloatArray, v: FloatArray | None) -> FloatArray:
+    scaled = 1.0 + h * v
+    return np.asarray(0.5 * (g / scaled) ** 2 - 0.5 * h / scaled)
+
+
+def _by_noise(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, k: int) -> FloatArray:
+    """Return the derivative of the correction by an inferred standard deviation, (n, n_modes)."""
+    step = _STEP * noise[:, k]
+    values = []
+    for sign in (1.0, -1.0):
+        moved = noise.copy()
+        moved[:, k] += sign * step
+        values.append(_correction(term.evaluate(seen, moved, True), term.residuals(seen, moved), seen))
+    return (values[0] - values[1]) / (2.0 * step)[:, None]

@@ -1,0 +1,272 @@
+"""`fmu.surrogate`: a problem whose slow model is replaced by Gaussian processes, with a certificate."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import nullcontext
+from copy import copy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmu.fem.surrogate.coordinates import Coordinates
+from fmu.fem.surrogate.feasibility import failed_region
+from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, solved
+from fmu.numbers import significant
+from fmu.posterior.failures import FailureRecord
+from fmu.posterior.parameters import box
+from fmu.progress.phases import Phase, phase
+from fmu.surrogates.error_limits import ErrorLimits
+from fmu.surrogates.selection import chosen, predicted_variance, stratified
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from fmu.engines.base import Engine
+    from fmu.posterior.problem import UpdatingProblem
+
+TOLERANCE = 0.05
+BATCH, CHECKS = 8, 16
+MOST_SOLVES = 1000
+_STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 4, 200, 150
+_CANDIDATES = 300
+_SAFE = 0.5
+"""Checks are solved when the surrogate expects errors of this part of the tolerance."""
+_MAY_BE_SWAPPED = 0.6  # MAC
+
+
+class SurrogateWarning(UserWarning):
+    """The surrogate misses its tolerance, or a mode could not be followed."""
+
+
+def surrogate(
+    problem: UpdatingProblem,
+    *,
+    seed: int = 1,
+    tolerance: float = TOLERANCE,
+    batch: int = BATCH,
+    checks: int = CHECKS,
+    max_solves: int = MOST_SOLVES,
+    engine: Engine | None = None,
+) -> UpdatingProblem:
+    """Return the same problem with Gaussian processes in place of its slow model.
+
+    They are fitted to solves at points that fill the bounds, and then, batch after batch, where the posterior is and
+    a solve reduces its error most. When the surrogate expects little error, fresh draws of the posterior are solved:
+    their errors are the certificate. If it allows posterior means to be off by more than the tolerance, these
+    solves join the design, and it goes on. The certificate is always from solves that the surrogate has not seen.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        Of a `BlackBoxModel`, or of any `ModalModel` without matrices.
+    seed : int
+    tolerance : float
+        How far posterior means may be off, in posterior standard deviations, with 95 % confidence.
+    batch : int
+        Solves between two rounds of sampling; they can run at once. The design depends on this number, and not on
+        how many workers there are.
+    checks : int
+        Draws that are solved for a certificate, at least 8.
+    max_solves : int
+        After so many it ends, whatever the certificate says.
+    engine : Engine, optional
+        Calls the user's function at several theta at once, see `fmu.engine`.
+
+    Returns
+    -------
+    UpdatingProblem
+        ``model.record`` has the certificate and the number of solves, see `fmu.analysis.certificate.certify`.
+
+    Raises
+    ------
+    ValueError
+        If the problem has matrices or several tests, a number is out of range, or nearly all solves fail.
+
+    Warns
+    -----
+    SurrogateWarning
+        If it ended before the tolerance was kept, or where modes could not be told apart.
+    """
+    _check(problem, tolerance, batch, checks, max_solves)
+    learner = _Learner(problem, seed, max_solves)
+    black_box = problem.model.black_box
+    spread = nullcontext() if engine is None or black_box is None else black_box.spread_over(engine)
+    with spread, phase("surrogate", learner.n_first + checks) as under_way:
+        learner.begin(under_way)
+        limits = _learnt(learner, tolerance, batch, checks, under_way)
+    learner.problem.model.record = learner.record(limits, tolerance)  # type: ignore[attr-defined]
+    _tell(learner, limits, tolerance)
+    return learner.problem
+
+
+def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
+    """Extend the design until the certificate is kept, or no solves are left; return the certificate."""
+    optimism = 1.0
+    while True:
+        draws, expected = learner.posterior()
+        left = learner.left - checks
+        under_way.said["expected_error"] = optimism * expected
+        if optimism * expected > _SAFE * tolerance and left >= batch:
+            learner.extend(draws[chosen(learner.likelihood, learner.model, draws, batch)], under_way)
+            continue
+        theta = draws[stratified(predicted_variance(learner.likelihood, draws), checks, learner.rng)]
+        errors, answers = learner.checked(theta, under_way)
+        limits = ErrorLimits.of(errors)
+        under_way.said["certificate"] = limits.shift
+        if limits.shift <= tolerance or left < checks:
+            return limits
+        if np.isfinite(limits.sd) and expected > 0.0:
+            optimism = max(1.0, limits.sd / expected)
+        learner.learn(answers)
+
+
+class _Learner:
+    """A design that grows, and the problem with the surrogate that it gives."""
+
+    def __init__(self, problem: UpdatingProblem, seed: int, max_solves: int) -> None:
+        self.given, self.truth = problem, problem.model
+        self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(20,)))
+        self.seed, self.most = seed, max_solves
+        self.n = problem.n_structural
+        self.n_first = 2 * self.n + 6
+        lower, upper = box(problem.parameters[: self.n])
+        positive = np.array([p.lower >= 0.0 for p in problem.parameters[: self.n]])
+        self.coordinates = Coordinates.of_box(lower, upper, positive)
+        needs = problem.likelihood.needs_shapes
+        self.reference = np.asarray(problem.data.shapes) if needs else None
+        self.solves = self.rounds = 0
+        self.frequency_error = 0.0
+
+    @property
+    def model(self) -> SurrogateModel:
+        return self.problem.model  # type: ignore[return-value]
+
+    @property
+    def likelihood(self) -> Any:
+        return self.problem.likelihood
+
+    @property
+    def left(self) -> int:
+        return self.most - self.solves
+
+    def begin(self, under_way: Phase) -> None:
+        """Solve the start and points that fill the box, and fit the first surrogate."""
+        from scipy.stats import qmc
+
+        sobol = qmc.Sobol(self.n, rng=self.rng)
+        self.design: Design | None = None
+        theta = self.given.start[None, : self.n]
+        while True:
+            x = 2.0 * sobol.random(self.n_first - 1 if self.design is None else self.n_first) - 1.0
+            theta = np.concatenate([theta, self.coordinates.to_theta(x)])
+            found = self._solved(theta, under_way)
+            self.design = found if self.design is None else self.design.joined(found)
+            if np.sum(~self.design.failed) > self.n + 1:
+                break
+            if self.left < self.n_first or self.solves > 10 * self.n_first:
+                raise ValueError(
+                    f"model: must be solved at more points within the bounds ({int(np.sum(self.design.failed))} of "
+                    f"{self.solves} failed)"
+                )
+            theta = np.empty((0, self.n))
+        self._fit(None)
+
+    def posterior(self) -> tuple[FloatArray, float]:
+        """Return draws of the surrogate's posterior, and the error that it expects of the log-probability there."""
+        from fmu.analysis.maxima.search import find_map
+        from fmu.analysis.maxima.starts import components, starts
+        from fmu.samplers.loop.run import Run
+        from fmu.samplers.registry import named
+
+        self.rounds += 1
+        seed = int(np.random.SeedSequence(self.seed, spawn_key=(21, self.rounds)).generate_state(1)[0])
+        maxima = find_map(self.problem, _STARTS)
+        settings = named("mixture").starting_from(*components(self.problem, maxima))
+        start, _ = starts(self.problem, "maxima", maxima, _CHAINS, 1, seed)
+        run = Run(self.problem, settings, warmup=_WARMUP, chains=_CHAINS, seed=seed, init=start)
+        drawn = np.unique(run.extend(_DRAWS).posterior.position.reshape(-1, self.problem.ndim), axis=0)
+        draws = drawn[np.sort(self.rng.permutation(len(drawn))[:_CANDIDATES])]
+        return draws, float(np.sqrt(np.mean(predicted_variance(self.likelihood, draws))))
+
+    def extend(self, draws: FloatArray, under_way: Phase) -> None:
+        """Solve at draws (n, ndim), and learn from them."""
+        self.learn(self._solved(draws[:, : self.n], under_way))
+
+    def checked(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
+        """Return the errors of the log-probability at draws (n, ndim), and the solves there."""
+        answers = self._solved(draws[:, : self.n], under_way)
+        expected = self.model.frequencies(draws[:, : self.n])
+        with np.errstate(invalid="ignore"):
+            errors = np.sum(self.likelihood.full_terms(draws) - self.likelihood.terms(draws), axis=1)
+        good = ~answers.failed
+        off = np.abs(expected[good] / answers.frequencies[good] - 1.0)
+        self.frequency_error = float(np.max(off, initial=0.0))
+        return np.where(good, errors, np.nan), answers
+
+    def learn(self, answers: Design) -> None:
+        """Add solves to the design, and fit anew."""
+        assert self.design is not None  # narrowed for the type checker: `begin` comes first
+        self.design = self.design.joined(answers)
+        self._fit(self.model)
+
+    def record(self, limits: ErrorLimits, tolerance: float) -> dict[str, Any]:
+        """Return the attributes of a trace, see `fmu.analysis.certificate.certify`."""
+        assert self.design is not None  # narrowed for the type checker: `begin` comes first
+        failed = self.design.failed
+        where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
+        return {
+            "surrogate_solves": self.solves,
+            "surrogate_design": len(self.design.theta),
+            "surrogate_failed": int(np.sum(failed)) + limits.n_failed,
+            "surrogate_failed_where": where,
+            "surrogate_scatter": float(max(p.scatter for p in self.model.processes[: self.model.n_modes])) / 2.0,
+            "certificate_draws": limits.n,
+            "certificate_frequency_error": self.frequency_error,
+            "certificate_log_prob_error": limits.largest,
+            "certificate_share": limits.share,
+            "certificate_log_prob_sd": limits.sd,
+            "certificate_shift": limits.shift,
+            "certificate_shift_tolerance": tolerance,
+        }
+
+    def _solved(self, theta: FloatArray, under_way: Phase) -> Design:
+        found = solved(self.truth, theta, self.reference is not None)
+        self.solves += len(theta)
+        under_way.advance(len(theta))
+        return found
+
+    def _fit(self, before: SurrogateModel | None) -> None:
+        assert self.design is not None  # narrowed for the type checker
+        model = SurrogateModel(self.truth, self.design, self.coordinates, self.reference, before)
+        self.problem = copy(self.given)
+        self.problem.model = model
+        self.problem.likelihood = self.given.likelihood.of_model(model)  # type: ignore[attr-defined]
+        self.problem._failed = FailureRecord()
+
+
+def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, max_solves: int) -> None:
+    if problem.model.structures() or problem.is_hierarchical or not hasattr(problem.likelihood, "of_model"):
+        raise ValueError(
+            "problem: a surrogate is for a function of one test; a model with matrices has a reduced model "
+            f"(got {problem.model!r})"
+        )
+    if not 0.0 < tolerance <= 1.0:
+        raise ValueError(f"tolerance: must be above 0 and at most 1 (got {tolerance})")
+    if batch < 1:
+        raise ValueError(f"batch: must be at least 1 (got {batch})")
+    if checks < 8:
+        raise ValueError(f"checks: must be at least 8 (got {checks})")
+    least = 2 * problem.n_structural + 6 + checks
+    if max_solves < least:
+        raise ValueError(f"max_solves: must be at least {least}, the first design and the checks (got {max_solves})")
+
+
+def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float) -> None:
+    if not limits.shift <= tolerance:
+        warnings.warn(
+            f"the surrogate misses its tolerance after {learner.solves} solves: at {limits.n} draws posterior means "
+            f"may be off by {significant(limits.shift, 2)} posterior standard deviations (asked for: "
+            f"{significant(tolerance, 2)}); allow more solves",
+            SurrogateWarning,
+            stacklevel=3,
+        )

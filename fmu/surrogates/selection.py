@@ -1,0 +1,57 @@
+"""Which theta to solve next: those that reduce the error of the posterior most."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.fem.surrogate.surrogate_model import SurrogateModel
+from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.types import FloatArray, IntArray
+
+
+def predicted_variance(likelihood: ModalLikelihood, theta: FloatArray) -> FloatArray:
+    """Return the variance of the log-probability that the surrogate expects of its errors at theta (n, ndim), (n,)."""
+    seen = likelihood.observed(theta)
+    of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
+    return np.asarray(
+        np.sum(of_frequency * seen.frequency_variance, axis=1) + np.sum(of_shape * seen.shape_variance, axis=(1, 2))
+    )
+
+
+def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
+    """Return the rows of posterior draws (N, ndim) that are to be solved, n of them.
+
+    One after the other, each such that, once it is solved, the mean over the posterior of the variance of the
+    log-probability is smallest: a sequential design by integrated variance (Sacks, Welch, Mitchell & Wynn 1989,
+    *Stat. Sci.* 4, 409–435), weighted by the posterior and by what the likelihood makes of an error. Solved points
+    reduce the variance around them, so that points of one batch keep apart.
+    """
+    of_frequency, of_shape = likelihood.sensitivity_to_model(draws)
+    frequency = model.frequencies(draws[:, : model.n_parameters])
+    x = model.coordinates.to_x(draws[:, : model.n_parameters])
+    covariances, scatters, weights = [], [], []
+    for i, process in enumerate(model.processes):
+        m = model.n_modes
+        covariance, scatter = process.covariance(x)
+        by_log = (0.5 * frequency[:, i] * process.unit[0]) ** 2 * of_frequency[:, i] if i < m else None
+        covariances.append(covariance)
+        scatters.append(scatter)
+        weights.append(by_log if by_log is not None else np.sum(of_shape[:, :, i - m] * process.unit**2, axis=1))
+    found: list[int] = []
+    for _ in range(n):
+        gain = np.zeros(len(draws))
+        for covariance, scatter, weight in zip(covariances, scatters, weights, strict=True):
+            gain += weight @ covariance**2 / (np.diag(covariance) + scatter)
+        gain[found] = -np.inf
+        best = int(np.argmax(gain))
+        found.append(best)
+        for k, (covariance, scatter) in enumerate(zip(covariances, scatters, strict=True)):
+            column = covariance[:, best]
+            covariances[k] = covariance - np.outer(column, column) / (column[best] + scatter)
+    return np.array(found)
+
+
+def stratified(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
+    """Return n rows of draws, one at random of each of n groups of equal size in the order of `uncertainty` (N,)."""
+    groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
+    return np.array([rng.choice(group) for group in groups])
