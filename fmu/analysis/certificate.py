@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.modes.modal import frequency_hz
-from fmu.numbers import apart, typed
+from fmu.numbers import apart, share, significant, typed, whole
 from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts
 from fmu.types import FloatArray
@@ -39,7 +40,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem
-        The problem that was sampled. Without a reduced model the certificate is empty.
+        The problem that was sampled. Without a reduced model or a surrogate the certificate is empty.
     full_solves : int
         ``problem.model.full_solves`` before the run.
 
@@ -62,6 +63,16 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         mode; ``certificate_full_solves``, how often the full model was solved during the run because a theta lay
         outside the trained box; ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``
         (`fmu.posterior.train_reduced.Tolerance`).
+
+        Of a surrogate it is ``problem.model.record``, from draws of its posterior that were solved when it was
+        learnt (`fmu.surrogate`): ``surrogate_solves``, all solves of the model; ``surrogate_design``, those from
+        which the surrogate was learnt; ``surrogate_failed``, those that failed, and ``surrogate_failed_where`` in
+        words; ``surrogate_scatter``, the estimated scatter of the solver's frequencies, relative;
+        ``certificate_draws`` and ``certificate_frequency_error`` as above; ``certificate_log_prob_sd``, the
+        standard deviation of the error of the log-probability; ``certificate_log_prob_error``, the largest from
+        its mean, which with 95 % confidence holds for ``certificate_share`` of the posterior;
+        ``certificate_shift``, how many posterior standard deviations a posterior mean may be off with 95 %
+        confidence, and ``certificate_shift_tolerance``.
 
     Warns
     -----
@@ -126,6 +137,32 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     if not is_within or changed.any() or exceeded.any():
         warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
     return certificate
+
+
+def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
+    """Return what the certificate of a surrogate says, in sentences; see `certify`."""
+    n, shift, allowed = (record[f"certificate_{name}"] for name in ("draws", "shift", "shift_tolerance"))
+    found, limit = apart(float(shift), float(allowed), digits=2)
+    is_kept = float(shift) <= float(allowed)
+    said = [
+        f"Gaussian processes stand for the model: they were learnt from {whole(record['surrogate_design'])} "
+        f"solves, and {n} draws of the posterior, unseen by them, were solved to check them: "
+        f"{whole(record['surrogate_solves'])} solves in all."
+    ]
+    if np.isfinite(float(shift)):
+        said += [
+            f"With 95 % confidence no posterior mean is off by more than {found} posterior standard deviations "
+            f"({'allowed' if is_kept else 'more than the allowed'}: {limit}), to first order.",
+            f"In the log-probability the largest error at these draws is "
+            f"{significant(float(record['certificate_log_prob_error']), 2)}, and with 95 % confidence "
+            f"{share(float(record['certificate_share']))} of the posterior has no larger one.",
+        ]
+    else:
+        said.append("The model could not be solved at some of these draws, so that nothing is certified.")
+    if record["surrogate_failed_where"]:
+        said.append(f"The model could not be solved everywhere: {record['surrogate_failed_where']}.")
+    said += [one for one in str(record.get("surrogate_doubts", "")).splitlines() if one]
+    return said
 
 
 def _bound(structure: Any, points: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     """
     per_gradient = problem.solves_per_gradient
     is_function = problem.model.black_box is not None
-    one_s = _seconds_of_one(problem)
+    one_s = seconds_of_a_solve(problem)
     is_slow = is_function or one_s > _SLOW_S
     found = []
     if is_slow:
@@ -95,8 +95,8 @@ def estimates_in_words(parts: list[Estimate]) -> str:
     """Return the estimates in one line: ``hmc: about 36 000 solves, 12 s (at most 2 000 000, 11 min)``."""
     found = []
     for name, solves, seconds, most in parts:
-        longest = "" if most is None else f" (at most {whole(most)}, {_time(seconds * most / solves)})"
-        found.append(f"{name}: about {_rounded(solves)} solves, {_time(seconds)}{longest}")
+        longest = "" if most is None else f" (at most {whole(most)}, {time_in_words(seconds * most / solves)})"
+        found.append(f"{name}: about {_rounded(solves)} solves, {time_in_words(seconds)}{longest}")
     return "; ".join(found)
 
 
@@ -126,13 +126,13 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
     return float(gradient_s / value_s)
 
 
-def _seconds_of_one(problem: UpdatingProblem) -> float:
+def seconds_of_a_solve(problem: UpdatingProblem) -> float:
     """Return the time of one solve; for a function, of one call."""
     function = problem.model.black_box
     if function is not None:
         start = problem.start[: problem.n_structural]
         stored = function.seconds_at(start)
-        return _timed(lambda: function.at(start)) if stored is None else stored
+        return _timed(lambda: function.called_at(start)) if stored is None else stored
     return _timed(lambda: problem.log_prob(problem.start))
 
 
@@ -178,7 +178,7 @@ def _rounded(number: float) -> str:
     return whole(round(number, -max(digits, 0)))
 
 
-def _time(seconds: float) -> str:
+def time_in_words(seconds: float) -> str:
     """Return a time in two digits, in plain words."""
     if seconds < 1.0:
         return "under 1 s"

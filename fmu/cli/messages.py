@@ -55,15 +55,18 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print fmu's warnings on checkpoints, reduced models and rounding without the line of code they come from."""
+    """Print fmu's warnings on what it kept, learnt or reduced without the line of code they come from."""
     from fmu.posterior.rounding import RoundingWarning
     from fmu.posterior.train_reduced import ReductionWarning
     from fmu.runs.store import CheckpointWarning, OtherArithmeticWarning
+    from fmu.surrogates.learning import SurrogateWarning
+
+    notes = CheckpointWarning, OtherArithmeticWarning, ReductionWarning, RoundingWarning, SurrogateWarning
 
     show = warnings.showwarning
 
     def as_note(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, CheckpointWarning | OtherArithmeticWarning | ReductionWarning | RoundingWarning):
+        if issubclass(category, notes):
             click.echo(f"Note: {message}", err=True)
         else:
             show(message, category, *where, **more)

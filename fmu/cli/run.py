@@ -17,6 +17,7 @@ from fmu.cli.messages import STOPPED, warnings_as_notes
 from fmu.cli.output import claimed, make_writable
 from fmu.cli.problems import built, pairing_option, problem_of
 from fmu.cli.sampled import MAX_SOLVES, sampled, tell
+from fmu.cli.surrogate import wants_surrogate, with_surrogate
 from fmu.config.kept import ORIGIN, KeptProblem, kept
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
@@ -68,6 +69,9 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
          "may miss a maximum.  [default: 256; 16 for a Python function without gradients]")  # fmt: skip
 @_option("--init", click.Choice(INITS), "Where the chains start: around the maxima, in proportion to their "
          "probability; at draws from the prior; or at the start values.")  # fmt: skip
+@click.option("--surrogate/--no-surrogate", default=None, help="Whether Gaussian processes stand for a Python "
+              "function or a command, with a certificate from further solves.  [default: if a solve takes 0.05 s "
+              "or longer]")  # fmt: skip
 @_option("--max-failure-rate", click.FloatRange(0, 1), "Stop if more than this fraction of the solves fails.")
 @_option("--out", click.Path(path_type=Path), "Output directory.  [default: runs/CASE-PAIRING]")
 @_option("--overwrite", None, "Replace the files of an earlier run in the output directory.", is_flag=True)
@@ -130,7 +134,11 @@ def run(
             with _reporting(progress, running) as report:
                 problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)
                 samplers = asked.orders["samplers"] or (default_sampler(problem),)
-                asked = replace(asked, orders={**asked.orders, "samplers": samplers})
+                takes = wants_surrogate(problem, asked.orders.get("surrogate", False))
+                asked = replace(asked, orders={**asked.orders, "samplers": samplers, "surrogate": takes})
+                if takes:
+                    asked.save(running.folder)  # the decision does not depend on the clock when the run is resumed
+                    problem = with_surrogate(problem, asked.orders, at_work, speaks)
                 if resume is None and speaks:
                     _echo_estimate(problem, asked.orders, at_work.workers)
                 outcome = sampled(problem, asked, running, at_work, report, speaks)

@@ -106,6 +106,8 @@ def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
     from fmu.analysis.convergence.remedies import ESS_LIMIT
 
     arguments = {key: orders[key] for key in sampling.DEFAULTS if key in orders}
+    if orders.get("surrogate"):  # the limit is of solves of the model itself
+        arguments["max_solves"] = max(orders["max_solves"], MAX_SOLVES)
     if orders["draws"] is None:
         return arguments | {"until_ess": max(orders["until_ess"] or 0.0, ESS_LIMIT)}
     return arguments | {"max_solves": None}
@@ -156,6 +158,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
     """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
+    from fmu.analysis.certificate import surrogate_in_words
     from fmu.analysis.convergence.diagnosis import is_enough
     from fmu.analysis.evidence import found_evidences
 
@@ -173,11 +176,16 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
         aim = f"--until-ess {typed(until)}" if until else "convergence"
         click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(outcome.limited)}")
         click.echo(f"To go on: fmu run --resume {directory} --max-solves {10 * most}")
+    record = problem.model.record if problem.model.is_uncertain else {}
+    if record:
+        click.echo("\nCertificate of the surrogate\n" + "\n".join(surrogate_in_words(record)))
     click.echo(f"\nWritten to {directory}")
     if orders["draws"] is not None:
         return 0
     least = orders["until_ess"] or 0.0
-    return 0 if all(is_enough(one, summaries[name], least) for name, one in verdicts.items()) else FAILED
+    is_certified = not record or record["certificate_shift"] <= record["certificate_shift_tolerance"]
+    converged = all(is_enough(one, summaries[name], least) for name, one in verdicts.items())
+    return 0 if converged and is_certified else FAILED
 
 
 def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:

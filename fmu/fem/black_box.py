@@ -22,18 +22,27 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
+import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.durable_files import digest
 from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
+from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.shown import in_words, one_line, shown
 from fmu.progress.phases import solved
 from fmu.types import FloatArray
 
+SLOW_S = 0.05
+"""Seconds of a solve from which on answers are stored, and ``fmu run`` takes a surrogate."""
+_LOADING_S = 1.0
 MOST_NUMBERS = 2**24
 """Largest array that the function may return."""
 _PARTS = ("frequencies", "shapes", "gradient")
@@ -78,9 +87,14 @@ class BlackBoxModel:
         Step of the central differences, relative to the scale of each parameter (its range, where it has one).
     name : str, optional
         Name used where a problem is described.
+    store : path-like, optional
+        Folder of what was solved. Answers that took `SLOW_S` or longer are kept there, under a hash of the source
+        file of the function, and none of them is computed twice, in this run or another.
 
     Attributes
     ----------
+    solves : SolveStore or None
+        What was solved, if there is a store.
     reasons : list of Failure
         The first twenty points at which the function failed.
 
@@ -92,6 +106,8 @@ class BlackBoxModel:
 
     place = "model.function"
     """The key of problem files that is named where the function fails."""
+    sensors: tuple[tuple[Any, str], ...] = ()
+    """Where its shapes are, if that can be chosen."""
 
     def __init__(
         self,
@@ -101,6 +117,7 @@ class BlackBoxModel:
         batched: bool = False,
         step: float = 1e-4,
         name: str | None = None,
+        store: str | os.PathLike[str] | None = None,
     ) -> None:
         if not callable(function):
             raise ValueError(f"function: must be callable (got {type(function).__name__})")
@@ -113,9 +130,15 @@ class BlackBoxModel:
         self.batched = batched
         self.step = step
         self.name = name or _name_of(function)
+        self._folder = None if store is None else Path(store).resolve()
+        if self._folder is not None and not self.configuration().get("sha256"):
+            raise ValueError(
+                "store: the function must be in a file, so that a change of it is noticed (it is not)"
+            )
         self.reasons: list[Failure] = []
         self._latest: dict[bytes, str] = {}
         self._engine: Engine | None = None
+        self._is_fast = False
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the engine and the failures: a copy records its own."""
@@ -132,9 +155,23 @@ class BlackBoxModel:
         """Return the model with shapes at these sensors: itself, as the function has those of the measurement."""
         return self
 
+    @property
+    def solves(self) -> SolveStore | None:
+        """What was solved, in this run and others; None if there is no store."""
+        if self._folder is None:
+            return None
+        key = self.configuration() | {"step": None, "batched": None, "sensors": self.sensors}
+        words = "".join(c if c.isalnum() else "-" for c in self.name)
+        return SolveStore(self._folder / f"{words}-{digest(repr([*key.items()]).encode())[:12]}")
+
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the time of a solve that is known without calling the function at theta; None if it is not."""
-        return None
+        """Return the time of a solve that is known without calling the function at theta; None if it is not.
+
+        That of a first call is not, unless it was long: it may have loaded modules.
+        """
+        store = self.solves
+        solve = None if store is None else store.find(np.asarray(theta, dtype=float))
+        return None if solve is None or solve.seconds < _LOADING_S else solve.seconds
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
         """Return the function's answers at theta (n, n_parameters), None where it fails; see `reasons`."""
@@ -181,7 +218,7 @@ class BlackBoxModel:
     def tried(self, theta: FloatArray) -> tuple[Answer | None, str]:
         """Return the function's answer at one theta (n_parameters,), or None and why it failed."""
         try:
-            return self._called(theta[None])[0], ""
+            return self._answer(theta), ""
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # GeneratorExit and others of the user's own among them
@@ -196,13 +233,18 @@ class BlackBoxModel:
             If it fails there.
         """
         try:
-            return self._called(np.asarray(theta, dtype=float)[None])[0]
+            return self._answer(np.asarray(theta, dtype=float))
         except KeyboardInterrupt:
             raise
         except BaseException as error:
             raise ValueError(
                 f"must work at the start {np.asarray(theta).tolist()} ({_in_words(error)})"
             ) from error
+
+    def called_at(self, theta: FloatArray) -> None:
+        """Call the function at one theta (n_parameters,), whatever is stored and whatever comes of it."""
+        with suppress(Exception):
+            self._called(np.asarray(theta, dtype=float)[None])
 
     def fail(self, theta: FloatArray, reason: str) -> None:
         """Keep the reason why a theta failed: the first few permanently, others until many more have failed."""
@@ -219,11 +261,7 @@ class BlackBoxModel:
 
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model: the function's name, and a hash of its source file."""
-        try:
-            with open(inspect.getsourcefile(inspect.unwrap(self.function)) or "", "rb") as file:
-                digest = hashlib.sha256(file.read()).hexdigest()
-        except Exception:  # defined in a notebook, or not a Python function: its attributes may be of any kind
-            digest = ""
+        digest = source_digest(self.function)
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
 
     def _tried(self, theta: FloatArray) -> Iterable[tuple[Answer | None, str]]:
@@ -231,6 +269,53 @@ class BlackBoxModel:
         if self._engine is None or self.batched or len(theta) < 2:
             return map(self.tried, theta)
         return _spread(self, theta, self._engine)
+
+    def _answer(self, theta: FloatArray) -> Answer:
+        """Return the answer at one theta (n_parameters,): from the store, or by calling the function."""
+        store = self.solves
+        if store is None or self._is_fast:
+            return self._called(theta[None])[0]
+        known = store.find(theta)
+        if known is None:
+            with ExitStack() as stack:
+                try:
+                    stack.enter_context(store.only_one(theta))
+                except OSError as error:
+                    return self._without_store(error, theta)
+                known = store.find(theta)  # another process may have solved it meanwhile
+                if known is None:
+                    return self._kept(store, theta)
+        if known.reason:
+            raise AnswerError(known.reason)
+        return Answer(known.frequencies, known.shapes, known.gradient)
+
+    def _kept(self, store: SolveStore, theta: FloatArray) -> Answer:
+        """Call the function at one theta, and keep what it gives, or why it fails, if that took long."""
+        began, answer, failure = time.perf_counter(), Answer(np.zeros(0)), None
+        try:
+            answer = self._called(theta[None])[0]
+        except Exception as error:
+            failure = error
+        seconds = time.perf_counter() - began
+        if seconds >= SLOW_S:
+            reason = "" if failure is None else _in_words(failure)
+            try:
+                store.keep(Solve(theta, answer.frequencies, answer.shapes, seconds, reason, answer.gradient))
+            except OSError as error:
+                self._warn_of_store(error)
+        elif failure is None:
+            self._is_fast = True  # a store would slow it down
+        if failure is not None:
+            raise failure
+        return answer
+
+    def _without_store(self, error: OSError, theta: FloatArray) -> Answer:
+        self._warn_of_store(error)
+        return self._called(theta[None])[0]
+
+    def _warn_of_store(self, error: OSError) -> None:
+        self._is_fast = True
+        warnings.warn(f"store: solves cannot be kept in {self._folder} ({error})", stacklevel=2)
 
     def _called(self, theta: FloatArray) -> Sequence[Answer]:
         """Return the answers at points (n, n_parameters), of which there is one unless the function is batched."""
@@ -265,6 +350,15 @@ def _try_there(model: BlackBoxModel, theta: FloatArray, _: object) -> tuple[Answ
 def _in_words(error: BaseException) -> str:
     """Return an exception in one line; for an `AnswerError` its text alone."""
     return one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
+
+
+def source_digest(function: Any) -> str:
+    """Return a hash of the source file of a function; empty if it has none, as in a notebook."""
+    try:
+        with open(inspect.getsourcefile(inspect.unwrap(function)) or "", "rb") as file:
+            return hashlib.sha256(file.read()).hexdigest()
+    except Exception:  # not a Python function: its attributes may be of any kind
+        return ""
 
 
 def _name_of(function: Any) -> str:

@@ -1,4 +1,4 @@
-"""What the errors of a surrogate's log-probability, found at a few draws, allow the posterior's moments to be off."""
+"""How far a posterior's moments may be off, from errors of a surrogate's log-probability at a few draws."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def upper_shift(errors: FloatArray) -> float:
     """Return the 95 % upper limit of how far e moves posterior means, in posterior standard deviations.
 
     The true posterior has the weight w = exp(e)/E[exp(e)] beside the surrogate's, and moves the mean of θ by
-    Cov(θ, w) ≤ sd(θ) sd(w). To first order sd(w) is sd(e); the larger of the two counts. Its limit is the larger of
-    that of chi-square, for Gaussian e, and that of Bonett (2006, *Comput. Stat. Data Anal.* 50, 775–782, eq. 4), for e
-    of any kurtosis.
+    Cov(θ, w) ≤ sd(θ) sd(w). To first order sd(w) is sd(e); the larger of the two counts. Its limit is the larger
+    of that of chi-square, for Gaussian e, and that of Bonett (2006, *Comput. Stat. Data Anal.* 50, 775–782, eq.
+    4), for e of any kurtosis.
 
     Parameters
     ----------

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 TOLERANCE = 0.05
-BATCH, CHECKS = 8, 16
+BATCH, CHECKS = 4, 12
 MOST_SOLVES = 1000
 _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 4, 200, 150
 _CANDIDATES = 300
-_SAFE = 0.5
+_SAFE = 0.2
 """Checks are solved when the surrogate expects errors of this part of the tolerance."""
 _MAY_BE_SWAPPED = 0.6  # MAC
 
@@ -50,10 +50,11 @@ def surrogate(
 ) -> UpdatingProblem:
     """Return the same problem with Gaussian processes in place of its slow model.
 
-    They are fitted to solves at points that fill the bounds, and then, batch after batch, where the posterior is and
-    a solve reduces its error most. When the surrogate expects little error, fresh draws of the posterior are solved:
-    their errors are the certificate. If it allows posterior means to be off by more than the tolerance, these
-    solves join the design, and it goes on. The certificate is always from solves that the surrogate has not seen.
+    They are fitted to solves at points that fill the bounds, and then, batch after batch, where the posterior is
+    and a solve reduces its error most. When the surrogate expects little error, fresh draws of the posterior are
+    solved: their errors are the certificate. If it allows posterior means to be off by more than the tolerance,
+    these solves join the design, and it goes on. The certificate is always from solves that the surrogate has not
+    seen.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ def surrogate(
     with spread, phase("surrogate", learner.n_first + checks) as under_way:
         learner.begin(under_way)
         limits = _learnt(learner, tolerance, batch, checks, under_way)
-    learner.problem.model.record = learner.record(limits, tolerance)  # type: ignore[attr-defined]
+    learner.model.record = learner.record(limits, tolerance)
     _tell(learner, limits, tolerance)
     return learner.problem
 
@@ -109,7 +110,9 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
         if optimism * expected > _SAFE * tolerance and left >= batch:
             learner.extend(draws[chosen(learner.likelihood, learner.model, draws, batch)], under_way)
             continue
-        theta = draws[stratified(predicted_variance(learner.likelihood, draws), checks, learner.rng)]
+        theta = draws[
+            stratified(predicted_variance(learner.likelihood, learner.model, draws), checks, learner.rng)
+        ]
         errors, answers = learner.checked(theta, under_way)
         limits = ErrorLimits.of(errors)
         under_way.said["certificate"] = limits.shift
@@ -136,6 +139,7 @@ class _Learner:
         self.reference = np.asarray(problem.data.shapes) if needs else None
         self.solves = self.rounds = 0
         self.frequency_error = 0.0
+        self.previous: FloatArray | None = None
 
     @property
     def model(self) -> SurrogateModel:
@@ -153,11 +157,11 @@ class _Learner:
         """Solve the start and points that fill the box, and fit the first surrogate."""
         from scipy.stats import qmc
 
-        sobol = qmc.Sobol(self.n, rng=self.rng)
         self.design: Design | None = None
         theta = self.given.start[None, : self.n]
         while True:
-            x = 2.0 * sobol.random(self.n_first - 1 if self.design is None else self.n_first) - 1.0
+            power = int(np.ceil(np.log2(self.n_first)))
+            x = 2.0 * qmc.Sobol(self.n, rng=self.rng).random_base2(power)[: self.n_first - len(theta)] - 1.0
             theta = np.concatenate([theta, self.coordinates.to_theta(x)])
             found = self._solved(theta, under_way)
             self.design = found if self.design is None else self.design.joined(found)
@@ -165,14 +169,14 @@ class _Learner:
                 break
             if self.left < self.n_first or self.solves > 10 * self.n_first:
                 raise ValueError(
-                    f"model: must be solved at more points within the bounds ({int(np.sum(self.design.failed))} of "
-                    f"{self.solves} failed)"
+                    "model: must be solved at more points within the bounds "
+                    f"({int(np.sum(self.design.failed))} of {self.solves} failed)"
                 )
             theta = np.empty((0, self.n))
         self._fit(None)
 
     def posterior(self) -> tuple[FloatArray, float]:
-        """Return draws of the surrogate's posterior, and the error that it expects of the log-probability there."""
+        """Return draws of the surrogate's posterior, and the error of the log-probability that it expects."""
         from fmu.analysis.maxima.search import find_map
         from fmu.analysis.maxima.starts import components, starts
         from fmu.samplers.loop.run import Run
@@ -186,7 +190,8 @@ class _Learner:
         run = Run(self.problem, settings, warmup=_WARMUP, chains=_CHAINS, seed=seed, init=start)
         drawn = np.unique(run.extend(_DRAWS).posterior.position.reshape(-1, self.problem.ndim), axis=0)
         draws = drawn[np.sort(self.rng.permutation(len(drawn))[:_CANDIDATES])]
-        return draws, float(np.sqrt(np.mean(predicted_variance(self.likelihood, draws))))
+        self.previous = draws[:, : self.n]
+        return draws, float(np.sqrt(np.mean(predicted_variance(self.likelihood, self.model, draws))))
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
         """Solve at draws (n, ndim), and learn from them."""
@@ -219,7 +224,7 @@ class _Learner:
             "surrogate_design": len(self.design.theta),
             "surrogate_failed": int(np.sum(failed)) + limits.n_failed,
             "surrogate_failed_where": where,
-            "surrogate_scatter": float(max(p.scatter for p in self.model.processes[: self.model.n_modes])) / 2.0,
+            "surrogate_scatter": 0.5 * max(p.scatter for p in self.model.of_frequencies),
             "certificate_draws": limits.n,
             "certificate_frequency_error": self.frequency_error,
             "certificate_log_prob_error": limits.largest,
@@ -238,18 +243,34 @@ class _Learner:
     def _fit(self, before: SurrogateModel | None) -> None:
         assert self.design is not None  # narrowed for the type checker
         model = SurrogateModel(self.truth, self.design, self.coordinates, self.reference, before)
+        if self.previous is not None:
+            model.limit_variance(self.previous)
         self.problem = copy(self.given)
         self.problem.model = model
         self.problem.likelihood = self.given.likelihood.of_model(model)  # type: ignore[attr-defined]
         self.problem._failed = FailureRecord()
 
 
+def can_learn(problem: UpdatingProblem) -> str:
+    """Return why a problem can have no surrogate; empty if it can."""
+    if problem.model.is_uncertain:
+        return "the model is a surrogate already"
+    if problem.model.structures():
+        return "a surrogate is for a function or a command; a model with matrices has a reduced model"
+    if problem.model.n_tests > 1 or problem.is_hierarchical or not hasattr(problem.likelihood, "of_model"):
+        return "a surrogate is for a problem of one test with errors of modes"
+    return ""
+
+
+def expected_solves(problem: UpdatingProblem) -> int:
+    """Return about how many solves a surrogate takes."""
+    return 8 * problem.n_structural + CHECKS
+
+
 def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, max_solves: int) -> None:
-    if problem.model.structures() or problem.is_hierarchical or not hasattr(problem.likelihood, "of_model"):
-        raise ValueError(
-            "problem: a surrogate is for a function of one test; a model with matrices has a reduced model "
-            f"(got {problem.model!r})"
-        )
+    why_not = can_learn(problem)
+    if why_not:
+        raise ValueError(f"problem: {why_not} (got {problem.model!r})")
     if not 0.0 < tolerance <= 1.0:
         raise ValueError(f"tolerance: must be above 0 and at most 1 (got {tolerance})")
     if batch < 1:
@@ -258,14 +279,16 @@ def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, 
         raise ValueError(f"checks: must be at least 8 (got {checks})")
     least = 2 * problem.n_structural + 6 + checks
     if max_solves < least:
-        raise ValueError(f"max_solves: must be at least {least}, the first design and the checks (got {max_solves})")
+        raise ValueError(
+            f"max_solves: must be at least {least}, the first design and the checks (got {max_solves})"
+        )
 
 
 def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float) -> None:
     if not limits.shift <= tolerance:
         warnings.warn(
-            f"the surrogate misses its tolerance after {learner.solves} solves: at {limits.n} draws posterior means "
-            f"may be off by {significant(limits.shift, 2)} posterior standard deviations (asked for: "
+            f"the surrogate misses its tolerance after {learner.solves} solves: by {limits.n} draws posterior "
+            f"means may be off by {significant(limits.shift, 2)} posterior standard deviations (asked for: "
             f"{significant(tolerance, 2)}); allow more solves",
             SurrogateWarning,
             stacklevel=3,

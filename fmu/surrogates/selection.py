@@ -9,13 +9,11 @@ from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.types import FloatArray, IntArray
 
 
-def predicted_variance(likelihood: ModalLikelihood, theta: FloatArray) -> FloatArray:
-    """Return the variance of the log-probability that the surrogate expects of its errors at theta (n, ndim), (n,)."""
-    seen = likelihood.observed(theta)
+def predicted_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray) -> FloatArray:
+    """Return the variance of the log-probability that the surrogate expects at theta (n, ndim), (n,)."""
     of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
-    return np.asarray(
-        np.sum(of_frequency * seen.frequency_variance, axis=1) + np.sum(of_shape * seen.shape_variance, axis=(1, 2))
-    )
+    v, shape_v = model.variances(theta[:, : model.n_parameters])
+    return np.asarray(np.sum(of_frequency * v, axis=1) + np.sum(of_shape * shape_v, axis=(1, 2)))
 
 
 def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
@@ -27,16 +25,20 @@ def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray
     reduce the variance around them, so that points of one batch keep apart.
     """
     of_frequency, of_shape = likelihood.sensitivity_to_model(draws)
-    frequency = model.frequencies(draws[:, : model.n_parameters])
     x = model.coordinates.to_x(draws[:, : model.n_parameters])
-    covariances, scatters, weights = [], [], []
-    for i, process in enumerate(model.processes):
-        m = model.n_modes
+    by_log = (0.5 * model.frequencies(draws[:, : model.n_parameters])) ** 2 * of_frequency
+    covariances, scatters, weights, first = [], [], [], 0
+    for process in model.of_frequencies:
         covariance, scatter = process.covariance(x)
-        by_log = (0.5 * frequency[:, i] * process.unit[0]) ** 2 * of_frequency[:, i] if i < m else None
+        columns = slice(first, first := first + len(process.unit))
         covariances.append(covariance)
         scatters.append(scatter)
-        weights.append(by_log if by_log is not None else np.sum(of_shape[:, :, i - m] * process.unit**2, axis=1))
+        weights.append(by_log[:, columns] @ process.unit**2)
+    for i, process in enumerate(model.of_shapes):
+        covariance, scatter = process.covariance(x)
+        covariances.append(covariance)
+        scatters.append(scatter)
+        weights.append(of_shape[:, :, i] @ process.unit**2)
     found: list[int] = []
     for _ in range(n):
         gain = np.zeros(len(draws))
@@ -52,6 +54,6 @@ def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray
 
 
 def stratified(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return n rows of draws, one at random of each of n groups of equal size in the order of `uncertainty` (N,)."""
+    """Return n rows of draws, one at random of each of n groups of equal size, by their `uncertainty` (N,)."""
     groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
     return np.array([rng.choice(group) for group in groups])

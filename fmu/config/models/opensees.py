@@ -15,7 +15,7 @@ from pydantic import Field, StringConstraints
 from fmu.config.mistakes import PYTHON_FILE, BrokenError, Mistake
 from fmu.config.models.python import imported
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, TomlTable
+from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
 
@@ -35,6 +35,8 @@ class OpenSeesTable(TomlTable):
     """With per_theta: how many modes are computed."""
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
     """With per_theta: step of the central differences, relative to the range of each parameter."""
+    store: FileName = "solves"
+    """With per_theta: folder, from that of this file, of solves that took 0.05 s or longer."""
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
@@ -50,7 +52,8 @@ class OpenSeesTable(TomlTable):
         model: Any = None
         try:
             if self.per_theta:
-                model = OpenSeesModel(build, start, modes=self.modes, step=self.step)
+                store = folder / self.store
+                model = OpenSeesModel(build, start, modes=self.modes, step=self.step, store=store)
                 return Built(model, {}, len(model.dofs))
             model = from_opensees(build, [table.name for table in parameters], start, lower, upper)
         except ValueError as error:

@@ -18,8 +18,8 @@ from pydantic import Field, StringConstraints
 
 from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, TomlTable
-from fmu.fem.black_box import BlackBoxModel
+from fmu.config.tables import Built, FileName, TomlTable
+from fmu.fem.black_box import BlackBoxModel, source_digest
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import in_words
 
@@ -32,13 +32,15 @@ class PythonTable(TomlTable):
     """A function from theta to frequencies in Hz, or to frequencies, shapes and gradients.
 
     ``batched = true`` if it takes many theta at once; ``step`` is that of central differences, relative to the
-    range of each parameter, where the function gives no gradient.
+    range of each parameter, where the function gives no gradient; ``store`` is the folder, from that of this file,
+    of what took 0.05 s or longer: it is not solved again while the function's file is the same.
     """
 
     type: Literal["python"]
     function: Annotated[str, StringConstraints(max_length=500, pattern=FUNCTION)]
     batched: bool = False
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
+    store: FileName = "solves"
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
         """Return a mistake for each key that a function cannot use."""
@@ -47,7 +49,10 @@ class PythonTable(TomlTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the function and return the model; BrokenError if there is none."""
         function = imported(self.function, folder)
-        model = BlackBoxModel(function, len(parameters), batched=self.batched, step=self.step, name=self.function)
+        store = folder / self.store if source_digest(function) and not self.batched else None
+        model = BlackBoxModel(
+            function, len(parameters), batched=self.batched, step=self.step, name=self.function, store=store
+        )
         return Built(model, {})
 
 

@@ -32,6 +32,8 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
     """
     if model.black_box is not None:
         return model.black_box.reason_at(theta)
+    if model.is_uncertain:
+        return "near points at which the model could not be solved, where its surrogate expects no frequencies"
     with np.errstate(all="ignore"):
         structure = model.as_structure()
         if structure is not None:

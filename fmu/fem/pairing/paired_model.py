@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -88,6 +89,8 @@ class ModalModel:
         derivatives are exact.
     full_solves : int
         How often the full model had to answer where there is a reduced one.
+    record : mapping of str to number or str
+        Of a surrogate: its certificate and what it cost (`fmu.analysis.certificate.certify`).
     n_tests : int
         For how many tests it is solved at one theta.
     """
@@ -105,6 +108,7 @@ class ModalModel:
     solves_per_gradient = 1
     solves_per_shape_gradient = 1
     full_solves = 0
+    record: Mapping[str, Any] = MappingProxyType({})
 
     @property
     def reduced_sizes(self) -> tuple[int, ...]:

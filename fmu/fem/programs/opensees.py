@@ -10,8 +10,8 @@ https://portwooddigital.com/2020/05/17/gimme-all-your-damping-all-your-mass-and-
 
 from __future__ import annotations
 
-import hashlib
 import inspect
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.engines.program import last_lines
-from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.black_box import BlackBoxModel, source_digest
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.exports import Export, from_exports
 from fmu.fem.modes.modal import frequency_hz, single_thread
@@ -182,7 +182,7 @@ class OpenSeesModel(BlackBoxModel):
         There the degrees of freedom are looked up.
     modes : int
         How many modes are computed.
-    step : float
+    step, store
         See `BlackBoxModel`.
 
     Raises
@@ -193,12 +193,20 @@ class OpenSeesModel(BlackBoxModel):
 
     place = "model.file"
 
-    def __init__(self, build: Build, start: FloatArray, *, modes: int = MODES, step: float = 1e-4) -> None:
+    def __init__(
+        self,
+        build: Build,
+        start: FloatArray,
+        *,
+        modes: int = MODES,
+        step: float = 1e-4,
+        store: str | os.PathLike[str] | None = None,
+    ) -> None:
         self.build, self.modes = build, modes
         self.dofs = exported(build, start).dofs
         self.sensors: tuple[tuple[Any, str], ...] = ()
         name = getattr(inspect.unwrap(build), "__qualname__", "build")
-        super().__init__(self._modes, len(start), step=step, name=f"{name} in OpenSees")
+        super().__init__(self._modes, len(start), step=step, store=store, name=f"{name} in OpenSees")
 
     def sees(self, sensor: tuple[Any, str]) -> bool:
         """Return whether a sensor is at a degree of freedom."""
@@ -214,11 +222,7 @@ class OpenSeesModel(BlackBoxModel):
 
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model: a hash of the source file of `build`."""
-        try:
-            with open(inspect.getsourcefile(inspect.unwrap(self.build)) or "", "rb") as file:
-                digest = hashlib.sha256(file.read()).hexdigest()
-        except (OSError, TypeError):  # defined in a notebook, or not a Python function
-            digest = ""
+        digest = source_digest(self.build)
         return {"function": self.name, "batched": False, "step": self.step, "modes": self.modes, "sha256": digest}
 
     def _modes(self, theta: FloatArray) -> dict[str, Any]:

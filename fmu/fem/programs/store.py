@@ -23,6 +23,7 @@ from fmu.types import FloatArray
 TITLE = "fmu solve 1"
 FAILED, RUNNING = "failed", "running"
 _SUFFIX = ".json"
+_ARRAYS = ("theta", "frequencies", "shapes", "gradient")
 
 
 class Solve(NamedTuple):
@@ -38,6 +39,7 @@ class Solve(NamedTuple):
         Time that the program took.
     reason : str
         Why it failed; empty if it did not.
+    gradient : ndarray, shape (n_modes, n_parameters), or None
     """
 
     theta: FloatArray
@@ -45,6 +47,7 @@ class Solve(NamedTuple):
     shapes: FloatArray | None
     seconds: float
     reason: str = ""
+    gradient: FloatArray | None = None
 
 
 class SolveStore:
@@ -73,8 +76,8 @@ class SolveStore:
 
     def keep(self, solve: Solve) -> None:
         """Store a solve; OSError if it cannot be written."""
-        shapes = None if solve.shapes is None else solve.shapes.tolist()
-        lists = {"theta": solve.theta.tolist(), "frequencies": solve.frequencies.tolist(), "shapes": shapes}
+        arrays = {name: getattr(solve, name) for name in _ARRAYS}
+        lists = {name: None if array is None else array.tolist() for name, array in arrays.items()}
         payload = json.dumps({**solve._asdict(), **lists}).encode()
         path = self._paths(solve.theta)[bool(solve.reason)]
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,8 +114,7 @@ def _read(path: Path) -> Solve | None:
     """Return the solve in a file; None if there is none, or it is damaged."""
     try:
         held = json.loads(payload_of(TITLE, path.read_bytes()))
-        theta, frequencies = (np.array(held[key], dtype=float) for key in ("theta", "frequencies"))
-        shapes = None if held["shapes"] is None else np.array(held["shapes"], dtype=float)
-        return Solve(theta, frequencies, shapes, float(held["seconds"]), str(held["reason"]))
+        given = {name: None if held.get(name) is None else np.array(held[name], dtype=float) for name in _ARRAYS}
+        return Solve(**given, seconds=float(held["seconds"]), reason=str(held["reason"]))  # type: ignore[arg-type]
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -8,6 +8,8 @@ import numpy as np
 
 from fmu.types import BoolArray, FloatArray
 
+_WIDTHS = 4  # of the box, below it
+
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
@@ -39,7 +41,7 @@ class Coordinates:
         return (2.0 * self._g(theta) - (high + low)) / (high - low)
 
     def to_theta(self, x: FloatArray) -> FloatArray:
-        """Return theta at x, both of shape (n, n_parameters); the corners −1 and 1 are those of the box exactly."""
+        """Return theta at x, both of shape (n, n_parameters); −1 and 1 are the ends of the box exactly."""
         low, high = self._g(self.lower), self._g(self.upper)
         g = 0.5 * (high + low) + 0.5 * x * (high - low)
         theta = np.where(self.is_log, np.exp(np.where(self.is_log, g, 0.0)), g)
@@ -48,7 +50,17 @@ class Coordinates:
     def slope(self, theta: FloatArray) -> FloatArray:
         """Return ∂x/∂θ of each parameter, shape (n, n_parameters)."""
         half = 0.5 * (self._g(self.upper) - self._g(self.lower))
-        return np.where(self.is_log, 1.0 / np.where(self.is_log, theta, 1.0), 1.0) / half
+        by_theta = np.where(self.is_log, np.where(theta > self._least, 1.0, 0.0) / self._positive(theta), 1.0)
+        return by_theta / half
+
+    @property
+    def _least(self) -> FloatArray:
+        """Values below which a logarithm does not go on: zero has none."""
+        width = np.where(self.is_log, self.lower, 1.0) / np.where(self.is_log, self.upper, 1.0)
+        return self.lower * width**_WIDTHS
+
+    def _positive(self, theta: FloatArray) -> FloatArray:
+        return np.where(self.is_log, np.maximum(theta, self._least), 1.0)
 
     def _g(self, theta: FloatArray) -> FloatArray:
-        return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
+        return np.where(self.is_log, np.log(self._positive(theta)), theta)

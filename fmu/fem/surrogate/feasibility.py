@@ -39,7 +39,7 @@ class Feasibility:
         return self.margin(x) > 0.0
 
     def margin(self, x: FloatArray) -> FloatArray:
-        """Return how far points (n, d) are on the side of those that were solved, (n,); 1 at the nearest of them."""
+        """Return how far points (n, d) are on the side of those solved, (n,); 1 at the nearest of these."""
         if not self.n_failed:
             return np.full(len(x), np.inf)
         squares = np.zeros((len(x), len(self._support)))
@@ -69,7 +69,8 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
     chosen = max(of_leaf, key=lambda one: of_leaf[one])
     inside = leaf == chosen
     path = np.flatnonzero(tree.decision_path(theta[inside][:1] / scale).toarray()[0])
-    lowest, highest = {}, {}
+    lowest: dict[int, float] = {}
+    highest: dict[int, float] = {}
     for node, following in pairwise(path):
         j = int(tree.tree_.feature[node])
         value = float(tree.tree_.threshold[node] * scale[j])
@@ -80,4 +81,7 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
     bounds = [f"{names[j]} is above {significant(value, 3)}" for j, value in sorted(lowest.items())]
     bounds += [f"{names[j]} is below {significant(value, 3)}" for j, value in sorted(highest.items())]
     where = " and ".join(bounds) if bounds else "nearly everywhere"
-    return f"{of_leaf[chosen]} of its {int(np.sum(failed))} failures are where {where}; {int(np.sum(inside & ~failed))} points there were solved"
+    return (
+        f"{of_leaf[chosen]} of its {int(np.sum(failed))} failures are where {where}; "
+        f"{int(np.sum(inside & ~failed))} points there were solved"
+    )

@@ -1,5 +1,4 @@
-"""A Gaussian process with a linear trend, fitted by scikit-learn; its values and derivatives, bit for bit the same
-in every batch.
+"""A Gaussian process with a linear trend, fitted by scikit-learn; a row of a batch has the same bits as alone.
 
 With x the `Coordinates` of theta the prior of a quantity y, scaled to zero mean and unit variance, has the
 covariance
@@ -8,8 +7,8 @@ k(x, x′) = a (1 + xᵀx′) + c exp(−½ Σ_j (x_j − x′_j)²/ℓ_j²) + s
 
 a trend that is linear with coefficients of variance a, a smooth remainder whose length ℓ_j says how soon parameter
 j is felt (one without effect has a long one, and costs nothing), and the scatter s² of the solver's answers
-(Rasmussen & Williams 2006, *Gaussian Processes for Machine Learning*, chapters 2 and 5). The data choose a, c, ℓ and
-s² by the marginal likelihood. Kriging with a polynomial of fixed degree is the limit of large a, or of long ℓ.
+(Rasmussen & Williams 2006, *Gaussian Processes for Machine Learning*, chapters 2 and 5). The data choose a, c, ℓ
+and s² by the marginal likelihood. Kriging with a polynomial of fixed degree is the limit of large a, or of long ℓ.
 """
 
 from __future__ import annotations
@@ -42,6 +41,8 @@ class Process:
 
     Attributes
     ----------
+    log_likelihood : float
+        Of the scaled quantities, and `n_hyper` the number of hyper-parameters that maximise it.
     caution : float
         Factor of the variances, at least 1: the mean square of the standardised errors where each point is left
         out (Rasmussen & Williams, eq. 5.12).
@@ -49,6 +50,9 @@ class Process:
         Root mean square of these errors, in units of y.
     scatter : float
         Standard deviation s of the solver's answers, in units of y.
+    most : float
+        Largest variance that `predict` gives, scaled and without caution: see `limit`. At first the median of the
+        squared errors where each point is left out.
     """
 
     def __init__(self, x: FloatArray, y: FloatArray, before: Process | None = None, search: bool = True) -> None:
@@ -57,7 +61,9 @@ class Process:
         self._unit = np.where(spread > 0.0, spread, 1.0)
         z = (y - self._mean) / self._unit
         fitted = _fitted(self.x, z, None if before is None else before.kernel, search)
-        self.kernel = fitted.kernel_
+        self.kernel: Any = fitted.kernel_
+        self.log_likelihood = float(fitted.log_marginal_likelihood_value_)
+        self.n_hyper = len(fitted.kernel_.theta)
         p = self.kernel.get_params()
         self._trend, self._smooth = p["k1__k1__k1__constant_value"], p["k1__k2__k1__constant_value"]
         length = np.broadcast_to(p["k1__k2__k2__length_scale"], x.shape[1])
@@ -73,16 +79,27 @@ class Process:
         self.caution = max(1.0, float(np.mean(errors**2 / variance[:, None])))
         self.left_out_error = float(np.sqrt(np.mean((errors * self._unit) ** 2)))
         self.scatter = float(np.sqrt(self._s2) * np.max(self._unit))
+        self.most = float(np.median(errors**2)) / self.caution
 
     def values(self, x: FloatArray) -> FloatArray:
         """Return the expected y, shape (n, q), at x (n, d)."""
         k, _ = self._covariances(x)
         return self._expected(k)
 
-    def predict(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def limit(self, x: FloatArray) -> None:
+        """Let no variance that `predict` gives be larger than those at points (n, d): draws of the posterior.
+
+        Where the data contradict the model, a likelihood with the surrogate's variance would otherwise prefer
+        theta of which nothing is known to the best that there is.
+        """
+        k, _ = self._covariances(x)
+        self.most = float(np.max(self._left(x, _product(k, self._root.T))))
+
+    def predict(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the expected y and its variance, without the solver's scatter, (n, q) each."""
         k, _ = self._covariances(x)
-        return self._expected(k), self._variance(self._left(x, _product(k, self._root.T)))
+        left = self._left(x, _product(k, self._root.T))
+        return self._expected(k), self._variance(np.minimum(left, self.most) if limited else left)
 
     def predict_with_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return `predict`, and the derivatives of both by x, shape (n, q, d) each."""
@@ -96,9 +113,14 @@ class Process:
             slopes[:, :, j] = np.sum(dk[:, None, :] * self._alpha.T, axis=2)
             by_variance[:, j] = 2.0 * (self._trend * x[:, j] - np.sum(w * dk, axis=1))
         left = self._left(x, u)
-        by_variance[left <= 0.0] = 0.0
+        by_variance[(left <= 0.0) | (left >= self.most)] = 0.0
         slopes *= self._unit[:, None]
-        return self._expected(k), self._variance(left), slopes, self._variance(by_variance[:, None])
+        return (
+            self._expected(k),
+            self._variance(np.minimum(left, self.most)),
+            slopes,
+            self._variance(by_variance[:, None]),
+        )
 
     def covariance(self, x: FloatArray) -> tuple[FloatArray, float]:
         """Return the covariance of y between points (n, d), in units of `unit`², shape (n, n), and s²."""
@@ -138,7 +160,7 @@ class Process:
 
 
 def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return k (n, N) times a matrix (N, N), in chunks of one shape, so that a row does not depend on the others."""
+    """Return k (n, N) times a matrix (N, N), in chunks of one shape: no row depends on the others."""
     n, N = k.shape
     padded = np.zeros((-(-n // _CHUNK) * _CHUNK, N))
     padded[:n] = k
@@ -175,4 +197,6 @@ def _fitted(x: FloatArray, z: FloatArray, kernel: Any, search: bool) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # a parameter without effect has the longest length
         # the likelihood may have several maxima: one of them explains everything by scatter
-        return max((fitted(one, "fmin_l_bfgs_b") for one in starts), key=lambda one: one.log_marginal_likelihood_value_)
+        return max(
+            (fitted(one, "fmin_l_bfgs_b") for one in starts), key=lambda one: one.log_marginal_likelihood_value_
+        )

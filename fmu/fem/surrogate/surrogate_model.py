@@ -97,16 +97,19 @@ class SurrogateModel(ModalModel):
         good = ~design.failed
         x = coordinates.to_x(design.theta)
         self.feasibility = Feasibility(x, design.failed)
-        quantities = [2.0 * np.log(design.frequencies[good, i, None]) for i in range(self.n_modes)]
-        if reference is not None:
-            shapes = oriented(design.shapes[good], reference)
-            quantities += [shapes[:, :, i] for i in range(self.n_modes)]
-        n_searched = 0 if before is None else before._n_searched
+        log = 2.0 * np.log(design.frequencies[good])
+        shapes = None if reference is None else oriented(design.shapes[good], reference)
+        n_searched: int = 0 if before is None else before._n_searched
         search = np.sum(good) >= _GROWN * n_searched
-        self._n_searched = int(np.sum(good)) if search else n_searched
-        earlier = [None] * len(quantities) if before is None else before.processes
+        self._n_searched: int = int(np.sum(good)) if search else n_searched
         with single_thread():
-            self.processes = [Process(x[good], y, p, bool(search)) for y, p in zip(quantities, earlier, strict=True)]
+            self.of_frequencies: list[Process] = fitted_together(
+                x[good], log, None if before is None else before.of_frequencies, bool(search)
+            )
+            self.of_shapes: list[Process] = []
+            for i in range(self.n_modes if shapes is not None else 0):
+                earlier = None if before is None else before.of_shapes[i]
+                self.of_shapes.append(Process(x[good], shapes[:, :, i], earlier, bool(search)))  # type: ignore[index]
 
     def __repr__(self) -> str:
         return f"SurrogateModel({self.truth!r}, {len(self.design.theta)} solves)"
@@ -120,7 +123,7 @@ class SurrogateModel(ModalModel):
         """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves fail, as far as is known."""
         x = self.coordinates.to_x(theta)
         with single_thread():
-            log = np.concatenate([p.values(x) for p in self.processes[: self.n_modes]], axis=1)
+            log = np.concatenate([p.values(x) for p in self.of_frequencies], axis=1)
         return self._where_feasible(x, np.exp(0.5 * log))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -132,30 +135,39 @@ class SurrogateModel(ModalModel):
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies, and shapes if they were learnt, with their variances, and derivatives if wanted."""
         x = self.coordinates.to_x(theta)
-        m = self.n_modes
+        by_theta = self.coordinates.slope(theta)[:, None] if gradient else None
         with single_thread():
-            if not gradient:
-                value, variance = zip(*(p.predict(x) for p in self.processes), strict=True)
-            else:
-                by_theta = self.coordinates.slope(theta)[:, None]
-                found = [p.predict_with_slopes(x) for p in self.processes]
-                value, variance, slope, by_variance = zip(*found, strict=True)
-        f = np.exp(0.5 * np.concatenate(value[:m], axis=1))
-        v = np.concatenate(variance[:m], axis=1)
+            parts = [_predicted(p, x, by_theta) for p in (*self.of_frequencies, *self.of_shapes)]
+        n = len(self.of_frequencies)
+        y, v, dy, dv = (_joined(c, np.concatenate, 1) for c in zip(*parts[:n], strict=True))
+        f = np.exp(0.5 * y)
         f_hz, v_hz2 = self._where_feasible(x, f), 0.25 * f**2 * v
-        shapes = np.stack(value[m:], axis=2) if self.gives_shapes else np.empty((len(x), 0, m))
-        shape_v = np.stack(variance[m:], axis=2) if self.gives_shapes else np.empty((len(x), 0, m))
+        empty = np.empty((len(x), 0, self.n_modes))
+        s, sv, ds, dsv = empty, empty, np.empty((*empty.shape, self.n_parameters)), None
+        if self.of_shapes:
+            s, sv, ds, dsv = (_joined(c, np.stack, 2) for c in zip(*parts[n:], strict=True))
         if not gradient:
-            return ModalPrediction(f_hz, shapes, frequency_variance=v_hz2, shape_variance=shape_v)
-        df = 0.5 * f[..., None] * np.concatenate(slope[:m], axis=1) * by_theta
-        dv = 0.25 * f[..., None] ** 2 * np.concatenate(by_variance[:m], axis=1) * by_theta
-        dv = dv + 0.5 * (f * v)[..., None] * df
-        none = np.empty((*shapes.shape, theta.shape[1]))
-        by_theta = by_theta[:, None]
-        ds, dsv = (
-            np.stack(part[m:], axis=2) * by_theta if self.gives_shapes else none for part in (slope, by_variance)
-        )
-        return ModalPrediction(f_hz, shapes, df, ds, v_hz2, shape_v, dv, dsv)
+            return ModalPrediction(f_hz, s, frequency_variance=v_hz2, shape_variance=sv)
+        df = 0.5 * f[..., None] * dy
+        dv_hz2 = 0.25 * f[..., None] ** 2 * dv + 0.5 * (f * v)[..., None] * df
+        return ModalPrediction(f_hz, s, df, ds, v_hz2, sv, dv_hz2, ds if dsv is None else dsv)
+
+    def limit_variance(self, theta: FloatArray) -> None:
+        """Let no variance be larger than those at draws theta (n, n_parameters), see `Process.limit`."""
+        x = self.coordinates.to_x(theta)
+        with single_thread():
+            for process in (*self.of_frequencies, *self.of_shapes):
+                process.limit(x)
+
+    def variances(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the variances of frequencies, Hz², and of shapes at theta, as in `observed` but without limit."""
+        x = self.coordinates.to_x(theta)
+        with single_thread():
+            parts = [p.predict(x, limited=False) for p in self.of_frequencies]
+            of_shapes = [p.predict(x, limited=False)[1] for p in self.of_shapes]
+        y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
+        empty = np.empty((len(x), 0, self.n_modes))
+        return 0.25 * np.exp(y) * v, np.stack(of_shapes, axis=2) if of_shapes else empty
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies by the slow model."""
@@ -174,6 +186,38 @@ class SurrogateModel(ModalModel):
 
     def _where_feasible(self, x: FloatArray, frequencies: FloatArray) -> FloatArray:
         return np.where(self.feasibility(x)[:, None], frequencies, np.nan)
+
+
+def _joined(parts: Sequence[Any], join: Any, axis: int) -> Any:
+    """Return arrays joined along an axis, None if they are None."""
+    return None if parts[0] is None else join(parts, axis=axis)
+
+
+def _predicted(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
+    """Return value and variance at x, and their derivatives by theta or None, by those of x by theta."""
+    if by_theta is None:
+        return *process.predict(x), None, None
+    value, variance, slopes, by_variance = process.predict_with_slopes(x)
+    return value, variance, slopes * by_theta, by_variance * by_theta
+
+
+def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | None, search: bool) -> list[Process]:
+    """Return processes of quantities y (N, q) at x: one that they share, or one each.
+
+    Few points do not tell the lengths of every quantity, but those of all together. One each is taken where the
+    likelihood gains more by it than the further hyper-parameters cost (Schwarz 1978, *Ann. Stat.* 6, 461–464).
+    """
+    if not search and before is not None:
+        if len(before) == 1:
+            return [Process(x, y, before[0], False)]
+        return [Process(x, y[:, [i]], p, False) for i, p in enumerate(before)]
+    shared = Process(x, y, before[0] if before is not None and len(before) == 1 else None)
+    single = [
+        Process(x, y[:, [i]], shared if before is None or len(before) == 1 else before[i])
+        for i in range(y.shape[1])
+    ]
+    cost = 0.5 * shared.n_hyper * np.log(len(x)) * (y.shape[1] - 1)
+    return single if sum(p.log_likelihood for p in single) - shared.log_likelihood > cost else [shared]
 
 
 def solved(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:

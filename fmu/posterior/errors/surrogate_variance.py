@@ -1,18 +1,19 @@
-"""The errors of a surrogate in the likelihood: what it predicts is uncertain, and the log-density is their mean.
+"""The errors of a surrogate in the likelihood: what it predicts is uncertain, and its density is their mean.
 
-Let t(x) be the log-density of an error model as a function of the frequency and the shape of a mode, x, of which the
-surrogate gives the expectation and variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the residuals r, both at
-the expectation,
+Let t(x) be the log-density of an error model as a function of the frequency and the shape of a mode, x, of which
+the surrogate gives the expectation and variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the residuals r,
+both at the expectation,
 
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
-For independent Gaussian errors of frequencies that are linear in them, this is their density with the variance σ² + v
-in place of σ². For other errors it is right to first order in v.
+For independent Gaussian errors of frequencies that are linear in them, this is their density with the variance
+σ² + v in place of σ². For other errors it is right to first order in v.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +21,12 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.types import FloatArray
 
-_STEP = 1e-4  # of an inferred standard deviation, relative
+_STEP = 1e-5  # of an inferred standard deviation, relative
 
 
-def evaluated_with_variance(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
+def evaluated_with_variance(
+    term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool
+) -> Evaluated:
     """Return the terms of an error model where the model has variances, see `ErrorTerm.evaluate`.
 
     Derivatives by what is predicted take ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x), and h as constant (Gauss–Newton); those by
@@ -53,7 +56,7 @@ def evaluated_with_variance(term: ErrorTerm, seen: ModalPrediction, noise: Float
 
 
 def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Residuals:
-    """Return residuals divided by their standard deviations with the model's own errors, √(1 + Σ_j (∂r/∂x_j)² v_j)."""
+    """Return residuals over their standard deviations, the model's errors included: √(1 + Σ_j (∂r/∂x_j)² v_j)."""
     variance = np.ones_like(residuals.values)
     if residuals.by_frequency is not None and seen.frequency_variance is not None:
         variance += residuals.by_frequency**2 * seen.frequency_variance[..., None]
@@ -67,7 +70,7 @@ def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Resi
     )
 
 
-def sensitivity_to_model(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return how the log-density changes with the model's errors, in terms of their variances.
 
     Parameters
@@ -85,7 +88,7 @@ def sensitivity_to_model(term: ErrorTerm, seen: ModalPrediction, noise: FloatArr
     """
     n, m = seen.frequencies.shape
     by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on the frequencies of others
-    view = term.project(replace(seen, frequency_slopes=by_each))
+    view: Any = term.project(replace(seen, frequency_slopes=by_each))
     part, residuals = term.evaluate(view, noise, True), term.residuals(view, noise)
     of_frequency, of_shape = np.zeros((n, m)), np.zeros(seen.shapes.shape)
     if part.by_frequency is not None and residuals.by_frequency is not None:
@@ -98,7 +101,7 @@ def sensitivity_to_model(term: ErrorTerm, seen: ModalPrediction, noise: FloatArr
     return of_frequency, of_shape
 
 
-def _correction(part: Evaluated, residuals: Residuals, seen: ModalPrediction) -> FloatArray:
+def _correction(part: Evaluated, residuals: Residuals, seen: Any) -> FloatArray:
     """Return log E[exp t] − t, (n, n_modes)."""
     total = np.zeros_like(part.terms)
     if part.by_frequency is not None and residuals.by_frequency is not None:
@@ -110,16 +113,16 @@ def _correction(part: Evaluated, residuals: Residuals, seen: ModalPrediction) ->
     return total
 
 
-def _of_one(g: FloatArray, h: FloatArray, v: FloatArray | None) -> FloatArray:
+def _of_one(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
     hv = h * v
     return np.asarray(0.5 * g**2 * v / (1.0 + hv) - 0.5 * np.log1p(hv))
 
 
-def _gain(g: FloatArray, h: FloatArray, v: FloatArray | None) -> FloatArray:
+def _gain(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
     return np.asarray(g * v / (1.0 + h * v))
 
 
-def _by_variance(g: FloatArray, h: FloatArray, v: FloatArray | None) -> FloatArray:
+def _by_variance(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
     scaled = 1.0 + h * v
     return np.asarray(0.5 * (g / scaled) ** 2 - 0.5 * h / scaled)
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from fmu.analysis.certificate import surrogate_in_words
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
@@ -40,6 +44,8 @@ def cost(run: ReportedRun) -> PageSection:
 def certificate(run: ReportedRun) -> PageSection | Omitted:
     """Return how far the reduced model is from the full one at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
+    if "surrogate_solves" in attrs:
+        return _of_surrogate(attrs)
     if "certificate_draws" not in attrs:
         return Omitted(title, "no reduced model was used")
     frequency, log_prob = (float(attrs[f"certificate_{name}_error"]) for name in ("frequency", "log_prob"))
@@ -84,6 +90,28 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("certificate", title, (Text(said), table))
 
 
+def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
+    """Return how far the surrogate of a slow model is from it at draws of the posterior."""
+    shift, allowed = float(attrs["certificate_shift"]), float(attrs["certificate_shift_tolerance"])
+    sentences = surrogate_in_words(attrs)
+    failed = int(attrs["surrogate_failed"])
+    scatter = float(attrs["surrogate_scatter"])
+    log_prob_sd, frequency = (float(attrs[f"certificate_{name}"]) for name in ("log_prob_sd", "frequency_error"))
+    relative = float(1.0 / np.sqrt(2.0))  # of a standard deviation, to first order
+    rows = (
+        ("posterior means may be off by, in posterior sd", *_beside(shift, allowed)),
+        ("posterior sds may be off by, relative", *_beside(relative * shift, relative * allowed)),
+        ("standard deviation of the log-probability's error", significant(log_prob_sd, 2), MISSING),
+        ("largest relative error of a frequency", significant(frequency, 2), MISSING),
+        ("solves from which the surrogate was learnt", whole(attrs["surrogate_design"]), MISSING),
+        ("solves in all", whole(attrs["surrogate_solves"]), MISSING),
+        ("solves that failed", whole(failed), MISSING),
+        ("scatter of the solver's frequencies, relative, as estimated", significant(scatter, 2), MISSING),
+    )
+    table = PageTable("Surrogate against model", ("quantity", "found", "allowed"), rows)
+    return PageSection("certificate", "Certificate of the surrogate", (Items(tuple(sentences)), table))
+
+
 def _beside(found: float, allowed: float) -> tuple[str, str]:
     """Return an error and the largest that is allowed."""
     text = significant(found, 2)
@@ -93,7 +121,7 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
     """Return what the verdicts on a run rest on; nothing for a density that is not an updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
-    is_reduced = "certificate_draws" in attrs
+    is_reduced = "certificate_draws" in attrs and "surrogate_solves" not in attrs
     allowed = float(attrs.get("certificate_frequency_tolerance", Tolerance().frequency)) if is_reduced else None
     error = float(attrs["certificate_frequency_error"]) if is_reduced else None
     noise = run.problem.get("likelihood", {}).get("noise", ())

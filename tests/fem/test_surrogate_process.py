@@ -1,0 +1,103 @@
+"""Gaussian processes: derivatives, batches, what they learn of lengths and scatter; failed regions."""
+
+import numpy as np
+import pytest
+
+from fmu.fem.surrogate.coordinates import Coordinates
+from fmu.fem.surrogate.feasibility import Feasibility, failed_region
+from fmu.fem.surrogate.process import Process
+
+
+def values(x):
+    """Two smooth quantities of three parameters, of which the last has no effect."""
+    return np.stack([np.log(3.0 + x[:, 0] + 0.5 * x[:, 1]), 0.3 * x[:, 0] - 0.1 * x[:, 1] ** 2], axis=1)
+
+
+@pytest.fixture(scope="module")
+def points():
+    return np.random.default_rng(1).uniform(-1.0, 1.0, (40, 3))
+
+
+@pytest.fixture(scope="module")
+def process(points):
+    return Process(points, values(points))
+
+
+def test_it_predicts_a_smooth_function_within_what_it_expects(process):
+    x = np.random.default_rng(2).uniform(-1.0, 1.0, (200, 3))
+    expected, variance = process.predict(x)
+    error = expected - values(x)
+    assert np.max(np.abs(error)) < 1e-3
+    assert np.mean(error**2 / variance) < 4.0
+
+
+def test_derivatives_are_those_of_values_and_variances(process):
+    x, h = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 3)), 1e-3
+    _, _, slopes, by_variance = process.predict_with_slopes(x)
+    for j in range(3):
+        ahead, behind = (process.predict(x + sign * h * np.eye(3)[j]) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(slopes[:, :, j], (ahead[0] - behind[0]) / (2 * h), atol=1e-5)
+        scale = np.max(np.abs(by_variance)) + 1e-12
+        np.testing.assert_allclose(by_variance[:, :, j], (ahead[1] - behind[1]) / (2 * h), atol=0.02 * scale)
+
+
+def test_a_row_of_a_batch_has_the_bits_of_a_single_point(process):
+    x = np.random.default_rng(4).uniform(-1.0, 1.0, (37, 3))
+    together = process.predict_with_slopes(x)
+    for i in (0, 15, 16, 36):
+        alone = process.predict_with_slopes(x[i : i + 1])
+        assert all(np.array_equal(one[i], other[0]) for one, other in zip(together, alone, strict=True))
+    assert all(map(np.array_equal, process.predict(x), together))
+    assert np.array_equal(process.values(x), together[0])
+
+
+def test_a_parameter_without_effect_has_a_long_length(process):
+    length = process.kernel.get_params()["k1__k2__k2__length_scale"]
+    assert length[2] > 10.0 * max(length[:2])
+
+
+def test_scatter_of_the_answers_is_estimated(points):
+    noisy = values(points)[:, :1] + 1e-3 * np.random.default_rng(5).standard_normal((len(points), 1))
+    assert Process(points, noisy).scatter == pytest.approx(1e-3, rel=0.4)
+
+
+def test_a_solved_point_reduces_the_covariance_around_it(points):
+    few = Process(points[:10], values(points[:10]))
+    covariance, scatter = few.covariance(points[10:30])
+    column = covariance[:, 0]
+    left = covariance - np.outer(column, column) / (column[0] + scatter)
+    assert left[0, 0] < 1e-3 * covariance[0, 0]
+    np.testing.assert_allclose(
+        np.diag(covariance) * few.unit[0] ** 2, few.predict(points[10:30])[1][:, 0], rtol=1e-4, atol=1e-12
+    )
+
+
+def test_coordinates_are_logarithms_where_the_box_is_positive():
+    map_of = Coordinates.of_box(np.array([1.0, -1.0]), np.array([100.0, 3.0]), np.array([True, True]))
+    theta = np.array([[10.0, 1.0], [1.0, -1.0], [100.0, 3.0], [0.0, 5.0]])
+    x = map_of.to_x(theta)
+    np.testing.assert_allclose(x[:3], [[0.0, 0.0], [-1.0, -1.0], [1.0, 1.0]], atol=1e-14)
+    assert np.all(np.isfinite(x))
+    np.testing.assert_allclose(map_of.to_theta(x[:3]), theta[:3])
+    h = np.array([1e-6, 1e-6])
+    np.testing.assert_allclose(
+        map_of.slope(theta[:1]), (map_of.to_x(theta[:1] + h) - map_of.to_x(theta[:1] - h)) / (2 * h), rtol=1e-6
+    )
+
+
+def test_a_corner_that_fails_is_learnt_and_told():
+    x = np.random.default_rng(6).uniform(-1.0, 1.0, (80, 2))
+    failed = (x[:, 0] > 0.4) & (x[:, 1] > 0.2)
+    feasible = Feasibility(x, failed)
+    assert np.array_equal(feasible(x), ~failed)
+    fresh = np.random.default_rng(7).uniform(-1.0, 1.0, (500, 2))
+    assert np.mean(feasible(fresh) == ~((fresh[:, 0] > 0.4) & (fresh[:, 1] > 0.2))) > 0.93
+    said = failed_region(x, failed, ("stiffness", "mass"))
+    assert "stiffness is above" in said
+    assert "mass is above" in said
+    assert "below" not in said
+
+
+def test_without_failures_everything_can_be_solved():
+    x = np.zeros((3, 2))
+    assert Feasibility(x, np.zeros(3, dtype=bool))(10.0 + x).all()

@@ -1,0 +1,172 @@
+"""Surrogates learnt from few solves: right, certified by unseen solves, and told where they are not."""
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.surrogates.learning import SurrogateWarning
+
+START, SD = np.array([5e7, 3e7]), np.array([0.01, 0.03])
+
+
+def storeys(theta):
+    """Frequencies of a shear building of two storeys."""
+    k1, k2 = theta
+    m1, m2 = 16e3, 12e3
+    total, product = (k1 + k2) / m1 + k2 / m2, k1 * k2 / (m1 * m2)
+    upper = 0.5 * (total + np.sqrt(total**2 - 4 * product))
+    return np.sqrt([product / upper, upper]) / (2 * np.pi)
+
+
+def problem(function=storeys, *, sd=SD, batched=False):
+    parameters = [
+        fmu.Parameter("k1", 5e7, 2e7, 9e7, unit="N/m"),
+        fmu.Parameter("k2", 3e7, 1e7, 6e7, unit="N/m", prior=fmu.LogNormal(3e7, 0.4)),
+    ]
+    data = fmu.ModalData((1.02 * storeys(START)).tolist())
+    return fmu.UpdatingProblem(
+        fmu.BlackBoxModel(function, 2, batched=batched),
+        data,
+        parameters,
+        error=fmu.FrequencyErrors("absolute", sd=sd),
+    )
+
+
+def moments(of):
+    """Mean and sd of a posterior by quadrature around its maximum."""
+    best = fmu.find_map(of, 16)[0]
+    axes = [
+        np.linspace(max(of.lower[j], best.mean[j] - 7 * best.sd[j]), best.mean[j] + 7 * best.sd[j], 121)
+        for j in (0, 1)
+    ]
+    theta = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    log = of.log_prob(theta)
+    w = np.exp(log - log.max())
+    mean = w @ theta / w.sum()
+    return mean, np.sqrt(w @ (theta - mean) ** 2 / w.sum())
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """The surrogate, and every theta in the order in which it was solved."""
+    solved = []
+
+    def counted(theta):
+        solved.append(theta.copy())
+        return storeys(theta)
+
+    return fmu.surrogate(problem(counted)), np.array(solved)
+
+
+def test_the_posterior_is_that_of_the_model(learnt):
+    mean, sd = moments(problem())
+    found_mean, found_sd = moments(learnt[0])
+    record = learnt[0].model.record
+    assert np.max(np.abs(found_mean - mean) / sd) <= record["certificate_shift"] <= 0.05
+    np.testing.assert_allclose(found_sd, sd, rtol=0.05)
+
+
+def test_solves_are_few_and_counted(learnt):
+    surrogate, solved = learnt
+    record = surrogate.model.record
+    assert len(solved) == record["surrogate_solves"] <= 40
+    assert record["surrogate_solves"] == record["surrogate_design"] + record["certificate_draws"]
+
+
+def test_the_certificate_is_from_solves_that_the_surrogate_has_not_seen(learnt):
+    surrogate, solved = learnt
+    checks, design = solved[-surrogate.model.record["certificate_draws"] :], surrogate.model.design.theta
+    assert not {theta.tobytes() for theta in checks} & {theta.tobytes() for theta in design}
+    error = surrogate.likelihood.full_terms(checks).sum(axis=1) - surrogate.likelihood.terms(checks).sum(axis=1)
+    assert surrogate.model.record["certificate_log_prob_sd"] == pytest.approx(np.std(error, ddof=1))
+
+
+def test_its_gradient_is_that_of_its_value(learnt):
+    surrogate = learnt[0]
+    theta = surrogate.model.design.theta[5:10]
+    h = 1e-6 * theta
+    _, gradient = surrogate.log_prob_and_grad(theta)
+    for j in (0, 1):
+        step = np.zeros_like(theta)
+        step[:, j] = h[:, j]
+        expected = (surrogate.log_prob(theta + step) - surrogate.log_prob(theta - step)) / (2 * h[:, j])
+        np.testing.assert_allclose(gradient[:, j], expected, rtol=1e-3, atol=1e-5 * np.max(np.abs(expected)))
+
+
+def test_batches_are_exact(learnt):
+    surrogate = learnt[0]
+    theta = surrogate.sample_prior(np.random.default_rng(1), 33)
+    together = surrogate.log_prob(theta)
+    assert [surrogate.log_prob(one) for one in theta] == together.tolist()
+
+
+def test_workers_and_batched_functions_change_nothing(learnt):
+    batched = fmu.surrogate(problem(lambda theta: np.stack([storeys(one) for one in theta]), batched=True))
+    with fmu.engine(workers=2) as engine:
+        spread = fmu.surrogate(problem(), engine=engine)
+    for other in (batched, spread):
+        assert np.array_equal(other.model.design.theta, learnt[0].model.design.theta)
+        assert other.model.record == learnt[0].model.record
+
+
+def test_a_corner_that_fails_is_learnt_and_told():
+    mean, sd = moments(problem())
+    edge = mean[0] + 0.5 * sd[0]  # it cuts through the posterior
+
+    def failing(theta):
+        if theta[0] > edge:
+            raise RuntimeError("no convergence")
+        return storeys(theta)
+
+    found = fmu.surrogate(problem(failing))
+    record = found.model.record
+    assert record["surrogate_failed"] > 0
+    assert "k1 is above" in record["surrogate_failed_where"]
+    assert found.log_prob(np.array([8.5e7, 3e7])) == -np.inf
+    assert np.isfinite(found.log_prob(mean - 0.5 * sd))
+
+
+def test_scatter_of_the_answers_is_estimated_and_told():
+    rng = np.random.default_rng(1)
+    found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2))))
+    record = found.model.record
+    assert record["surrogate_scatter"] == pytest.approx(1e-4, rel=0.6)
+    mean, sd = moments(problem())
+    assert np.max(np.abs(moments(found)[0] - mean) / sd) <= max(record["certificate_shift"], 0.05)
+
+
+def test_a_small_budget_is_told_and_its_limit_holds():
+    with pytest.warns(SurrogateWarning, match="misses its tolerance"):
+        found = fmu.surrogate(problem(sd=0.02 * SD), tolerance=1e-4, max_solves=22)
+    record = found.model.record
+    assert record["surrogate_solves"] <= 22
+    assert record["certificate_shift"] > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        ({"tolerance": 0.0}, "tolerance: must be above 0"),
+        ({"batch": 0}, "batch: must be at least 1"),
+        ({"checks": 4}, "checks: must be at least 8"),
+        ({"max_solves": 10}, "max_solves: must be at least 22"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(options, rule):
+    with pytest.raises(ValueError, match=rule):
+        fmu.surrogate(problem(), **options)
+
+
+def test_a_model_with_matrices_has_a_reduced_model_instead():
+    with pytest.raises(ValueError, match="a model with matrices has a reduced model"):
+        fmu.surrogate(fmu.cases.load("shear-2dof"))
+
+
+def test_a_function_that_fails_everywhere_is_refused():
+    def failing(theta):
+        if not np.array_equal(theta, [5e7, 3e7]):
+            raise RuntimeError("no licence")
+        return storeys(theta)
+
+    with pytest.raises(ValueError, match="must be solved at more points"):
+        fmu.surrogate(problem(failing))
