@@ -17,7 +17,7 @@ from fmu.posterior.failures import FailureRecord
 from fmu.posterior.parameters import box
 from fmu.progress.phases import Phase, phase
 from fmu.surrogates.error_limits import ErrorLimits
-from fmu.surrogates.selection import chosen, predicted_variance, stratified
+from fmu.surrogates.selection import chosen, predicted_variance, scatter_variance, stratified
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -104,10 +104,10 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
     """Extend the design until the certificate is kept, or no solves are left; return the certificate."""
     optimism = 1.0
     while True:
-        draws, expected = learner.posterior()
+        draws, expected, floor = learner.posterior()
         left = learner.left - checks
         under_way.said["expected_error"] = optimism * expected
-        if optimism * expected > _SAFE * tolerance and left >= batch:
+        if optimism * expected > max(_SAFE * tolerance, 0.5 * floor) and left >= batch:
             learner.extend(draws[chosen(learner.likelihood, learner.model, draws, batch)], under_way)
             continue
         theta = draws[
@@ -116,7 +116,9 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
         errors, answers = learner.checked(theta, under_way)
         limits = ErrorLimits.of(errors)
         under_way.said["certificate"] = limits.shift
-        if limits.shift <= tolerance or left < checks:
+        # further solves do not help against the scatter of those that check
+        at_floor = floor > _SAFE * tolerance and limits.sd <= 2.0 * np.hypot(floor, expected)
+        if limits.shift <= tolerance or left < checks or at_floor:
             return limits
         if np.isfinite(limits.sd) and expected > 0.0:
             optimism = max(1.0, limits.sd / expected)
@@ -175,8 +177,11 @@ class _Learner:
             theta = np.empty((0, self.n))
         self._fit(None)
 
-    def posterior(self) -> tuple[FloatArray, float]:
-        """Return draws of the surrogate's posterior, and the error of the log-probability that it expects."""
+    def posterior(self) -> tuple[FloatArray, float, float]:
+        """Return draws of the surrogate's posterior, and the error of the log-probability to expect there.
+
+        Of the error its own part, and the part of the solver's scatter.
+        """
         from fmu.analysis.maxima.search import find_map
         from fmu.analysis.maxima.starts import components, starts
         from fmu.samplers.loop.run import Run
@@ -191,7 +196,9 @@ class _Learner:
         drawn = np.unique(run.extend(_DRAWS).posterior.position.reshape(-1, self.problem.ndim), axis=0)
         draws = drawn[np.sort(self.rng.permutation(len(drawn))[:_CANDIDATES])]
         self.previous = draws[:, : self.n]
-        return draws, float(np.sqrt(np.mean(predicted_variance(self.likelihood, self.model, draws))))
+        of_both = (of(self.likelihood, self.model, draws) for of in (predicted_variance, scatter_variance))
+        expected, floor = (float(np.sqrt(np.mean(variance))) for variance in of_both)
+        return draws, expected, floor
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
         """Solve at draws (n, ndim), and learn from them."""
@@ -284,12 +291,18 @@ def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, 
         )
 
 
+def _remedy(learner: _Learner) -> str:
+    if learner.left >= CHECKS:
+        return "the solver's answers scatter, so that more solves would not help: tighten its tolerance"
+    return "allow more solves"
+
+
 def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float) -> None:
     if not limits.shift <= tolerance:
         warnings.warn(
             f"the surrogate misses its tolerance after {learner.solves} solves: by {limits.n} draws posterior "
             f"means may be off by {significant(limits.shift, 2)} posterior standard deviations (asked for: "
-            f"{significant(tolerance, 2)}); allow more solves",
+            f"{significant(tolerance, 2)}); {_remedy(learner)}",
             SurrogateWarning,
             stacklevel=3,
         )

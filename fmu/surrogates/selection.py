@@ -16,6 +16,17 @@ def predicted_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta
     return np.asarray(np.sum(of_frequency * v, axis=1) + np.sum(of_shape * shape_v, axis=(1, 2)))
 
 
+def scatter_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray) -> FloatArray:
+    """Return the variance of the log-probability that the scatter of the solver's answers causes, (n,)."""
+    of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
+    scatter = np.concatenate([p.unit * p.relative_scatter for p in model.of_frequencies])
+    squares = (0.5 * model.frequencies(theta[:, : model.n_parameters]) * scatter) ** 2
+    found = np.sum(of_frequency * squares, axis=1)
+    for i, process in enumerate(model.of_shapes):
+        found += np.sum(of_shape[:, :, i] * (process.unit * process.relative_scatter) ** 2, axis=1)
+    return np.asarray(found)
+
+
 def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
     """Return the rows of posterior draws (N, ndim) that are to be solved, n of them.
 

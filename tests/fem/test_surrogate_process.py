@@ -20,7 +20,9 @@ def points():
 
 @pytest.fixture(scope="module")
 def process(points):
-    return Process(points, values(points))
+    found = Process(points, values(points))
+    found.most = np.inf
+    return found
 
 
 def test_it_predicts_a_smooth_function_within_what_it_expects(process):
@@ -51,6 +53,16 @@ def test_a_row_of_a_batch_has_the_bits_of_a_single_point(process):
     assert np.array_equal(process.values(x), together[0])
 
 
+def test_no_variance_is_larger_than_those_at_the_draws(points):
+    process = Process(points[:12], values(points[:12]))
+    process.limit(points[:20])
+    x = np.random.default_rng(8).uniform(-3.0, 3.0, (50, 3))
+    _, variance, _, by_variance = process.predict_with_slopes(x)
+    largest = np.max(process.predict(points[:20], limited=False)[1], axis=0)
+    np.testing.assert_allclose(np.max(variance, axis=0), largest)
+    assert not by_variance[variance == variance.max(axis=0)].any()
+
+
 def test_a_parameter_without_effect_has_a_long_length(process):
     length = process.kernel.get_params()["k1__k2__k2__length_scale"]
     assert length[2] > 10.0 * max(length[:2])
@@ -68,7 +80,10 @@ def test_a_solved_point_reduces_the_covariance_around_it(points):
     left = covariance - np.outer(column, column) / (column[0] + scatter)
     assert left[0, 0] < 1e-3 * covariance[0, 0]
     np.testing.assert_allclose(
-        np.diag(covariance) * few.unit[0] ** 2, few.predict(points[10:30])[1][:, 0], rtol=1e-4, atol=1e-12
+        np.diag(covariance) * few.unit[0] ** 2,
+        few.predict(points[10:30], limited=False)[1][:, 0],
+        rtol=1e-4,
+        atol=1e-12,
     )
 
 

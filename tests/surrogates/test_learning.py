@@ -128,11 +128,12 @@ def test_a_corner_that_fails_is_learnt_and_told():
 
 def test_scatter_of_the_answers_is_estimated_and_told():
     rng = np.random.default_rng(1)
-    found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2))))
+    with pytest.warns(SurrogateWarning, match="answers scatter"):
+        found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2))))
     record = found.model.record
     assert record["surrogate_scatter"] == pytest.approx(1e-4, rel=0.6)
     mean, sd = moments(problem())
-    assert np.max(np.abs(moments(found)[0] - mean) / sd) <= max(record["certificate_shift"], 0.05)
+    assert np.max(np.abs(moments(found)[0] - mean) / sd) <= record["certificate_shift"]
 
 
 def test_a_small_budget_is_told_and_its_limit_holds():

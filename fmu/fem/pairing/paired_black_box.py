@@ -89,6 +89,7 @@ class PairedBlackBox(ModalModel):
             answer = black_box.at(start)
             paired = cls(black_box, answer, pairing=pairing, **measured)
             paired._columns(answer)
+            paired._take(start, answer, paired._empty(1)[0])  # it is not called there again
         except AnswerError as error:
             raise ValueError(f"{black_box.place}: {error} at the start {start.tolist()}") from error
         except ValueError as error:
@@ -161,7 +162,7 @@ class PairedBlackBox(ModalModel):
         The function is not called again where it has answered before.
         """
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
-        rows = np.full((n, m * (1 + p + s)), np.nan)
+        rows = self._empty(n)
         missing = []
         for i, point in enumerate(theta):
             known = self._memory.row(point)
@@ -175,6 +176,10 @@ class PairedBlackBox(ModalModel):
                     self._take(theta[i], answer, rows[i])
         f, df, phi = np.split(rows, [m, m * (1 + p)], axis=1)
         return f, df.reshape(n, m, p), phi.reshape(n, s, m)
+
+    def _empty(self, n: int) -> FloatArray:
+        """Return rows of frequencies, gradients and shapes that are not known."""
+        return np.full((n, self.n_modes * (1 + self.n_parameters + (self._n_sensors or 0))), np.nan)
 
     def _take(self, theta: FloatArray, answer: Answer, row: FloatArray) -> None:
         """Write an answer at one theta into a row and into the memory; nothing if a mode is missing."""

@@ -49,7 +49,7 @@ class Process:
     left_out_error : float
         Root mean square of these errors, in units of y.
     scatter : float
-        Standard deviation s of the solver's answers, in units of y.
+        Standard deviation s of the solver's answers, in units of y; `relative_scatter` of the scaled y.
     most : float
         Largest variance that `predict` gives, scaled and without caution: see `limit`. At first the median of the
         squared errors where each point is left out.
@@ -78,7 +78,8 @@ class Process:
         errors = self._alpha * variance[:, None]
         self.caution = max(1.0, float(np.mean(errors**2 / variance[:, None])))
         self.left_out_error = float(np.sqrt(np.mean((errors * self._unit) ** 2)))
-        self.scatter = float(np.sqrt(self._s2) * np.max(self._unit))
+        self.relative_scatter = float(np.sqrt(self._s2))
+        self.scatter = self.relative_scatter * float(np.max(self._unit))
         self.most = float(np.median(errors**2)) / self.caution
 
     def values(self, x: FloatArray) -> FloatArray:
