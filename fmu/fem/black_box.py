@@ -272,7 +272,7 @@ class BlackBoxModel:
 
     def _answer(self, theta: FloatArray) -> Answer:
         """Return the answer at one theta (n_parameters,): from the store, or by calling the function."""
-        store = self.solves
+        store = None if self._folder is None else self.solves  # a command has one of its own
         if store is None or self._is_fast:
             return self._called(theta[None])[0]
         known = store.find(theta)

@@ -164,6 +164,7 @@ def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n
         if not too_low.any():
             break
         u[too_low] = 0.5 * (u[too_low] + model.position)
-    else:  # a maximum at the edge of what can be solved: there is nothing beyond it, however near
-        u[~np.isfinite(np.asarray(scaled.log_prob(u)))] = model.position
+    else:  # a maximum at the edge of what can be solved, with nothing beyond it: to the other side
+        too_low = ~np.isfinite(np.asarray(scaled.log_prob(u)))
+        u[too_low] = 2.0 * model.position - u[too_low]
     return u

@@ -1,0 +1,117 @@
+"""``fmu run`` of a slow function: a surrogate by itself, its certificate told, its solves never repeated."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+import fmu
+from fmu.cli import main
+
+SOURCE = """
+import time
+from pathlib import Path
+import numpy as np
+
+calls = Path(__file__).with_name("calls")
+
+
+def storeys(theta):
+    with calls.open("a") as file:
+        file.write("x")
+    time.sleep({seconds})
+    k1, k2 = theta
+    m1, m2 = 16e3, 12e3
+    total, product = (k1 + k2) / m1 + k2 / m2, k1 * k2 / (m1 * m2)
+    upper = 0.5 * (total + np.sqrt(total**2 - 4 * product))
+    return np.sqrt([product / upper, upper]) / (2 * np.pi)
+"""
+PROBLEM = """
+name = "storeys"
+[model]
+type = "python"
+function = "slow:storeys"
+[measurement]
+frequencies = [4.65, 13.5]
+sd = [0.02, 0.06]
+[[parameters]]
+name = "k1"
+start = 5e7
+lower = 4e7
+upper = 9e7
+[[parameters]]
+name = "k2"
+start = 3e7
+lower = 2e7
+upper = 6e7
+"""
+LENGTH = ("--warmup", "100", "--draws", "50", "--starts", "8", "--progress", "none")
+
+
+def written(folder, seconds):
+    (folder / "slow.py").write_text(SOURCE.format(seconds=seconds))
+    (folder / "storeys.toml").write_text(PROBLEM)
+    return folder
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["run", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = written(tmp_path_factory.mktemp("slow"), 0.055)
+    done = run(folder / "storeys.toml", "--out", folder / "a", *LENGTH)
+    assert done.exit_code == 0, done.output
+    return folder, done
+
+
+def test_it_says_what_it_does_and_what_it_is_worth(finished):
+    _, done = finished
+    assert "Gaussian processes learn from about 28 solves" in done.stderr
+    assert "--no-surrogate" in done.stderr
+    assert "Certificate of the surrogate" in done.stdout
+    assert "no posterior mean is off by more than" in done.stdout
+
+
+def test_the_trace_and_the_report_have_the_certificate(finished):
+    folder, _ = finished
+    attrs = fmu.load_trace(folder / "a" / "mixture.nc").attrs
+    assert attrs["certificate_shift"] <= attrs["certificate_shift_tolerance"] == 0.05
+    assert attrs["surrogate_solves"] == attrs["surrogate_design"] + attrs["certificate_draws"]
+    page = (folder / "a" / "report" / "mixture.html").read_text()
+    assert "Certificate of the surrogate" in page
+    assert "solves from which the surrogate was learnt" in page
+
+
+def test_the_decision_is_kept(finished):
+    folder, _ = finished
+    assert json.loads((folder / "a" / "run.json").read_text())["orders"]["surrogate"] is True
+
+
+def test_another_run_solves_nothing_again_and_draws_the_same(finished):
+    folder, _ = finished
+    trace = fmu.load_trace(folder / "a" / "mixture.nc")
+    calls = len((folder / "calls").read_text())
+    # besides the solves, the time of one was measured
+    assert calls <= trace.attrs["surrogate_solves"] + 4
+    done = run(folder / "storeys.toml", "--out", folder / "b", "--surrogate", "--no-report", *LENGTH)
+    assert done.exit_code == 0, done.output
+    assert len((folder / "calls").read_text()) <= calls + 2
+    again = fmu.load_trace(folder / "b" / "mixture.nc")
+    assert again.posterior.equals(trace.posterior)
+
+
+def test_a_fast_function_is_called_itself(tmp_path):
+    written(tmp_path, 0.0)
+    done = run(tmp_path / "storeys.toml", "--out", tmp_path / "a", "--no-report", *LENGTH)
+    assert done.exit_code == 0, done.output
+    assert "Gaussian" not in done.output
+    assert "surrogate_solves" not in fmu.load_trace(tmp_path / "a" / "mixture.nc").attrs
+    assert json.loads((tmp_path / "a" / "run.json").read_text())["orders"]["surrogate"] is False
+
+
+def test_a_model_with_matrices_is_refused(tmp_path):
+    done = run("shear-2dof", "--surrogate", "--out", tmp_path / "a", *LENGTH)
+    assert done.exit_code == 2
+    assert "a model with matrices has a reduced model" in done.stderr
