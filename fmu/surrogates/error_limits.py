@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, norm, trim_mean
+from scipy.stats import chi2
 
 from fmu.types import FloatArray
 
 LEVEL = 0.95
+HEAVY = 6.0
+"""Kurtosis of errors that are Gaussian with a standard deviation that differs from draw to draw."""
 
 
 class ErrorLimits(NamedTuple):
@@ -55,9 +57,10 @@ def upper_shift(errors: FloatArray) -> float:
     """Return the 95 % upper limit of how far e moves posterior means, in posterior standard deviations.
 
     The true posterior has the weight w = exp(e)/E[exp(e)] beside the surrogate's, and moves the mean of θ by
-    Cov(θ, w) ≤ sd(θ) sd(w). To first order sd(w) is sd(e); the larger of the two counts. Its limit is the larger
-    of that of chi-square, for Gaussian e, and that of Bonett (2006, *Comput. Stat. Data Anal.* 50, 775–782, eq.
-    4), for e of any kurtosis.
+    Cov(θ, w) ≤ sd(θ) sd(w). To first order sd(w) is sd(e); the larger of the two counts. Its limit is that of a
+    variance with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114), ν = 2n/(κ −
+    (n − 3)/(n − 1)), for the kurtosis κ of the sample, or `HEAVY` if that is larger: few draws do not tell that
+    the errors are Gaussian.
 
     Parameters
     ----------
@@ -72,10 +75,6 @@ def _upper_sd(values: FloatArray) -> float:
     variance = float(np.var(values, ddof=1))
     if variance == 0.0:
         return 0.0
-    gaussian = np.sqrt((n - 1) * variance / chi2.ppf(1.0 - LEVEL, n - 1))
-    z = norm.ppf(LEVEL)
-    centre = trim_mean(values, 0.5 / np.sqrt(n - 4.0))
-    kurtosis = n * np.sum((values - centre) ** 4) / ((n - 1) * variance) ** 2
-    c = n / (n - z)
-    se = c * np.sqrt(max(kurtosis - (n - 3.0) / n, 0.0) / (n - 1.0))
-    return float(max(gaussian, np.sqrt(c * variance * np.exp(z * se))))
+    kurtosis = n * np.sum((values - values.mean()) ** 4) / ((n - 1) * variance) ** 2
+    freedom = 2.0 * n / (max(kurtosis, HEAVY) - (n - 3.0) / (n - 1.0))
+    return float(np.sqrt(freedom * variance / chi2.ppf(1.0 - LEVEL, freedom)))

@@ -16,8 +16,8 @@ def test_the_limit_of_the_standard_deviation_holds_in_95_of_100(draw):
         "squares": lambda: (rng.standard_normal(12) ** 2 - 1.0) / np.sqrt(2.0),
     }[draw]
     held = np.mean([upper_shift(sd * of()) >= sd for _ in range(1000)])
-    # Bonett's interval is short of its level for very skewed errors
-    assert held > (0.75 if draw == "squares" else 0.90 if draw == "laplace" else 0.93)
+    # of errors as skewed as squares twelve draws tell too little
+    assert held > (0.85 if draw == "squares" else 0.94)
 
 
 def test_a_constant_error_moves_nothing():
