@@ -33,6 +33,16 @@ NEEDS = {
 """What a kind's template runs, and whether it is here."""
 
 
+def fitted(problem):
+    """Fit the frequencies by three Gauss-Newton steps; a search would run a program two thousand times."""
+    theta, sd = problem.start, problem.likelihood.error.sd
+    for _ in range(3):
+        found, slopes = problem.model.frequencies_and_gradient(theta[None])
+        off = (problem.data.frequencies_hz - found[0]) / sd
+        theta = theta + np.linalg.lstsq(slopes[0] / np.reshape(sd, (-1, 1)), off)[0]
+    return theta
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_loads_checks_and_runs(kind, tmp_path):
     is_here, program = NEEDS.get(kind, (True, ""))
@@ -41,10 +51,8 @@ def test_it_loads_checks_and_runs(kind, tmp_path):
     problem = fmu.load(write_template(kind, tmp_path / "new"))
     found = fmu.check(problem, draws=20)
     assert found.doubts == ()
-    maxima = fmu.find_map(problem, starts=2 if kind == "command" else 8)
-    sd = np.max(
-        np.abs(problem.frequencies(maxima[0].theta) - problem.data.frequencies_hz) / problem.likelihood.error.sd
-    )
+    best = fitted(problem) if kind == "command" else fmu.find_map(problem, starts=8)[0].theta
+    sd = np.max(np.abs(problem.frequencies(best) - problem.data.frequencies_hz) / problem.likelihood.error.sd)
     assert sd < 3.0  # the model fits the modes that it comes with
     if kind == "command":  # 8000 runs of a program: tests/config/test_command_table.py samples with fewer
         return
