@@ -94,7 +94,7 @@ $(READY_BENCH): $(READY)
 WITHOUT_CCX := $(shell command -v ccx >/dev/null || echo --ignore=notebooks/06-from-another-program.ipynb)
 
 notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they are
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --nbmake --nbmake-timeout=300 notebooks $(WITHOUT_CCX)
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --dist=worksteal --nbmake --nbmake-timeout=300 notebooks $(WITHOUT_CCX)
 
 notebooks-save: $(READY)  ## Run the notebooks and keep what they show
 	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter nbconvert --to notebook --execute --inplace \
