@@ -93,8 +93,11 @@ $(READY_BENCH): $(READY)
 # One of them runs CalculiX.
 WITHOUT_CCX := $(shell command -v ccx >/dev/null || echo --ignore=notebooks/06-from-another-program.ipynb)
 
+# The longest first: the others run beside it.
+LONGEST := notebooks/02-samplers-compared.ipynb
+
 notebooks: $(READY)  ## Run the notebooks top to bottom and leave them as they are
-	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --dist=worksteal --nbmake --nbmake-timeout=300 notebooks $(WITHOUT_CCX)
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto --dist=worksteal --nbmake --nbmake-timeout=300 $(LONGEST) notebooks $(WITHOUT_CCX)
 
 notebooks-save: $(READY)  ## Run the notebooks and keep what they show
 	OPENBLAS_NUM_THREADS=1 .venv/bin/jupyter nbconvert --to notebook --execute --inplace \
