@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -209,6 +209,17 @@ class UpdatingProblem:
         other = copy(self)
         other.data = replace(self.data, use=tuple(label in labels for label in self.data.labels))
         other.likelihood = self.likelihood.using(other.data.used)
+        other._failed = FailureRecord()
+        return other
+
+    def coarser(self, share: float) -> UpdatingProblem:
+        """Return the same problem with a model by only a share of its reduced basis, if it has one.
+
+        A solve takes less time and is less accurate: for what may be approximate, such as proposals.
+        """
+        other, likelihood = copy(self), cast("Any", copy(self.likelihood))
+        other.model = likelihood.model = self.model.coarser(share)
+        other.likelihood = likelihood
         other._failed = FailureRecord()
         return other
 

@@ -9,10 +9,11 @@ from scipy.stats import norm
 import fmu
 from fmu.analysis.held_out import modes
 from fmu.analysis.held_out.modes import with_left_out
-from fmu.analysis.held_out.refit import approximation, left_out
+from fmu.analysis.held_out.refit import _cheaper, approximation, left_out
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
 from tests.two_storeys import left_out as by_quadrature
 
 pytestmark = pytest.mark.usefixtures("refits")
@@ -200,6 +201,36 @@ def test_a_problem_with_other_modes_shares_the_model(problem):
 def test_modes_that_cannot_be_used(problem, labels, message):
     with pytest.raises(ValueError, match=message):
         problem.using(labels)
+
+
+@pytest.mark.parametrize("pairing", ["shape", "index"])
+def test_chains_for_proposals_take_a_part_of_the_basis(pairing):
+    problem = fmu.cases.load("cantilever-young", pairing=pairing)
+    theta, sizes = problem.sample_prior(np.random.default_rng(6), 256), problem.model.reduced_sizes
+    before, scaled = problem.log_prob(theta), ScaledDensity(problem)
+    u = scaled.to_scaled(theta)
+    coarse = _cheaper(problem, u, scaled.log_prob(u))
+    assert sum(coarse.model.reduced_sizes) < 0.8 * sum(sizes)
+    np.testing.assert_allclose(coarse.frequencies(theta), problem.frequencies(theta), rtol=1e-3)
+    assert not np.array_equal(coarse.log_prob(theta), before)
+    values, slopes = coarse.log_prob_and_grad(theta[:1])
+    step = 1e-5 * problem.scale[0] * np.eye(problem.ndim)[0]
+    ahead, behind = coarse.log_prob(theta[:1] + step), coarse.log_prob(theta[:1] - step)
+    assert slopes[0, 0] * 2 * step[0] == pytest.approx(ahead[0] - behind[0], rel=1e-3)
+    assert values[0] == pytest.approx(coarse.log_prob(theta[0]), rel=1e-9)
+    assert problem.model.reduced_sizes == sizes  # the problem itself is as it was
+    np.testing.assert_array_equal(problem.log_prob(theta), before)
+
+
+def test_chains_for_proposals_keep_a_basis_of_which_all_matters(problem):
+    rng, nowhere = np.random.default_rng(7), np.empty((0, 2))
+    assert _cheaper(problem, nowhere, np.empty(0)) is problem  # no basis
+    building = fmu.cases.load("shear-10dof")
+    assert _cheaper(building, nowhere, np.empty(0)) is building  # a basis of all unknowns
+    young = fmu.cases.load("cantilever-young")
+    u = ScaledDensity(young).to_scaled(young.sample_prior(rng, 256))
+    elsewhere = ScaledDensity(young).log_prob(u) + rng.standard_normal(256)
+    assert _cheaper(young, u, elsewhere) is young  # log P would change
 
 
 @pytest.mark.parametrize("pairing", ["shape", "soft"])

@@ -43,11 +43,16 @@ _PILOT = 512
 _FITS = 2
 _WIDER = (1.0, 2.0)
 _FLATTER = 4.0
-_FIRST = 512
-_ROUNDS, _RESAMPLED = (6000, 6000, 20_000, 20_000, 60_000), 2048
+_FIRST, _FIRST_IN_ALL = 128, 2560
+"""Draws of each proposal before the first look at the error, and at least of all proposals together."""
+_FAIR = 10_000
+"""Draws after which an error that is accepted is not made smaller."""
+_ROUNDS, _RESAMPLED = (12_000, 12_000, 20_000, 20_000, 60_000), 2048
 _GROUPS, _A_GROUP = 8, 20
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
+_SHARE, _COMPARED, _SLIGHT = 2.0 / 3.0, 128, 0.5
+"""Share of the basis for chains that make proposals; points at which log P is compared, and the change allowed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +142,20 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
     log_w -= logsumexp(log_w)
     if np.exp(-logsumexp(2.0 * log_w)) >= _EVEN * len(log_w):
         return Approximation(models, [])
-    walked = _walked(problem, u[last], log_w, rng)
+    walked = _walked(_cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
     return Approximation(models, _groups(walked, np.zeros(len(walked)), rng))
+
+
+def _cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
+    """Return the problem by `_SHARE` of the reduced basis, if log P at the highest of its points hardly changes.
+
+    Chains on it are for proposals, which need not be exact.
+    """
+    if problem.model.coarser(_SHARE) is problem.model:
+        return problem
+    coarse, highest = problem.coarser(_SHARE), np.argsort(log_p)[-_COMPARED:]
+    changes = np.abs(ScaledDensity(coarse).log_prob(u[highest]) - log_p[highest])
+    return coarse if np.median(changes) <= _SLIGHT else problem
 
 
 def _walked(problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -163,10 +180,10 @@ def left_out(
     log p(y_k | y_-k) = log Z - log Z_-k. Both evidences come from the same draws, from the mixture of the
     Gaussians around the maxima of both posteriors, of wider ones and of the prior. Where the two hardly overlap,
     the measurement lies far out in the tail of its prediction, which draws of the posterior without the mode alone
-    do not reach. The number of draws is doubled until the standard error is `ERROR`. If the weights are not
-    reliable, the quadratics are fitted anew to all of these draws, which are also divided into groups of
-    neighbours; draws of a new mixture, of the Gaussians of all groups too, replace them. That is for posteriors
-    far from Gaussian, as along a bent ridge.
+    do not reach. The number of draws is doubled until the standard error is `ERROR`, or `ACCEPTED` where they
+    would become many. If the weights are not reliable, the quadratics are fitted anew to all of these draws, which
+    are also divided into groups of neighbours; draws of a new mixture, of the Gaussians of all groups too, replace
+    them. That is for posteriors far from Gaussian, as along a bent ridge.
 
     Parameters
     ----------
@@ -207,11 +224,12 @@ def _drawn(
     def evaluated(u: FloatArray) -> FloatArray:
         return _both(without, whole, scaled.to_theta(u))
 
-    u, log_q = mixture_draws(proposals, rng, _FIRST)
+    u, log_q = mixture_draws(proposals, rng, max(_FIRST, _FIRST_IN_ALL // len(proposals)))
     values = np.concatenate(by_parts("importance sampling", evaluated, u))
     while True:
         found = _compared(scaled.to_theta(u), values, log_q)
-        if (found.error <= ERROR and found.effective >= _EFFECTIVE) or 2 * len(u) > most:
+        is_accepted = found.error <= ACCEPTED and found.effective >= _EFFECTIVE
+        if (is_accepted and (found.error <= ERROR or 2 * len(u) > _FAIR)) or 2 * len(u) > most:
             return found, values[:, :2].T
         more, more_q = mixture_draws(proposals, rng, len(u) // len(proposals))
         u, log_q = np.concatenate([u, more]), np.concatenate([log_q, more_q])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -128,6 +131,10 @@ class ModalModel:
         """Return the structures given by their matrices that it consists of; none if it is of another kind."""
         structure = self.as_structure()
         return () if structure is None else (structure,)
+
+    def coarser(self, share: float) -> Self:
+        """Return a cheaper and less accurate model, by a share of the reduced basis; itself if there is none."""
+        return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
         """Return what `of` makes of each structure and its own parameters, for every measured mode.
@@ -349,6 +356,34 @@ class PairedStructure(ModalModel):
         """Return the model itself."""
         return self
 
+    def coarser(self, share: float) -> Self:
+        """Return the model with the leading vectors of each basis only, which carry most of the modes.
+
+        Parameters
+        ----------
+        share : float
+            The share of the vectors. A basis of as many vectors as its block has unknowns keeps all of them.
+
+        Returns
+        -------
+        PairedStructure
+            This model itself, if nothing is left out.
+        """
+
+        def leading(block: Any, size: int) -> Any:
+            few = max(block.n_trained, math.ceil(share * block.size))
+            return block.truncated(few) if block.is_reduced and few < block.size < size else block
+
+        if self.reduced is None:
+            return self
+        sizes = [block.size for block in self.full.blocks]
+        blocks = tuple(leading(block, size) for block, size in zip(self.reduced.blocks, sizes, strict=True))
+        if all(one is other for one, other in zip(blocks, self.reduced.blocks, strict=True)):
+            return self
+        other = copy.copy(self)
+        other._answer_by(replace(self.reduced, blocks=blocks))
+        return other
+
     def train(
         self,
         lower: FloatArray,
@@ -541,16 +576,20 @@ class PairedStructure(ModalModel):
         }
 
     def _install(self, trained: Trained) -> None:
-        self.reduced, self.pairing, self.confirmed = trained.model, trained.pairing, trained.confirmed
-        largest = max(self.reduced_sizes, default=1)
-        self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
+        self.pairing, self.confirmed = trained.pairing, trained.confirmed
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
-        self._solve_reduced = trained.pairing.bind(trained.model)
         self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper, trained.anchors)
-        self._see_reduced = SensorView(trained.model, self._solve_reduced, self._sensors)
+        self._answer_by(trained.model)
+
+    def _answer_by(self, reduced: BlockModel) -> None:
+        self.reduced = reduced
+        largest = max(self.reduced_sizes, default=1)
+        self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
+        self._solve_reduced = self.pairing.bind(reduced)
+        self._see_reduced = SensorView(reduced, self._solve_reduced, self._sensors)
         if self.rule.by_shape:
-            self._reduced_candidates = CandidateView(trained.model, self.rule, self._at_sensors)
+            self._reduced_candidates = CandidateView(reduced, self.rule, self._at_sensors)
         self.full_solves = 0
 
     def _reduced_modes(self, theta: FloatArray, gradient: bool) -> ModalSolution:
