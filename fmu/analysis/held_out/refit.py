@@ -45,8 +45,10 @@ _WIDER = (1.0, 2.0)
 _FLATTER = 4.0
 _FIRST, _FIRST_IN_ALL = 128, 2560
 """Draws of each proposal before the first look at the error, and at least of all proposals together."""
-_FAIR = 10_000
-"""Draws after which an error that is accepted is not made smaller."""
+_FAIR, _TELLING = 10_000, 3000
+"""Draws after which an error that is accepted is not made smaller, and that tell whether more would be enough."""
+_LEAST = 6000
+"""Solves left without which no other round begins."""
 _ROUNDS, _RESAMPLED = (12_000, 12_000, 20_000, 20_000, 60_000), 2048
 _GROUPS, _A_GROUP = 8, 20
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
@@ -202,7 +204,7 @@ def left_out(
         gaussians = [*models[0], *models[1], *groups]
         found, log_p = _drawn(without, whole, gaussians, rng, min(most, limit))
         most -= len(found.theta)
-        if (found.predicts and found.is_known) or most < _ROUNDS[0]:
+        if (found.predicts and found.is_known) or most < _LEAST:
             break
         u = scaled.to_scaled(found.theta)
         models = [_fitted(of, u, values) for of, values in zip(models, log_p, strict=True)]
@@ -217,7 +219,10 @@ def _drawn(
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
-    """Return the comparison by as many draws as it takes, up to `most`, and log P of both (2, n)."""
+    """Return the comparison by as many draws as it takes, up to `most`, and log P of both (2, n).
+
+    Where even `most` would be too few, it ends early: a mixture that fits better is needed.
+    """
     scaled = ScaledDensity(whole)
     proposals: list[Proposal] = [*_proposals(models, scaled, _WIDER), _Prior(whole, scaled)]
 
@@ -229,7 +234,10 @@ def _drawn(
     while True:
         found = _compared(scaled.to_theta(u), values, log_q)
         is_accepted = found.error <= ACCEPTED and found.effective >= _EFFECTIVE
-        if (is_accepted and (found.error <= ERROR or 2 * len(u) > _FAIR)) or 2 * len(u) > most:
+        is_done = is_accepted and (found.error <= ERROR or 2 * len(u) > _FAIR)
+        more_times = most / len(u)
+        is_hopeless = found.error > ACCEPTED * np.sqrt(more_times) and found.effective * more_times < _EFFECTIVE
+        if is_done or (is_hopeless and len(u) >= _TELLING) or 2 * len(u) > most:
             return found, values[:, :2].T
         more, more_q = mixture_draws(proposals, rng, len(u) // len(proposals))
         u, log_q = np.concatenate([u, more]), np.concatenate([log_q, more_q])
