@@ -217,9 +217,9 @@ class UpdatingProblem:
 
         A solve takes less time and is less accurate: for what may be approximate, such as proposals.
         """
-        other, likelihood = copy(self), cast("Any", copy(self.likelihood))
-        other.model = likelihood.model = self.model.coarser(share)
-        other.likelihood = likelihood
+        other, likelihood = copy(self), cast("Any", self.likelihood)
+        other.model = self.model.coarser(share)
+        other.likelihood = likelihood.of_model(other.model)
         other._failed = FailureRecord()
         return other
 
