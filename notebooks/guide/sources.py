@@ -44,6 +44,8 @@ notebooks/guide/own-structure
 notebooks/guide/own-error-model
 notebooks/guide/own-sampler
 notebooks/guide/cluster
+notebooks/guide/theory
+notebooks/guide/glossary
 ```
 
 ```{toctree}
@@ -115,9 +117,14 @@ def imported(file: str) -> list[tuple[str, str]]:
     return [(line.module or "", alias.name) for line in lines for alias in line.names]
 
 
-def title(text: str) -> str:
-    """Return a title in reStructuredText."""
-    return f"{text}\n{'=' * len(text)}\n\n"
+def title(text: str, above: str = "") -> str:
+    """Return a title in reStructuredText.
+
+    A page below another one has a link to it and is in no table of contents: the theme writes that on every page, and
+    building it took more than half of the time when it listed all names.
+    """
+    head = f":orphan:\n\n:doc:`{above}`\n\n" if above else ""
+    return f"{head}{text}\n{'=' * len(text)}\n\n"
 
 
 def page_of(name: str) -> str:
@@ -128,7 +135,7 @@ def page_of(name: str) -> str:
     options = "   :members:\n   :show-inheritance:\n" if kind == "class" else ""
     if kind == "data" and hasattr(thing, "__path__"):
         kind, options = "module", "   :members:\n"
-    return f"{title(name)}.. currentmodule:: {module}\n\n.. auto{kind}:: {name}\n{options}"
+    return f"{title(name, 'index')}.. currentmodule:: {module}\n\n.. auto{kind}:: {name}\n{options}"
 
 
 def index() -> str:
@@ -139,7 +146,6 @@ def index() -> str:
         own = [name for room in rooms for name, home in names.items() if home == room]
         parts.append(f"{heading}\n{'-' * len(heading)}\n\n.. autosummary::\n   :nosignatures:\n\n")
         parts.append("".join(f"   {name}\n" for name in own) + "\n")
-    parts.append(".. toctree::\n   :hidden:\n\n" + "".join(f"   {name}\n" for name in names))
     return "".join(parts)
 
 
@@ -166,8 +172,8 @@ def modules(source: Path) -> str:
         if file:
             found.add(file)
     for name in found:
-        page = f"{title(name)}.. automodule:: {name}\n   :members:\n"
+        page = f"{title(name, 'modules')}.. automodule:: {name}\n   :members:\n"
         (source / "api").mkdir(exist_ok=True)
         (source / "api" / f"{name}.rst").write_text(page, encoding="utf-8")
-    listed = "".join(f"   {name}\n" for name in sorted(found))
-    return f"{title('Modules behind the formulas')}.. toctree::\n   :maxdepth: 1\n\n{listed}"
+    listed = "".join(f"- :doc:`{name}`\n" for name in sorted(found))
+    return f"{title('Modules behind the formulas')}{listed}"
