@@ -31,7 +31,7 @@ DEFAULT_SAMPLER = "mixture"
 """The sampler that gave most on every density that it was compared on, with gradients and without.
 
 Smallest bulk ESS per evaluation after a warm-up of 1000 steps, a gradient as 1.9 of them, of the mixture and of
-HMC: 0.45 and 0.05 on cantilever-young, 0.69 and 0.05 on cantilever-section by number, 0.59 and 0.02 on
+HMC: 0.54 and 0.05 on cantilever-young, 0.77 and 0.05 on cantilever-section by number, 0.59 and 0.02 on
 shear-2dof, 0.06 and 0.06 on shear-10dof, which took 20 000 and 35 000 evaluations to converge. Smallest of bulk
 and tail ESS per evaluation on plain densities without known maxima, such as a banana, two modes and a funnel:
 0.20 to 0.75, and 0.03 to 0.20 by HMC; on four of them with gradients hidden 0.26 to 0.76, and 0.05 to 0.14 by
