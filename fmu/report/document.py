@@ -1,22 +1,17 @@
-"""What a page of a report consists of, and figures as SVG inside it; the templates say how it looks."""
+"""What a page of a report consists of; the templates say how it looks."""
 
 from __future__ import annotations
 
-import base64
-import io
-import re
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
+from fmu.report.figure_data import figure_data
 from fmu.report.packed import packed
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from fmu.report.svg import inline_svg
 
 
 @dataclass(frozen=True)
@@ -92,12 +87,23 @@ class Picture:
     caption : str
     width : int
         Its natural width in CSS pixels.
+    name : str
+        Of the files in which a reader keeps it.
+    content : mapping
+        Its numbers for the script ``figures.js``, see `fmu.report.figure_data`; empty if there are none.
     """
 
     kind: ClassVar[str] = "picture"
     svg: Markup
     caption: str
     width: int
+    name: str = "figure"
+    content: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def packed(self) -> str:
+        """The content as the script reads it."""
+        return packed(self.content)
 
 
 @dataclass(frozen=True)
@@ -243,15 +249,7 @@ class Page:
     drawing: str = ""
 
 
-RASTER_DPI = 110
-"""Resolution of the parts drawn as pixels: paths and clouds of many points."""
-_COLOURS = 32
 _CSS_PER_INCH = 96
-_SVG_DPI = 72
-_ARRANGED = {"figure.autolayout": False, "figure.constrained_layout.use": False}
-_TAG = re.compile(r"<[^>]*>")
-"""Matplotlib writes the angle brackets of names as entities."""
-_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 def breaking_at_commas(text: str) -> str:
@@ -259,7 +257,7 @@ def breaking_at_commas(text: str) -> str:
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 
-def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
+def picture(axes: Any, key: str, alt: str, caption: str, data: Mapping[str, Any] | None = None) -> Picture:
     """Return the figure of some axes as a picture on a page.
 
     Parameters
@@ -272,72 +270,10 @@ def picture(axes: Any, key: str, alt: str, caption: str) -> Picture:
         What the figure shows, in words and numbers.
     caption : str
         The text below it.
+    data : mapping, optional
+        Its content, if not what `figure_data` reads from it.
     """
     figure = np.ravel(axes)[0].figure
-    return Picture(inline_svg(figure, key, alt), caption, round(_CSS_PER_INCH * figure.get_figwidth()))
-
-
-def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
-    """Return a figure as an SVG element with selectable text, unique ids and no style sheet.
-
-    Raises
-    ------
-    ValueError
-        If `alt` is empty: readers who cannot see the figure would learn nothing.
-    """
-    import matplotlib as mpl
-
-    if not alt.strip():
-        raise ValueError("alt: must describe the figure (got nothing)")
-    file = io.StringIO()
-    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": key} | _ARRANGED
-    with mpl.rc_context(settings), warnings.catch_warnings():
-        # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
-        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
-        _arrange(figure)
-        figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
-    text = file.getvalue()
-    body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
-    # A style inside an SVG would apply to the whole page.
-    body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
-    body = re.sub(r"\s*\n\s*", " ", body)
-    used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
-    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change tags only, not text
-    width, height = (72.0 * size for size in figure.get_size_inches())
-    return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
-
-
-def _arrange(figure: Figure) -> None:
-    """Place the axes for good. Matplotlib places them the same, but draws the whole figure once more to do so."""
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        FigureCanvasSVG(figure)  # from now on the canvas of the figure: it says how large text is
-        figure.dpi = _SVG_DPI
-        engine.execute(figure)
-        figure.set_layout_engine(None)
-
-
-def _clean(tag: str, key: str, used: set[str]) -> str:
-    """Return a tag without font names, with short numbers, and with the prefix before ids that are referenced."""
-    tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
-    tag = re.sub(r' (?:d|x|y|transform|points)="[^"]*"', _rounded, tag)
-    tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
-    tag = re.sub(r' id="([^"]*)"', lambda match: f' id="{key}-{match[1]}"' if match[1] in used else "", tag)
-    return re.sub(r"(url\(#|href=\"#)", rf"\g<1>{key}-", tag)
-
-
-def _rounded(attribute: re.Match[str]) -> str:
-    """Write coordinates to a hundredth of a point."""
-    return re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
-
-
-def _fewer_colours(data: re.Match[str]) -> str:
-    """Store the pixels with a palette, which takes a quarter of the space."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    with Image.open(io.BytesIO(base64.b64decode(data[0]))) as pixels:
-        pixels.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE).save(file, "PNG", optimize=True)
-    return base64.b64encode(file.getvalue()).decode()
+    svg = inline_svg(figure, key, alt)
+    content = figure_data(figure) if data is None else data
+    return Picture(svg, caption, round(_CSS_PER_INCH * figure.get_figwidth()), key, content)

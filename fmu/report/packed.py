@@ -73,7 +73,9 @@ def _rounded(content: Rounded, arrays: list[bytes]) -> dict[str, Any]:
     known = np.isfinite(x)
     low, high = (float(x[known].min()), float(x[known].max())) if known.any() else (0.0, 0.0)
     middle, step = 0.5 * (low + high), (high - low) / (2 * (missing - 1)) or 1.0
-    if low <= 0.0 <= high:  # zero, which is most of many shapes, stays zero
+    if np.array_equal(x[known], np.rint(x[known])) and max(high, -low) < missing:
+        middle, step = 0.0, 1.0
+    elif low <= 0.0 <= high:  # zero, which is most of many shapes, stays zero
         middle, step = 0.0, max(high, -low) / (missing - 1) or 1.0
     levels = np.where(known, np.rint((np.where(known, x, middle) - middle) / step), missing)
     return _kept(levels.astype(_INTEGERS[content.bits]), arrays) | {"middle": middle, "step": step}

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 INDEX = "index"
-_SCRIPTS = ("data.js", "structure.js", "start.js")
+_SCRIPTS = ("data.js", "structure.js", "figures.js", "pairs.js", "tables.js", "start.js")
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
@@ -228,5 +228,5 @@ def _script() -> tuple[Markup, str]:
     """Return the script of all pages, and the hash by which browsers run it and no other."""
     files = resources.files("fmu.report") / "templates"
     parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
-    text = f'"use strict";\n{"".join(parts)}'
+    text = re.sub(r"^\s+|^//.*\n", "", f'"use strict";\n{"".join(parts)}', flags=re.MULTILINE)
     return Markup(text), f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"

@@ -11,8 +11,9 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from fmu.report.document import inline_svg, picture
+from fmu.report.document import picture
 from fmu.report.plots.style import new_figure
+from fmu.report.svg import inline_svg
 
 
 def images(svg):
@@ -52,7 +53,7 @@ def test_axes_are_placed_as_matplotlib_places_them(figure, monkeypatch):
     monkeypatch.setattr(Figure, "draw", lambda self, renderer: draws.append(draw(self, renderer)))
     svg = inline_svg(figure, "a", "x")
     assert len(draws) == 1
-    monkeypatch.setattr("fmu.report.document._arrange", lambda figure: None)
+    monkeypatch.setattr("fmu.report.svg._arrange", lambda figure: None)
     assert inline_svg(other, "a", "x") == svg
     assert len(draws) == 3
 
@@ -93,7 +94,7 @@ def test_coordinates_are_short(figure):
 def test_pixels_have_a_palette_and_look_the_same(figure, monkeypatch):
     (pixels,) = images(inline_svg(figure, "a", "x"))
     assert pixels.mode == "P"
-    monkeypatch.setattr("fmu.report.document._fewer_colours", lambda data: data[0])
+    monkeypatch.setattr("fmu.report.svg._fewer_colours", lambda data: data[0])
     (original,) = images(inline_svg(figure, "a", "x"))
     few, all_ = (np.asarray(image.convert("RGBA"), dtype=float) for image in (pixels, original))
     assert np.abs(few - all_).mean() < 4.0

@@ -115,7 +115,7 @@ def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
     every = max(1, paths.shape[1] // _MAX_POINTS)
     steps = np.arange(1, paths.shape[1] + 1)[::every]
     for path, shade in reversed(list(zip(paths, chain_colours(trace), strict=True))):
-        axes.plot(steps, path[::every], color=shade, linewidth=0.7, rasterized=True)
+        axes.plot(steps, path[::every], color=shade, linewidth=0.7, rasterized=True, antialiased=False)
     if warm.shape[1]:
         axes.axvspan(0, warm.shape[1], color=PALE, zorder=0, linewidth=0)
     low, high = kept.min(), kept.max()

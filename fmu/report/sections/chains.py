@@ -11,6 +11,7 @@ from fmu.analysis.convergence.effective import energy_fraction
 from fmu.analysis.trace.reading import array_of, has, parameter_draws
 from fmu.numbers import decimals, fixed, given, interval, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
+from fmu.report.figure_data import linked_draws
 from fmu.report.plots.chains import (
     plot_autocorrelation,
     plot_energy,
@@ -148,6 +149,7 @@ def pairs(run: ReportedRun) -> PageSection | Omitted:
         "corner",
         f"Marginals and pairs of {', '.join(names)}. {words}",
         f"Regions with 50 % and 90 % of the draws. {words}".strip(),
+        linked_draws(axes, run.trace, names),
     )
     return PageSection("pairs", title, (*parts, drawing))
 

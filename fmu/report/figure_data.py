@@ -1,0 +1,198 @@
+"""The numbers of a figure, read from what matplotlib draws: for the pointer, for zooming, and for CSV.
+
+Matplotlib is the one renderer: its SVG is what is printed and what the script answers on, so that both have the same
+numbers. uPlot (50 kB) would draw every figure a second time and gives no SVG; Observable Plot with D3, Vega-Lite and
+Plotly's basic bundle take from half of the 700 kB of a page to all of them, and draw the figures a second time, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.trace.reading import array_of, has, mode_names
+from fmu.report.plots.style import unit_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MOST = 8_000
+"""Ordinates that a page keeps of a figure; of longer paths only every second point, every third …"""
+_MOST_DRAWN = 14_000
+"""Numbers of the draws that a page keeps beside their pairs."""
+_POINTS = 72.0
+
+
+def figure_data(figure: Figure) -> dict[str, Any]:
+    """Return the panels of a figure whose axes are placed for good.
+
+    Returns
+    -------
+    dict
+        ``panels``: of each ``box`` (left, top, width, height in points from the upper left), ``x`` and ``y``
+        (range, label, whether logarithmic, names of places), ``title``, and ``series``, each with ``label``,
+        ``colour``, ``kind`` (``"path"``, ``"points"``, ``"spans"`` or ``"cells"``), ``x``, ``y``, and of spans
+        ``high``, of cells ``values``. ``every``: the distance of the points of paths that are kept.
+    """
+    from matplotlib.colors import to_hex
+    from matplotlib.lines import Line2D
+
+    names = {
+        to_hex(handle.get_color()): plain(text.get_text())
+        for legend in figure.legends
+        for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=False)
+        if isinstance(handle, Line2D)
+    }
+    n = sum(len(np.asarray(line.get_xdata())) for axes in figure.axes for line in _paths(axes))
+    every = max(1, -(-n // _MOST))
+    found = (
+        (axes, _series(axes, names, every)) for axes in figure.axes if axes.axison
+    )  # drawings have no numbers
+    return {"every": every, "panels": [_panel(axes) | {"series": series} for axes, series in found if series]}
+
+
+def linked_draws(axes: NDArray[Any], trace: xr.DataTree, names: Sequence[str]) -> dict[str, Any]:
+    """Return draws and the frequencies of the model at them, for the panels of `plot_corner`.
+
+    Parameters
+    ----------
+    axes : ndarray of Axes, shape (n, n)
+    trace : xarray.DataTree
+    names : sequence of str
+        The n parameters that are drawn.
+
+    Returns
+    -------
+    dict
+        ``pairs``: ``panels`` as in `figure_data`, n² of them; ``names``, ``units``; ``columns``, the draws of each
+        parameter; ``modes``, each with ``label``, ``hz`` at the draws, and the ``measured`` frequency.
+    """
+    units = [unit_of(trace, name) for name in names]
+    draws = [
+        trace["posterior"][name].to_numpy().ravel() / unit.factor for name, unit in zip(names, units, strict=True)
+    ]
+    has_hz = has(trace, "posterior_predictive", "model_frequency") and has(trace, "observed_data", "frequency")
+    hz = array_of(trace, "posterior_predictive", "model_frequency") if has_hz else np.zeros((1, len(draws[0]), 0))
+    hz = hz.reshape(len(draws[0]), -1)
+    every = -(-len(hz) * (len(names) + hz.shape[1]) // _MOST_DRAWN)
+    measured = np.asarray(trace["observed_data"]["frequency"]) if has_hz else np.zeros(0)
+    modes = [
+        {"label": label, "hz": of_mode, "measured": float(value)}
+        for label, of_mode, value in zip(mode_names(trace) if has_hz else (), hz[::every].T, measured, strict=True)
+    ]
+    return {
+        "pairs": {
+            "panels": [_panel(one) for one in axes.ravel()],
+            "names": list(names),
+            "units": [unit.name for unit in units],
+            "columns": [column[::every] for column in draws],
+            "modes": modes,
+        }
+    }
+
+
+def _panel(axes: Axes) -> dict[str, Any]:
+    """Return box, title and axes of a panel."""
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        raise ValueError("axes: must be on a figure")
+    place, (width, height) = axes.get_position(), _POINTS * figure.get_size_inches()
+    return {
+        "box": (place.x0 * width, (1.0 - place.y1) * height, place.width * width, place.height * height),
+        "title": plain(axes.get_title() or axes.get_title("left")),
+        "x": _axis(axes.xaxis, axes.get_xlim(), _below(axes)),
+        "y": _axis(axes.yaxis, axes.get_ylim(), axes.get_ylabel()),
+    }
+
+
+def plain(text: str) -> str:
+    """Return a label in one line, as its author wrote it."""
+    return " ".join(text.replace(r"\\$", "$").replace(r"\$", "$").split())
+
+
+def _below(axes: Axes) -> str:
+    """Return the label of the abscissa; panels in a column share the lowest one's."""
+    together = axes.get_shared_x_axes().get_siblings(axes)
+    return axes.get_xlabel() or next((other.get_xlabel() for other in together if other.get_xlabel()), "")
+
+
+def _axis(axis: Any, limits: tuple[float, float], label: str) -> dict[str, Any]:
+    from matplotlib.ticker import FixedLocator, FuncFormatter
+
+    named, written = {}, axis.get_major_formatter()
+    if isinstance(axis.get_major_locator(), FixedLocator) and isinstance(
+        written, FuncFormatter
+    ):  # places, not values
+        named = {f"{place:g}": plain(name) for place in axis.get_majorticklocs() if (name := written(place))}
+    return {
+        "range": [float(x) for x in limits],
+        "label": plain(label),
+        "log": axis.get_scale() == "log",
+        "named": named,
+    }
+
+
+def _paths(axes: Axes) -> list[Any]:
+    """Return the lines of some axes that are data: not the marks at a value, whose ends are those of the axes."""
+    return [
+        line for line in axes.lines if line.get_transform() == axes.transData and len(np.asarray(line.get_xdata()))
+    ]
+
+
+def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, Any]]:
+    from matplotlib.collections import LineCollection, QuadMesh
+    from matplotlib.colors import to_hex
+
+    found: list[dict[str, Any]] = []
+
+    def add(artist: Any, kind: str, shade: Any, **numbers: NDArray[Any]) -> None:
+        colour = to_hex(shade)
+        label = str(artist.get_label())
+        label = names.get(colour, "") if label.startswith("_") else plain(label)
+        found.append({"label": label, "colour": colour, "kind": kind, **numbers})
+
+    for line in _paths(axes):
+        x, y = (np.asarray(values, dtype=float) for values in line.get_data())
+        is_path = line.get_linestyle() != "None"
+        step = every if is_path else 1
+        add(line, "path" if is_path else "points", line.get_color(), x=x[::step], y=y[::step])
+    for one in axes.collections:
+        if isinstance(one, LineCollection) and (segments := [s for s in one.get_segments() if len(s) == 2]):
+            ends = np.array(segments)
+            add(one, "spans", one.get_color()[0], x=ends[:, 0, 0], y=ends[:, 0, 1], high=ends[:, 1, 1])
+        elif isinstance(one, QuadMesh):
+            values = np.ma.filled(np.ma.asarray(one.get_array(), dtype=float), np.nan)
+            j, i = np.meshgrid(*(0.5 + np.arange(n) for n in values.shape[::-1]))
+            add(one, "cells", "#000000", x=j.ravel(), y=i.ravel(), values=values.ravel())
+    return found + _bars(axes)
+
+
+def _bars(axes: Axes) -> list[dict[str, Any]]:
+    """Return the ends of lying bars and the tops of standing ones; steps are standing bars without gaps."""
+    from matplotlib.colors import to_hex
+    from matplotlib.container import BarContainer
+
+    found = []
+    for bars in axes.containers:
+        if isinstance(bars, BarContainer) and len(bars.patches):
+            boxes = np.array(
+                [(bar.get_x(), bar.get_y(), bar.get_width(), bar.get_height()) for bar in bars.patches]
+            )
+            x, y, width, height = boxes.T
+            is_lying = bars.orientation == "horizontal"
+            label = str(bars.get_label())
+            found.append(
+                {
+                    "label": "" if label.startswith("_") else plain(label),
+                    "colour": to_hex(bars.patches[0].get_edgecolor()),
+                    "kind": "points",
+                    "x": x + width if is_lying else x + 0.5 * width,
+                    "y": y + 0.5 * height if is_lying else y + height,
+                }
+            )
+    return found

@@ -1,0 +1,151 @@
+"""Figures as SVG inside a page: described, small, with text as text and ids of their own."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import warnings
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup, escape
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RASTER_DPI = 96
+"""Resolution of the parts drawn as pixels: paths and clouds of many points."""
+_COLOURS = 32
+_SVG_DPI = 72
+_ARRANGED = {"figure.autolayout": False, "figure.constrained_layout.use": False}
+_TAG = re.compile(r"<[^>]*>")
+"""Matplotlib writes the angle brackets of names as entities."""
+_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+
+
+_STYLE = re.compile(r' style="[^"]*"')
+_SHORT_PATH = 12
+"""Lines of a path that are written in full."""
+_STRAIGHT = re.compile(r"[\dMLz eE.+-]*")
+
+
+def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
+    """Return a figure as an SVG element with selectable text, unique ids and no style sheet.
+
+    Raises
+    ------
+    ValueError
+        If `alt` is empty: readers who cannot see the figure would learn nothing.
+    """
+    import matplotlib as mpl
+
+    if not alt.strip():
+        raise ValueError("alt: must describe the figure (got nothing)")
+    file = io.StringIO()
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": key} | _ARRANGED
+    with mpl.rc_context(settings), warnings.catch_warnings():
+        # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
+        _arrange(figure)
+        figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
+    text = file.getvalue()
+    body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
+    # A style inside an SVG would apply to the whole page.
+    body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"\s*\n\s*", " ", body).replace("> <", "><")
+    used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
+    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change tags only, not text
+    body = _without_repetition(body)
+    width, height = (72.0 * size for size in figure.get_size_inches())
+    return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
+
+
+def _arrange(figure: Figure) -> None:
+    """Place the axes for good. Matplotlib places them the same, but draws the whole figure once more to do so."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        FigureCanvasSVG(figure)  # from now on the canvas of the figure: it says how large text is
+        figure.dpi = _SVG_DPI
+        engine.execute(figure)
+        figure.set_layout_engine(None)
+
+
+def _clean(tag: str, key: str, used: set[str]) -> str:
+    """Return a tag without font names, with short numbers, and with the prefix before ids that are referenced."""
+    tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
+    tag = re.sub(r' d="([^"]*)"', _short_path, tag)
+    tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _rounded, tag)
+    tag = re.sub(r' transform="rotate\(-0 [^"]*"', "", tag)
+    tag = re.sub(r'(?<=style=")[^"]*', lambda style: style[0].replace(": ", ":").replace("; ", ";"), tag)
+    tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
+    tag = re.sub(r' id="([^"]*)"', lambda match: f' id="{key}-{match[1]}"' if match[1] in used else "", tag)
+    return re.sub(r"(url\(#|href=\"#)", rf"\g<1>{key}-", tag)
+
+
+def _without_repetition(body: str) -> str:
+    """Leave out groups that say nothing, and the style of a symbol where it is used if the symbol has it."""
+    says_something: list[bool] = []
+    styles: dict[str, str] = {}
+
+    def shorter(match: re.Match[str]) -> str:
+        tag = match[0]
+        if tag == "<g/>":
+            return ""
+        if tag.startswith(("<g>", "<g ")):
+            says_something.append(tag != "<g>")
+            return tag if says_something[-1] else ""
+        if tag == "</g>":
+            return tag if says_something.pop() else ""
+        if tag.startswith(("<path id=", "<use ")) and (style := _STYLE.search(tag)):
+            name = tag.split('"')[1].removeprefix("#")
+            if tag.startswith("<path"):
+                styles[name] = style[0]
+            elif styles.get(name) == style[0]:
+                return tag.replace(style[0], "")
+        return tag
+
+    return _TAG.sub(shorter, body)
+
+
+def _rounded(attribute: re.Match[str]) -> str:
+    """Write coordinates to a hundredth of a point."""
+    return re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
+
+
+def _short_path(attribute: re.Match[str]) -> str:
+    """Write a path of straight lines relative to its last point: a long one to a tenth of a point."""
+    path = attribute[1]
+    if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):
+        return _rounded(attribute)
+    pieces, last = [], np.zeros(2, dtype=np.int64)
+    for piece in path.split("M")[1:]:
+        points = np.rint(10.0 * np.array(piece.replace("L", " ").replace("z", " ").split(), dtype=float))
+        points = points.astype(np.int64).reshape(-1, 2)
+        steps = np.diff(points, axis=0)
+        steps = steps[steps.any(axis=1)] if steps.any() else steps
+        moves = [_tenths(value) for value in [*(points[0] - last).tolist(), *steps.ravel().tolist()]]
+        closed = "z" if "z" in piece else ""
+        line = f"m{' '.join(moves[:2])}l{' '.join(moves[2:])}" if len(moves) > 2 else f"m{' '.join(moves)}l0 0"
+        pieces.append(line.replace(" -", "-") + closed)
+        last = points[0] if closed else points[-1]
+    return f' d="{"".join(pieces)}"'
+
+
+@cache
+def _tenths(value: int) -> str:
+    """Return a number of tenths as SVG needs it: ``".3"``, ``"-1.2"``, ``"4"``."""
+    return f"{value / 10:g}".replace("0.", ".", 1) if abs(value) < 10 else f"{value / 10:g}"
+
+
+def _fewer_colours(data: re.Match[str]) -> str:
+    """Store the pixels with a palette, which takes a quarter of the space."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(data[0]))) as pixels:
+        pixels.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE).save(file, "PNG", optimize=True)
+    return base64.b64encode(file.getvalue()).decode()
