@@ -1,8 +1,8 @@
 """The numbers of a figure, read from what matplotlib draws: for the pointer, for zooming, and for CSV.
 
-Matplotlib is the one renderer: its SVG is what is printed and what the script answers on, so that both have the same
-numbers. uPlot (50 kB) would draw every figure a second time and gives no SVG; Observable Plot with D3, Vega-Lite and
-Plotly's basic bundle take from half of the 700 kB of a page to all of them, and draw the figures a second time, too.
+Matplotlib is the one renderer: its SVG is printed, and the script answers on it, so that both have the same
+numbers. uPlot (50 kB) would draw every figure a second time and gives no SVG; Observable Plot with D3, Vega-Lite
+and Plotly's basic bundle take from half of a page's 700 kB to more than all of them, and would draw twice, too.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MOST = 8_000
+_MOST = 7_000
 """Ordinates that a page keeps of a figure; of longer paths only every second point, every third …"""
-_MOST_DRAWN = 14_000
+_MOST_DRAWN = 12_000
 """Numbers of the draws that a page keeps beside their pairs."""
 _POINTS = 72.0
 

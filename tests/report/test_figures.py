@@ -51,7 +51,7 @@ def test_intervals_matrices_and_bars_have_their_values(beam_traces):
     (panel,) = figure_data(plots.plot_frequency_updates(trace).figure)["panels"]
     spans = [one for one in panel["series"] if one["kind"] == "spans"]
     assert any(np.all(one["high"] > one["y"]) for one in spans)
-    assert list(panel["x"]["named"].values())[0].startswith("1 ")
+    assert next(iter(panel["x"]["named"].values())).startswith("1 ")
     cells = figure_data(plots.plot_mac(trace).figure)["panels"][0]["series"][0]
     np.testing.assert_allclose(
         np.reshape(cells["values"], (5, 5)),

@@ -18,6 +18,8 @@ from fmu.report.plots.frequencies import plot_frequency_errors as plot_frequency
 from fmu.report.plots.frequencies import plot_frequency_updates as plot_frequency_updates
 from fmu.report.plots.frequencies import plot_left_out as plot_left_out
 from fmu.report.plots.frequencies import plot_predictive_check as plot_predictive_check
+from fmu.report.plots.information import plot_marginals as plot_marginals
+from fmu.report.plots.information import plot_sensitivity as plot_sensitivity
 from fmu.report.plots.modes import plot_mac as plot_mac
 from fmu.report.plots.modes import plot_mode_shapes as plot_mode_shapes
 from fmu.report.plots.parameters import plot_efficiency as plot_efficiency

@@ -17,6 +17,7 @@ OF_A_SAMPLER = (
     "updating.evidence",
     "tests.losses",
     "tests.population",
+    "information.marginals",
     "structure.identifiability",
     "structure.mac",
     "structure.pairing",

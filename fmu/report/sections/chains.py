@@ -25,6 +25,22 @@ from fmu.report.plots.style import NARROW, height_of_row, new_figure
 from fmu.report.run import ReportedRun
 
 _MOST_PAIRS, _FEWEST = 8, 50
+LOOK_AT_PATHS = (
+    "Paths of the chains. Shaded: warm-up. Dashed: bounds. Look for chains that stay apart, drift, or stand still."
+)
+LOOK_AT_RANKS = (
+    "Ranks of each chain's draws among all draws: difference of their distribution from a uniform one, with the "
+    "p-value of a multi-chain test. Look for p below 0.01: chains that do not draw from the same distribution."
+)
+LOOK_AT_AUTOCORRELATION = (
+    "Autocorrelation of each chain. Look for curves that stay above zero: draws so far apart repeat each other."
+)
+LOOK_AT_MEANS = "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors. Look for chains that end outside."
+LOOK_AT_RHAT = "R-hat of each parameter while the run grew. Look for curves that end above the limit, or rise."
+LOOK_AT_ENERGIES = (
+    "Energies of the trajectories, and their change from draw to draw. Look for changes much narrower than the "
+    "energies: momenta that explore the posterior poorly."
+)
 TOO_FEW = "there are too few draws"
 
 
@@ -58,19 +74,36 @@ def paths(run: ReportedRun) -> PageSection:
         ranges.append(f"{name} {interval(draws.min(), draws.max(), n)} {unit.name}".rstrip())
     worst = run.summary["rhat"].max()
     alt = f"Paths of the chains, warm-up shaded. Draws kept: {'; '.join(ranges)}. R-hat at most {fixed(worst, 4)}."
-    caption = "Paths of the chains. Shaded: warm-up. Dashed: bounds."
+    caption = LOOK_AT_PATHS
     figure = new_figure(NARROW, height_of_row(len(run.names)) * len(run.names) + 0.9)
     drawings = [picture(plot_traces({"": run.trace}, figure=figure), "paths", alt, caption)]
     if _has_several_chains(run):
         axes = plot_ranks(run.trace)
         far = [f"{name} {fixed(_furthest(axis), 2)}" for name, axis in zip(run.names, axes, strict=True)]
         alt = f"Rank plots. Largest distance from uniform ranks: {', '.join(far)}."
-        caption = (
-            "Ranks of each chain's draws among all draws: difference of their distribution from a uniform "
-            "one, with the p-value of a multi-chain test."
-        )
+        caption = LOOK_AT_RANKS
         drawings.append(picture(axes, "ranks", alt, caption))
-    return PageSection("paths", "Paths and ranks", (Pictures(tuple(drawings)),))
+    return PageSection("paths", "Paths and ranks", (Text(_agreement(run)), Pictures(tuple(drawings))))
+
+
+def _agreement(run: ReportedRun) -> str:
+    """Return whether the chains agree, by the parameter in which they differ most."""
+    rhat = run.summary["rhat"].fillna(np.inf)
+    name, worst = str(rhat.idxmax()), float(rhat.max())
+    if not np.isfinite(worst):
+        return f"Whether the chains agree is unknown: {name} has no R-hat."
+    agree = "The chains agree" if worst < RHAT_LIMIT else "The chains do not agree"
+    return f"{agree}: R-hat is at most {fixed(worst, 4)}, in {name}; below {given(RHAT_LIMIT)} is needed."
+
+
+def _slowest(run: ReportedRun) -> str:
+    """Return which parameter has the fewest effective draws."""
+    ess = run.summary["ess_bulk"]
+    if ess.isna().any():
+        return "The draws of some parameters do not move."
+    posterior, name = run.trace["posterior"], str(ess.idxmin())
+    draws = posterior.sizes["chain"] * posterior.sizes["draw"]
+    return f"Slowest: {name}, whose {draws} draws are worth {fixed(float(ess[name]), 0)} independent ones."
 
 
 def _has_several_chains(run: ReportedRun) -> bool:
@@ -92,7 +125,9 @@ def settling(run: ReportedRun) -> PageSection:
     if _has_several_chains(run):
         drawings.append(_running_rhat(run))
     return PageSection(
-        "settling", "Autocorrelation, and estimates while the run grew", (Pictures(tuple(drawings)),)
+        "settling",
+        "Autocorrelation, and estimates while the run grew",
+        (Text(_slowest(run)), Pictures(tuple(drawings))),
     )
 
 
@@ -103,7 +138,7 @@ def _autocorrelation(run: ReportedRun) -> Picture:
     mean = np.mean([line.get_ydata() for line in chains], axis=0)
     values = ", ".join(f"{fixed(mean[lag], 2)} at lag {lag}" for lag in (1, 10, 50) if lag < len(mean))
     alt = f"Autocorrelation of each parameter; of {run.names[k]}, the slowest, {values}."
-    return picture(axes, "acf", alt, "Autocorrelation of each chain.")
+    return picture(axes, "acf", alt, LOOK_AT_AUTOCORRELATION)
 
 
 def _running_means(run: ReportedRun) -> Picture:
@@ -112,8 +147,7 @@ def _running_means(run: ReportedRun) -> Picture:
     apart = np.ptp(draws.mean(axis=1), axis=0) / np.where(sd > 0, sd, np.inf)
     far = ", ".join(f"{name} {fixed(x, 2)}" for name, x in zip(run.names, apart, strict=True))
     alt = f"Running means of the chains. Differences at the end, in posterior standard deviations: {far}."
-    caption = "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors."
-    return picture(plot_running_means(run.trace, run.summary), "means", alt, caption)
+    return picture(plot_running_means(run.trace, run.summary), "means", alt, LOOK_AT_MEANS)
 
 
 def _running_rhat(run: ReportedRun) -> Picture:
@@ -126,7 +160,7 @@ def _running_rhat(run: ReportedRun) -> Picture:
     alt = (
         f"R-hat after {at[len(at) // 2]} steps and after {at[-1]}: {'; '.join(seen)}. Limit: {given(RHAT_LIMIT)}."
     )
-    return picture(axes, "rhat", alt, "R-hat of each parameter while the run grew.")
+    return picture(axes, "rhat", alt, LOOK_AT_RHAT)
 
 
 def pairs(run: ReportedRun) -> PageSection | Omitted:
@@ -187,6 +221,5 @@ def energies(run: ReportedRun) -> PageSection | Omitted:
         f"E-BFMI of the chains: {values} (below 0.3: poor exploration). "
         f"{diverged} of {energy.size} trajectories diverged."
     )
-    drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}",
-                      "Energies of the trajectories, and their change from draw to draw.")  # fmt: skip
+    drawing = picture(plot_energy(run.trace), "energy", f"Energies and their changes. {said}", LOOK_AT_ENERGIES)
     return PageSection("energies", title, (Text(said), Pictures((drawing,))))

@@ -55,8 +55,8 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
     alt = (
         f"Distance of the measured frequencies from the predicted mean in predictive standard deviations: {seen}."
     )
-    drawing = picture(plot_predictive_check(run.trace), "check", alt,
-                      "Measured frequencies in their predictive distributions.")  # fmt: skip
+    look = "Measured frequencies in their predictive distributions. Look for diamonds outside the bars."
+    drawing = picture(plot_predictive_check(run.trace), "check", alt, look)
     used = used_modes(run.trace)
     n, k = int(used.sum()), int(inside[used].sum())
     said = (
@@ -132,8 +132,8 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
             for name, mean, measured in zip(names, table["mean"], table["measured"], strict=True)
             if np.isfinite(mean)
         )
-        drawing = picture(plot_left_out(run.trace), "left-out", f"Errors of the predictions: {seen}.",
-                          "Errors of each frequency predicted by the other modes.")  # fmt: skip
+        look = "Errors of each frequency predicted by the other modes. Look for bars that miss zero."
+        drawing = picture(plot_left_out(run.trace), "left-out", f"Errors of the predictions: {seen}.", look)
         parts.append(Pictures((drawing,)))
     unknown = [name for name, is_done in zip(names, done, strict=True) if not is_done]
     if unknown:

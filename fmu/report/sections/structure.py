@@ -21,6 +21,7 @@ from fmu.report.document import Details, Items, Omitted, PageSection, PageTable,
 from fmu.report.model_view import model_view
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.run import ReportedRun
+from fmu.report.sections.information import sensitivity
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -79,8 +80,11 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
         said += compared_with_draws(run.trace, linearised, place, n_maxima, run.diagnosis.converged)
     by_model = (directions(one, _WHERE.get(at, at), left_along(run.trace, one)) for at, one in kept.items())
     tables = (_drawn_directions(found), *by_model)
-    parts = (Items(tuple(said)), Text(CRITERION), _contraction(run, found), Details("Directions", tables))
-    return PageSection("identifiability", title, parts)
+    parts: list[Part] = [Items(tuple(said)), Text(CRITERION), _contraction(run, found)]
+    if kept:
+        words, drawing = sensitivity(run, list(kept.values())[-1])
+        parts += [words, Pictures((drawing,))]
+    return PageSection("identifiability", title, (*parts, Details("Directions", tables)))
 
 
 def _drawn_directions(found: Information) -> PageTable:
@@ -155,11 +159,12 @@ def mac(run: ReportedRun) -> PageSection | Omitted:
     others = values[~np.eye(len(values), dtype=bool)]
     most = f" and at most {fixed(others.max(), 2)} off the diagonal" if len(others) else ""
     caption = (
-        "Modal assurance criterion of the modes at the posterior mean with the measured shapes, at the sensors."
+        "Modal assurance criterion of the modes at the posterior mean with the measured shapes, at the sensors. "
+        "Look for a diagonal below 0.9 (a mode that differs, or is paired wrongly) and for dark cells off it."
         if is_measured
         else "Modal assurance criterion of the modes at the posterior mean with those before updating, at all "
         "translations. It tells how much updating changed the modes, not whether they are right: no shapes were "
-        "measured."
+        "measured. Look for dark cells off the diagonal: modes that turned into each other."
     )
     drawing = picture(plot_mac(run.trace), "mac", f"MAC matrix: {diagonal} on the diagonal{most}.", caption)
     said = Text(f"On the diagonal {diagonal}{most}.")

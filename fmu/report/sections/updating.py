@@ -21,6 +21,7 @@ from fmu.numbers import (
     given_decimals,
     hertz,
     interval,
+    names_in_words,
     rounded,
     share,
     shown,
@@ -30,7 +31,12 @@ from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pi
 from fmu.report.plots.frequencies import frequencies_before, plot_frequency_updates
 from fmu.report.plots.parameters import plot_parameter_updates
 from fmu.report.run import ReportedRun
+from fmu.types import FloatArray
 
+LOOK_AT_FREQUENCIES = (
+    "Errors of the model's frequencies. Look for bars that miss zero: modes that the model cannot follow, whatever "
+    "its parameters."
+)
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
@@ -118,8 +124,32 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
         caption += " The trace has no frequencies before updating."
     axes = plot_frequency_updates(run.trace)
     drawing = picture(axes, "frequencies", f"Errors of the frequencies: {'; '.join(seen)}.",
-                      "Errors of the model's frequencies.")  # fmt: skip
-    return PageSection("frequencies", title, (PageTable(caption, header, tuple(rows)), Pictures((drawing,))))
+                      LOOK_AT_FREQUENCIES)  # fmt: skip
+    return PageSection(
+        "frequencies",
+        title,
+        (Text(_fitted(run, before)), PageTable(caption, header, tuple(rows)), Pictures((drawing,))),
+    )
+
+
+def _fitted(run: ReportedRun, before: FloatArray) -> str:
+    """Return the mean error of the frequencies before and after updating, and which modes did not come closer."""
+    table = run.prediction
+    if table is None:
+        raise ValueError("run: must predict frequencies (got none)")
+    measured = table["measured"].to_numpy()
+    after, was = (np.abs(hz / measured - 1.0) for hz in (table["mean"].to_numpy(), before))
+    said = f"Mean error of the frequencies after updating: {share(float(after.mean()))}."
+    if np.isfinite(was).all():
+        means = (share(float(error.mean())) for error in (was, after))
+        said = "Mean error of the frequencies: {} before updating, {} after.".format(*means)
+        worse = [name for name, is_worse in zip(mode_names(run.trace), after > was, strict=True) if is_worse]
+        said += (
+            f" Farther off than before: mode{'s' if len(worse) > 1 else ''} {names_in_words(worse)}."
+            if worse
+            else ""
+        )
+    return said
 
 
 def maxima(run: ReportedRun) -> PageSection | Omitted:

@@ -19,6 +19,7 @@ Y_LABELS = {
     "plot_left_out": ("(predicted − measured)/measured, %",),
     "plot_predictive_check": ("(frequency − predicted mean)\n/ predictive sd",),
     "plot_mac": ("mode of the model before updating",),
+    "plot_sensitivity": ("frequency of mode",),
     "plot_mode_shapes": ("z displ.\n/ largest",) * 5,
     "plot_traces": GPA,
     "plot_ranks": NAMES,
@@ -34,6 +35,7 @@ X_LABELS = {
     "plot_left_out": "mode, measured frequency",
     "plot_predictive_check": "mode",
     "plot_mac": "mode of the model, posterior mean",
+    "plot_sensitivity": "parameter",
     "plot_mode_shapes": "x / m",
     "plot_traces": "step",
     "plot_ranks": "rank among the draws of all chains / their number",
@@ -45,10 +47,10 @@ X_LABELS = {
 }
 SEVERAL = ("plot_parameter_updates", "plot_traces", "plot_efficiency")
 OF_MODES = ("plot_frequency_updates", "plot_left_out", "plot_predictive_check")
-ONE_AXES = (*OF_MODES, "plot_mac", "plot_running_rhat", "plot_energy", "plot_efficiency")
+ONE_AXES = (*OF_MODES, "plot_mac", "plot_sensitivity", "plot_running_rhat", "plot_energy", "plot_efficiency")
 BY_CHAIN = ("plot_traces", "plot_ranks", "plot_autocorrelation", "plot_running_means")
 BESIDE = {"plot_ranks": "Δ ECDF of the ranks", "plot_autocorrelation": "autocorrelation"}
-NO_SAMPLER = ("plot_energy", "plot_mac", "plot_running_rhat", *BY_CHAIN)
+NO_SAMPLER = ("plot_energy", "plot_mac", "plot_sensitivity", "plot_running_rhat", *BY_CHAIN)
 SHAPES = ("plot_mac", "plot_mode_shapes")  # a black-box model has none
 NAMELESS = ("plot_energy", "plot_efficiency")
 
@@ -60,7 +62,7 @@ def draw(name, trace, **more):
 def test_all_plots_of_traces_are_here():
     public = {name for name in dir(plots) if name.startswith("plot_")}
     # frequencies are no trace; every column of a corner plot has a label, see below; traces of several tests, too
-    others = {"plot_frequency_errors", "plot_corner", "plot_values", "plot_losses"}
+    others = {"plot_frequency_errors", "plot_corner", "plot_marginals", "plot_values", "plot_losses"}
     others |= {"plot_mac_matrix", "plot_sensors"}  # of shapes alone
     assert set(Y_LABELS) == set(X_LABELS) == public - others
 

@@ -298,3 +298,36 @@ def test_shapes_of_matrices_are_drawn_over_their_degrees_of_freedom(case):
             np.testing.assert_allclose(seen[[2, 5, 8, 9]], drawn["posterior mean"][[2, 5, 8, 9]], atol=0.25)
     assert axis.get_xlabel() == "degree of freedom"
     assert axis.get_ylabel() == "x displ.\n/ largest"
+
+
+def test_prior_posterior_and_maximum_are_the_draws(beam_traces):
+    trace = beam_traces["hmc"]
+    maximum = np.linspace(1.8e11, 2.2e11, 5)
+    panels = plots.plot_marginals(trace, maximum)
+    assert len(panels) == 5
+    for k, axes in enumerate(panels):
+        lines = {line.get_label(): line for line in axes.lines}
+        for group, name in (("prior", "prior"), ("posterior", "posterior")):
+            draws = trace[group][f"E{k + 1}"].to_numpy().ravel() / 1e9
+            x, density = lines[name].get_data()
+            assert np.sum(density) * (x[1] - x[0]) == pytest.approx(1.0)
+            assert np.sum(x * density) / np.sum(density) == pytest.approx(draws.mean(), abs=x[1] - x[0])
+            assert (density[0], density[-1]) == (0.0, 0.0)
+        assert lines["maximum"].get_xdata()[0] == pytest.approx(maximum[k] / 1e9)
+        assert lines["start"].get_xdata()[0] == 240.0
+    bare = trace.copy()
+    del bare["prior"]
+    with pytest.raises(ValueError, match="must have draws from the prior"):
+        plots.plot_marginals(bare)
+
+
+def test_sensitivities_are_those_of_the_linearised_model(beam_traces):
+    trace = beam_traces["hmc"]
+    axes = plots.plot_sensitivity(trace)
+    expected = trace["identifiability"]["sensitivity"].to_numpy()[-1]
+    np.testing.assert_allclose(axes.collections[0].get_array().reshape(expected.shape), expected)
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["1", "2", "3", "4", "5"]
+    bare = trace.copy()
+    del bare["identifiability"]
+    with pytest.raises(ValueError, match="must have a linearised model"):
+        plots.plot_sensitivity(bare)

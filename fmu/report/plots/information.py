@@ -1,0 +1,150 @@
+"""What the data told: prior and posterior of each parameter, and how strongly the modes feel the parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fmu.analysis.identifiability import kept_identifiability
+from fmu.analysis.trace.reading import constant, has, parameter_names
+from fmu.numbers import significant
+from fmu.report.plots.style import (
+    BLACK,
+    FONT,
+    GREY,
+    NARROW,
+    PALE,
+    VERMILLION,
+    broken,
+    colour,
+    finish,
+    legend_below,
+    literal,
+    new_figure,
+    spaced,
+    turned,
+    unit_of,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLUMNS, _BINS = 2, 28
+MOST_MEASURED, _WRITTEN = 40, 12
+"""Measured quantities whose sensitivities are drawn, and up to how many the numbers are written into the cells."""
+
+
+def plot_marginals(
+    trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
+) -> NDArray[Any]:
+    """Draw the densities of each parameter before and after updating, with the start and the maximum.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With draws from the prior.
+    maximum : array_like, shape (ndim,), optional
+        Where the log-probability is highest, SI units.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (ndim,)
+
+    Raises
+    ------
+    ValueError
+        If the trace has no draws from the prior.
+    """
+    if not has(trace, "prior"):
+        raise ValueError("trace: must have draws from the prior (it has none)")
+    names, base = parameter_names(trace), colour(str(trace.attrs["sampler"]))
+    rows = -(-len(names) // _COLUMNS)
+    figure = figure or new_figure(NARROW, 1.25 * rows + 0.6)
+    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    for spare in panels[len(names) :]:
+        spare.remove()
+    for k, (name, axes) in enumerate(zip(names, panels, strict=False)):
+        unit = unit_of(trace, name)
+        before, after = (trace[group][name].to_numpy().ravel() / unit.factor for group in ("prior", "posterior"))
+        x, density = _density(before)
+        axes.fill_between(x, density, step="mid", color=PALE, linewidth=0, rasterized=True)
+        axes.plot(x, density, color=GREY, linewidth=1.0, drawstyle="steps-mid", label="prior")
+        axes.plot(*_density(after), color=base, linewidth=1.4, drawstyle="steps-mid", label="posterior")
+        start = constant(trace, "start", name) / unit.factor
+        if np.isfinite(start):
+            axes.plot([start], [0.0], linestyle="none", marker="|", markersize=14, markeredgewidth=1.6,
+                      color=BLACK, label="start", clip_on=False)  # fmt: skip
+        if maximum is not None:
+            axes.plot(np.asarray(maximum)[[k]] / unit.factor, [0.0], linestyle="none", marker="*", markersize=9,
+                      color=VERMILLION, markeredgecolor=BLACK, markeredgewidth=0.5, label="maximum", clip_on=False,
+                      zorder=5)  # fmt: skip
+        axes.set_ylim(bottom=0.0)
+        axes.set_yticks([])
+        axes.locator_params(axis="x", nbins=4)
+        finish(axes, broken(unit.label(name), 0.5 * NARROW))
+        axes.tick_params(labelsize=FONT - 2)
+        axes.spines["left"].set_visible(False)
+    legend_below(panels[0])
+    return np.asarray(panels[: len(names)])
+
+
+def _density(x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the middles of bins and the density in them, with an empty bin on either side."""
+    low, high = x.min(), x.max()
+    spread = high - low or max(1e-9 * abs(high), np.finfo(float).tiny)
+    density, edges = np.histogram(x, _BINS, (low - spread / _BINS, high + spread / _BINS), density=True)
+    return 0.5 * (edges[:-1] + edges[1:]), density
+
+
+def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
+    """Draw how far frequencies move, in standard deviations of their errors, by one prior deviation of a parameter.
+
+    Of the linearised model at the highest maximum, or at the start where none was searched for; frequencies only
+    where many shape components were measured, too.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        With its identifiability (`fmu.analysis.identifiability`).
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    ValueError
+        If the trace has no linearised model.
+    """
+    kept = kept_identifiability(trace)
+    if not kept:
+        raise ValueError("trace: must have a linearised model (it has none)")
+    found = list(kept.values())[-1]
+    rows = [k for k, label in enumerate(found.labels) if label.endswith("frequency")] or range(len(found.labels))
+    rows = list(rows)[:MOST_MEASURED]
+    S, n = found.sensitivity[rows], len(found.names)
+    labels = [literal(found.labels[k].removesuffix(", frequency")) for k in rows]
+    names = [literal(name) for name in found.names]
+    side = max(NARROW - 1.0, 0.42 * n)
+    figure = figure or new_figure(side + 1.2, 0.28 * len(rows) + 1.8)
+    axes = figure.subplots()
+    largest = float(np.max(np.abs(S))) or 1.0
+    edges = [np.arange(size + 1) - 0.5 for size in (n, len(rows))]
+    mesh = axes.pcolormesh(*edges, S, cmap="RdBu", vmin=-largest, vmax=largest, rasterized=True)
+    if max(S.shape) <= _WRITTEN:
+        for i, j in np.ndindex(*S.shape):
+            if abs(S[i, j]) >= 0.005 * largest:
+                axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=FONT - 3,
+                          color="white" if abs(S[i, j]) > 0.6 * largest else BLACK)  # fmt: skip
+    axes.set_xticks(np.arange(n), spaced(names), **turned(names, side))
+    axes.set_yticks(np.arange(len(rows)), spaced(labels))
+    axes.invert_yaxis()
+    figure.colorbar(mesh, ax=axes, label="sd of the error\nper prior sd", shrink=0.9)
+    finish(axes, "parameter", "frequency of mode")
+    return axes

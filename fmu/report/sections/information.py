@@ -1,0 +1,67 @@
+"""What the data told, as pictures: prior and posterior of each parameter, and the sensitivities."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.analysis.identifiability import Identifiability
+from fmu.analysis.information import information
+from fmu.analysis.prediction import at_bounds
+from fmu.numbers import fixed, names_in_words, share
+from fmu.report.document import Omitted, PageSection, Picture, Pictures, Text, picture
+from fmu.report.plots.information import plot_marginals, plot_sensitivity
+from fmu.report.run import ReportedRun
+
+_ALIKE, _WEAK = 0.95, 0.1
+LOOK_AT_MARGINALS = (
+    "Look for a posterior as wide as its prior (the data say nothing), one against a bound (they ask for values "
+    "beyond it), and several peaks. Star: the maximum, which may lie far from the mass of a skewed posterior."
+)
+LOOK_AT_SENSITIVITY = (
+    "Look for pale columns (parameters that no mode feels) and for columns of the same pattern (parameters that "
+    "the modes cannot tell apart). Numbers: change of a frequency in standard deviations of its error, for one prior "
+    "standard deviation, of the linearised model."
+)
+
+
+def marginals(run: ReportedRun) -> PageSection | Omitted:
+    """Return prior and posterior of each parameter."""
+    title, found = "Prior and posterior", information(run.trace)
+    if found is None:
+        return Omitted(title, "the trace has no draws from the prior")
+    left = np.sqrt(np.maximum(1.0 - found.contraction, 0.0))
+    k, j = int(np.argmin(left)), int(np.argmax(left))
+    said = (
+        f"Narrowed most: {found.names[k]}, to {share(float(left[k]))} of its prior standard deviation; least: "
+        f"{found.names[j]}, {'to ' + share(float(left[j])) if left[j] < 1.0 else 'not at all'}."
+    )
+    if stopped := at_bounds(run.trace):
+        said += f" Against a bound: {names_in_words([one.name for one in stopped])}."
+    axes = plot_marginals(run.trace, run.maxima[0].theta if run.maxima else None)
+    sds = ", ".join(f"{name} {share(float(x))}" for name, x in zip(found.names, left, strict=True))
+    alt = f"Densities of each parameter before and after updating. Prior standard deviation that remains: {sds}."
+    drawing = picture(axes, "marginals", alt, LOOK_AT_MARGINALS)
+    return PageSection("marginals", title, (Text(said), Pictures((drawing,))))
+
+
+def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
+    """Return the sensitivities of the frequencies in the linearised model, and what stands out in them."""
+    S = found.sensitivity
+    size = np.linalg.norm(S, axis=0)
+    alike = np.abs(S.T @ S) / np.maximum(np.outer(size, size), np.finfo(float).tiny)
+    np.fill_diagonal(alike, 0.0)
+    weak = [name for name, x in zip(found.names, size, strict=True) if x < _WEAK * size.max()]
+    said = (
+        "Felt by no mode as much as a tenth of the strongest: " + (names_in_words(weak) if weak else "none") + "."
+    )
+    if len(size) > 1:
+        i, j = sorted(np.unravel_index(int(np.argmax(alike)), alike.shape))
+        close = "cannot be told apart" if alike[i, j] > _ALIKE else "can be told apart"
+        said += (
+            f" The two most alike, {found.names[i]} and {found.names[j]}, {close} by these data: the cosine of "
+            f"their columns is {fixed(float(alike[i, j]), 2)}."
+        )
+    drawing = picture(
+        plot_sensitivity(run.trace), "sensitivity", f"Sensitivity matrix. {said}", LOOK_AT_SENSITIVITY
+    )
+    return Text(said), drawing
