@@ -90,6 +90,37 @@ def test_text_in_figures_is_whole_and_does_not_overlap(browser):
 
 
 @pytest.mark.usefixtures("page")
+def test_nothing_drawn_leaves_the_box_of_its_figure(browser):
+    assert browser.execute_script(_EXTENTS) == []
+
+
+@pytest.mark.usefixtures("page")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_stand_out_from_what_is_behind_them(browser, scheme):
+    """Contrast of WCAG 2.2, 1.4.3 (AA): 4.5, or 3 for large letters."""
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    found = browser.execute_script(_CONTRAST)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert found["n"] > 100
+    assert found["background"] == ("rgb(20, 23, 27)" if scheme == "dark" else "rgb(255, 255, 255)")
+    assert found["low"] == []
+
+
+@pytest.mark.usefixtures("page")
+def test_every_control_is_reached_by_the_keyboard_and_has_a_name(browser):
+    unreachable, nameless = browser.execute_script(
+        """const all = document.querySelectorAll('button, select, input, a[href], summary, canvas, .scroll, .wide');
+           const controls = [...all].filter(e => e.checkVisibility());
+           const name = e => e.ariaLabel || e.textContent.trim() || e.labels?.[0]?.textContent.trim();
+           return [controls.filter(e => e.tabIndex < 0 || e.disabled), controls.filter(e => !name(e))]
+             .map(list => list.map(e => e.outerHTML.slice(0, 100)));"""
+    )
+    assert unreachable == []
+    assert nameless == []
+
+
+@pytest.mark.usefixtures("page")
 def test_every_image_has_a_name_and_a_size(browser):
     from selenium.webdriver.common.by import By
 
@@ -143,6 +174,44 @@ def test_names_do_not_run(browser, hostile_report):
         browser.get_log("browser")
 
 
+_EXTENTS = """
+const found = [];
+for (const svg of document.querySelectorAll('figure.plot > .drawing > svg')) {
+  const box = svg.getBoundingClientRect();
+  for (const e of svg.querySelectorAll('path, use, line, polyline, polygon, rect, circle, image')) {
+    if (e.closest('defs, clipPath, [clip-path]') || e.getAttribute('visibility') === 'hidden') continue;
+    const {left, right, top, bottom, width, height} = e.getBoundingClientRect();
+    if (!(width || height)) continue;
+    if (left < box.left - 1 || right > box.right + 1 || top < box.top - 1 || bottom > box.bottom + 1)
+      found.push(`${svg.ariaLabel.slice(0, 40)}: ${e.outerHTML.slice(0, 80)}`);
+  }
+}
+return found;
+"""
+_CONTRAST = """
+const channels = text => (text.match(/[\\d.]+/g) || []).map(Number);
+const linear = x => x <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4;
+const luminance = c => [0.2126, 0.7152, 0.0722].reduce((sum, weight, i) => sum + weight * linear(c[i] / 255), 0);
+const behind = e => {
+  for (; e; e = e.parentElement) {
+    const c = channels(getComputedStyle(e).backgroundColor);
+    if (c.length === 3 || c[3] > 0.99) return c;
+  }
+  return [255, 255, 255];
+};
+const low = [];
+let n = 0;
+for (const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT); walker.nextNode();) {
+  const e = walker.currentNode.parentElement, words = walker.currentNode.textContent.trim();
+  if (!words || !e.checkVisibility() || e.closest('svg text, script, style, .unseen, .skip, option')) continue;
+  const style = getComputedStyle(e), [a, b] = [luminance(channels(style.color)), luminance(behind(e))];
+  const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), size = parseFloat(style.fontSize);
+  n++;
+  const is_large = size >= 24 || size >= 18.66 && style.fontWeight >= 700;
+  if (contrast < (is_large ? 3 : 4.5)) low.push([words.slice(0, 40), contrast]);
+}
+return {n, low, background: getComputedStyle(document.body).backgroundColor};
+"""
 _TEXT_IN_FIGURES = """
 const corners = text => {
   const box = text.getBBox(), m = text.getCTM(), [dx, dy] = [0.03 * box.width, 0.2 * box.height];

@@ -66,8 +66,9 @@ def plot_mac_matrix(
     side = max(0.75 * NARROW, _CELL * m)
     figure = figure or new_figure(side + (2.4 if is_long else 0.25 * NARROW), 0.6 + side * n / m + 0.8 * is_long)
     axes = figure.subplots()
-    # drawn cell by cell, to stay sharp in an SVG
-    mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0)
+    # few cells are drawn one by one, to stay sharp in an SVG
+    mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0,
+                           rasterized=max(n, m) > FEW)  # fmt: skip
     if max(n, m) <= READABLE:
         # of many modes most are zeros, which are left out
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > FEW else 0.0)).tolist():

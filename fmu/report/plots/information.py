@@ -102,7 +102,7 @@ def _density(x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw how far frequencies move, in standard deviations of their errors, by one prior deviation of a parameter.
+    """Draw how far frequencies move, in standard deviations of their errors, by one prior sd of a parameter.
 
     Of the linearised model at the highest maximum, or at the start where none was searched for; frequencies only
     where many shape components were measured, too.

@@ -35,7 +35,10 @@ LOOK_AT_RANKS = (
 LOOK_AT_AUTOCORRELATION = (
     "Autocorrelation of each chain. Look for curves that stay above zero: draws so far apart repeat each other."
 )
-LOOK_AT_MEANS = "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors. Look for chains that end outside."
+LOOK_AT_MEANS = (
+    "Mean of each chain's first draws. Band: the mean of all, ± 2 standard errors. Look for chains that end "
+    "outside."
+)
 LOOK_AT_RHAT = "R-hat of each parameter while the run grew. Look for curves that end above the limit, or rise."
 LOOK_AT_ENERGIES = (
     "Energies of the trajectories, and their change from draw to draw. Look for changes much narrower than the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,6 +18,8 @@ from fmu.report.document import Code, Details, Items, Omitted, PageSection, Page
 from fmu.report.run import ReportedRun
 
 _LONG = 60
+_INNERMOST = re.compile(r"\[\n([^\[\]{}\"]*)\]")
+"""A list of numbers in JSON, which is written on one line."""
 
 
 def cost(run: ReportedRun) -> PageSection:
@@ -183,4 +186,5 @@ def _text(value: Any) -> str:
 
 
 def _pretty(value: Any) -> str:
-    return json.dumps(value, indent=1, ensure_ascii=False)
+    text = json.dumps(value, indent=1, ensure_ascii=False)
+    return _INNERMOST.sub(lambda found: f"[{' '.join(found[1].split())}]", text)

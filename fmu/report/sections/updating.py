@@ -34,8 +34,8 @@ from fmu.report.run import ReportedRun
 from fmu.types import FloatArray
 
 LOOK_AT_FREQUENCIES = (
-    "Errors of the model's frequencies. Look for bars that miss zero: modes that the model cannot follow, whatever "
-    "its parameters."
+    "Errors of the model's frequencies. Look for bars that miss zero: modes that the model cannot follow, "
+    "whatever its parameters."
 )
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
