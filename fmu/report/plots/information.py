@@ -97,7 +97,10 @@ def _density(x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the middles of bins and the density in them, with an empty bin on either side."""
     low, high = x.min(), x.max()
     spread = high - low or max(1e-9 * abs(high), np.finfo(float).tiny)
-    density, edges = np.histogram(x, _BINS, (low - spread / _BINS, high + spread / _BINS), density=True)
+    room = (
+        1.001 * spread / (_BINS - 2)
+    )  # a little more than a bin, so that the largest value is not in the last one
+    density, edges = np.histogram(x, _BINS, (low - room, high + room), density=True)
     return 0.5 * (edges[:-1] + edges[1:]), density
 
 
