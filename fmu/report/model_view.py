@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.information import not_informed
+from fmu.analysis.trace.damage import probably
 from fmu.analysis.trace.modal_states import GROUP, MEAN, START, sketch_of
 from fmu.analysis.trace.reading import constant, has
-from fmu.fem.frame.drawing import Sketch
+from fmu.fem.frame.drawing import UNCHANGED, Sketch
 from fmu.numbers import change, given, hertz, share
 from fmu.report.document import View
 from fmu.report.packed import Rounded
@@ -20,6 +21,7 @@ from fmu.report.run import ReportedRun
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 MOST_LINES = 20_000
@@ -55,6 +57,41 @@ def model_view(run: ReportedRun) -> View | None:
         f"updating, at the start. Thick: after it, at the posterior mean.{shown}"
     )
     return View("structure", content, caption)
+
+
+def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond: str) -> View:
+    """Return the structure with the losses of its parameters as colours, and their probabilities.
+
+    Parameters
+    ----------
+    found : Sketch
+    names : sequence of str
+        Parameters of its elements.
+    table : pandas.DataFrame
+        By state and parameter: mean and standard deviation of the loss, ``eti90_lb``, ``eti90_ub``, and the
+        probability that it is larger than `beyond`.
+    beyond : str
+        In words: ``"5 %"``.
+    """
+    said: dict[str, list[str]] = {}
+    colourings = []
+    for state, losses in table.groupby(level=0, sort=False):
+        lost = losses.droplevel(0)
+        each = {name: lost.loc[name].to_numpy(dtype=float) for name in names if name in lost.index}
+        for name, (mean, sd, *_, p) in each.items():
+            loss = f"{name} in {state}: loss {share(float(mean))} ± {share(float(sd))} (sd)"
+            said.setdefault(name, []).append(f"{loss}, P(loss > {beyond}) = {probably(float(p))}")
+        for what, column in (("mean loss", 0), (f"P(loss > {beyond})", -1)):
+            of_parameter = np.array([each[name][column] if name in each else -1.0 for name in names])
+            largest = np.where(found.changed, of_parameter, -1.0).max(axis=1)
+            values = np.where(largest < 0.0, np.nan, largest)
+            if np.isfinite(values).any():
+                colourings.append(coloured(f"{state}: {what}", values, False))
+    content = _structure(found, names, {name: "; ".join(words) for name, words in said.items()})
+    content |= {"modes": [], "shapes": {}, "colourings": colourings, "colour": UNCHANGED, "view": _CORNER}
+    content |= _sensors(found, None)
+    caption = "Drag to turn, click and scroll to zoom; keys: arrows, + and −. Point at an element for its losses."
+    return View("damage", content, caption)
 
 
 def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, Any]:
@@ -133,9 +170,9 @@ def _shapes(modes: xr.Dataset) -> dict[str, Any]:
     return {key: Rounded(values, bits) for key, values in found.items()}
 
 
-def _sensors(found: Sketch, modes: xr.Dataset) -> dict[str, Any]:
+def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, Any]:
     """Return places and measured displacements, or where no shapes were measured the sensors' directions."""
-    if "measured" in modes and "site" in modes:
+    if modes is not None and "measured" in modes and "site" in modes:
         seen = [measured_at(modes.isel(mode=k)) for k in range(modes.sizes["mode"])]
         places = next(one[0] for one in seen if one is not None)
         moved = np.stack([np.zeros_like(places) if one is None else one[1] for one in seen])

@@ -56,7 +56,7 @@ def run(mast):
 
 def test_elements_have_the_colours_of_their_losses(run):
     """The lower storey is dark red, the upper one is not, and the arm has no loss."""
-    drawings = losses(run).parts[2].pictures
+    drawings = losses(run).parts[3].pictures
     assert [re.match(r"[^:]*", one.caption)[0] for one in drawings] == ["after"]
     lower, upper, arm = re.findall(r'<line [^>]* stroke="(#\w+)" stroke-width="4"', drawings[0].svg)
     table = fmu.damage(run.trace).loc["after", "P(loss > 5 %)"]
@@ -66,3 +66,16 @@ def test_elements_have_the_colours_of_their_losses(run):
     assert upper in ("#C8C8C8", "#F2B25C", "#E0672E")
     assert "columns 1 &gt; 99 %" in drawings[0].svg
     assert "no parameter with a loss" in drawings[0].svg
+
+
+def test_the_structure_to_be_turned_has_the_losses(run):
+    """Of each element the largest loss and its probability; the arm has none."""
+    view = losses(run).parts[2]
+    table = fmu.damage(run.trace, (0.05,))
+    mean, probability = (one["values"] for one in view.content["colourings"])
+    for k, name in enumerate(NAMES):
+        assert mean[k] == table.loc[("after", name), "mean"]
+        assert probability[k] == table.loc[("after", name)].iloc[-1]
+        assert view.content["tips"][view.content["groups"][k]].startswith(f"{name} in after: loss ")
+    assert np.isnan([mean[2], probability[2]]).all()
+    assert len(view.packed) > 100

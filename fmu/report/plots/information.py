@@ -135,19 +135,19 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     labels = [literal(found.labels[k].removesuffix(", frequency")) for k in rows]
     names = [literal(name) for name in found.names]
     side = max(NARROW - 1.0, 0.42 * n)
-    figure = figure or new_figure(side + 1.2, 0.28 * len(rows) + 1.8)
+    figure = figure or new_figure(side + 1.2, max(1.5, 0.28 * len(rows)) + 1.6)
     axes = figure.subplots()
     largest = float(np.max(np.abs(S))) or 1.0
     edges = [np.arange(size + 1) - 0.5 for size in (n, len(rows))]
     mesh = axes.pcolormesh(*edges, S, cmap="RdBu", vmin=-largest, vmax=largest, rasterized=True)
     if max(S.shape) <= _WRITTEN:
         for i, j in np.ndindex(*S.shape):
-            if abs(S[i, j]) >= 0.005 * largest:
-                axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=FONT - 3,
+            if abs(S[i, j]) >= 0.03 * largest:
+                axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=FONT - 1,
                           color="white" if abs(S[i, j]) > 0.6 * largest else BLACK)  # fmt: skip
     axes.set_xticks(np.arange(n), spaced(names), **turned(names, side))
     axes.set_yticks(np.arange(len(rows)), spaced(labels))
     axes.invert_yaxis()
-    figure.colorbar(mesh, ax=axes, label="sd of the error\nper prior sd", shrink=0.9)
-    finish(axes, "parameter", "frequency of mode")
+    figure.colorbar(mesh, ax=axes, label="sd / prior sd")
+    finish(axes, "parameter", "mode")
     return axes

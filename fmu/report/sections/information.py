@@ -19,8 +19,8 @@ LOOK_AT_MARGINALS = (
 )
 LOOK_AT_SENSITIVITY = (
     "Look for pale columns (parameters that no mode feels) and for columns of the same pattern (parameters that "
-    "the modes cannot tell apart). Numbers: change of a frequency in standard deviations of its error, for one "
-    "prior standard deviation, of the linearised model."
+    "the modes cannot tell apart). Numbers: change of a frequency in standard deviations (sd) of its error, "
+    "for one prior sd of the parameter, of the linearised model."
 )
 
 

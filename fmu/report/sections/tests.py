@@ -14,6 +14,7 @@ from fmu.analysis.trace.reading import has
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, drawn
 from fmu.numbers import decimals, fixed, interval, share, shown, with_sd
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
+from fmu.report.model_view import damage_view
 from fmu.report.plots.tests import plot_losses, plot_values
 from fmu.report.run import ReportedRun
 from fmu.report.sections.structure import MOST_DRAWN, legend
@@ -141,7 +142,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("damage", title, (words, Pictures((drawn,)), *_where(run, table), found))
 
 
-def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Pictures, ...]:
+def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Part, ...]:
     """Return the structure in each state, its elements in the colours of the probabilities of their losses."""
     sketch = sketch_of(run.trace)
     if sketch is None or len(sketch.elements) > MOST_DRAWN:
@@ -163,4 +164,5 @@ def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Pictures, ...]:
             "largest of the parameters that change it."
         )
         drawings.append(Picture(Markup(svg) + legend([*_SCALE, *without]), caption, round(WIDTH)))
-    return (Pictures(tuple(drawings)),)
+    view = damage_view(sketch, names, table.iloc[:, :5].drop(index=ANY, level=1), share(_BEYOND[0]))
+    return view, Pictures(tuple(drawings))

@@ -19,7 +19,7 @@ Y_LABELS = {
     "plot_left_out": ("(predicted − measured)/measured, %",),
     "plot_predictive_check": ("(frequency − predicted mean)\n/ predictive sd",),
     "plot_mac": ("mode of the model before updating",),
-    "plot_sensitivity": ("frequency of mode",),
+    "plot_sensitivity": ("mode",),
     "plot_mode_shapes": ("z displ.\n/ largest",) * 5,
     "plot_traces": GPA,
     "plot_ranks": NAMES,
