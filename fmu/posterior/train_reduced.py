@@ -35,8 +35,10 @@ PATIENCE = 3
 _AT_ONCE = 16  # points
 # The share of the tolerance of the log-probability at the points that training looks at: others lie further out.
 _TUNED = 0.7
+# By what factor errors may have to be smaller there in the next round; somewhat more than the worst point asks for.
+_SPARE, _TIMES = 1.3, (2.0, 10.0)
 _CHECKED, _CHECK_SEED = 32, 10_000
-_HALVED = 16  # times, the way to a point
+_TRIED = 7  # steps along the way to a point
 
 
 class ReductionWarning(UserWarning):
@@ -126,7 +128,7 @@ def reduce_model(
 
     differences: list[float] = []
 
-    def inaccurate_points() -> FloatArray | None:
+    def inaccurate_points() -> tuple[FloatArray, float] | None:
         points = plausible_points(problem, 64, rng)
         by_bound = structure.solver != LAPACK and not (structure.is_soft or likelihood.needs_shapes)
         if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and blind to jumps
@@ -138,7 +140,11 @@ def reduce_model(
         if not (structure.is_soft or by_bound):
             wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], tolerance.frequency)
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
-        return points[:, :n] if wrong.any() and not has_stalled(differences) else None
+        if not wrong.any() or has_stalled(differences):
+            return None
+        # errors of the log-probability are in proportion to those of the frequencies
+        times = _SPARE * differences[-1] / (_TUNED * tolerance.log_prob)
+        return points[:, :n], float(np.clip(times, *_TIMES)) if np.isfinite(times) else _TIMES[1]
 
     # a pseudo-likelihood without computed modes has no log-probability to compare
     try:
@@ -166,7 +172,7 @@ def _log_prob_bound(structure: PairedStructure, likelihood: ModalLikelihood, poi
     The sum of what each frequency changes by itself: to first order no error of all of them changes more.
     """
     theta = points[:, : structure.n_parameters]
-    bound = np.concatenate(by_parts("training", structure.frequency_bound, theta, _AT_ONCE))
+    bound = np.concatenate(by_parts("training", structure.frequency_bound, theta, _AT_ONCE, _AT_ONCE))
     reduced = structure.frequencies(theta)
     terms, off = np.sum(likelihood.terms_of_frequencies(reduced, points), axis=1), np.zeros(len(points))
     for i in range(structure.n_modes):
@@ -301,18 +307,19 @@ def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> Floa
         allowed = maximum.log_prob - (maxima[0].log_prob - PLAUSIBLE)
         if allowed < 0:
             continue
-        direction = _laplace_directions(problem, maximum.theta, n, rng)
+        direction, curvature = _laplace_directions(problem, maximum.theta, n, rng)
         floor = maximum.log_prob - rng.uniform(0.0, allowed, size=n)
         with np.errstate(divide="ignore", invalid="ignore"):
             walls = (
                 np.where(direction > 0, problem.upper - maximum.theta, problem.lower - maximum.theta) / direction
             )
-        far = np.min(np.where(direction == 0, np.inf, walls), axis=1)
-        near, far = np.zeros(n), np.minimum(far, 100.0)
-        for _ in range(_HALVED):
-            middle = 0.5 * (near + far)
-            above = problem.log_prob(_along(problem, maximum.theta, direction, middle)) >= floor
-            near, far = np.where(above, middle, near), np.where(above, far, middle)
+        near, far = np.zeros(n), np.minimum(np.min(np.where(direction == 0, np.inf, walls), axis=1), 100.0)
+        # first where the Laplace approximation reaches the floor
+        step = np.minimum(np.sqrt(2.0 * (maximum.log_prob - floor) / curvature), far)
+        for _ in range(_TRIED):
+            above = problem.log_prob(_along(problem, maximum.theta, direction, step)) >= floor
+            near, far = np.where(above, step, near), np.where(above, far, step)
+            step = 0.5 * (near + far)
         points.append(_along(problem, maximum.theta, direction, near))
     return np.concatenate(points)
 
@@ -321,10 +328,15 @@ def _along(problem: Problem, origin: FloatArray, direction: FloatArray, step: Fl
     return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
 
 
-def _laplace_directions(problem: Problem, theta: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds."""
+def _laplace_directions(
+    problem: Problem, theta: FloatArray, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds.
+
+    Directions (n, ndim), and the curvature of −log P along each, (n,).
+    """
     information = problem.likelihood.quadratic(theta[None])[2][0]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
     z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
     z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))
-    return z * problem.scale
+    return z * problem.scale, np.einsum("ni,ij,nj->n", z, precision, z)

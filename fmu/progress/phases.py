@@ -132,14 +132,18 @@ def advanced(steps: int = 1) -> None:
 
 
 def by_parts[Found](
-    name: str, function: Callable[[NDArray[np.float64]], Found], points: NDArray[np.float64], most: int = 4096
+    name: str,
+    function: Callable[[NDArray[np.float64]], Found],
+    points: NDArray[np.float64],
+    most: int = 4096,
+    least: int = 1,
 ) -> list[Found]:
     """Apply a function to points (n, ...) in batches, as a phase, and return the results of the batches.
 
-    A batch takes some tenths of a second where possible, and has at most `most` rows.
+    A batch takes some tenths of a second where possible, and has at least `least` rows and at most `most`.
     """
     found: list[Found] = []
-    first, rows = 0, min(_FIRST_ROWS, most)
+    first, rows = 0, max(min(_FIRST_ROWS, most), least)
     with phase(name, len(points)) as under_way:
         while first < len(points) or not found:
             began = time.monotonic()
@@ -147,7 +151,7 @@ def by_parts[Found](
             found.append(function(part))
             under_way.advance(len(part))
             took, first = time.monotonic() - began, first + rows
-            rows = min(2 * rows, most) if took < _PART_S else max(rows // 2, 1)
+            rows = min(2 * rows, most) if took < _PART_S else max(rows // 2, least)
     return found
 
 

@@ -136,7 +136,7 @@ def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
     monkeypatch.setattr(Training, "_verified", lambda self, round_: checked.append(round_))
     monkeypatch.setattr(training, "DENSE_LIMIT", 10)
     monkeypatch.setattr(training, "affordable", lambda n_dof: 12)
-    cut, *_ = paired(inaccurate_points=lambda: np.full((1, PARTS), 2e11))
+    cut, *_ = paired(inaccurate_points=lambda: (np.full((1, PARTS), 2e11), 3.0))
     assert not cut.confirmed
     assert checked == []
     assert [b.size for b in cut.reduced.blocks] == [12]

@@ -389,7 +389,7 @@ class PairedStructure(ModalModel):
         lower: FloatArray,
         upper: FloatArray,
         tolerance: float = 1e-6,
-        inaccurate_points: Callable[[], FloatArray | None] | None = None,
+        inaccurate_points: Callable[[], tuple[FloatArray, float] | None] | None = None,
         engine: Engine | None = None,
         region: Callable[[], FloatArray] | None = None,
     ) -> dict[str, FloatArray]:
@@ -402,7 +402,8 @@ class PairedStructure(ModalModel):
             Largest relative error of a frequency at any point of the box that was tried.
         inaccurate_points : callable, optional
             Returns points (n, n_parameters) at which the reduced model, as trained so far, is not good enough for
-            a purpose of one's own; None where it is.
+            a purpose of one's own, and by what factor errors of frequencies there should be smaller; None where
+            it is good enough.
         engine : Engine, optional
             Solves the full model at several points at once.
         region : callable, optional
@@ -429,10 +430,10 @@ class PairedStructure(ModalModel):
                 else:
                     training = narrow
             for _ in range(20 if inaccurate_points is not None else 0):
-                points = inaccurate_points()  # type: ignore[misc]
-                if points is None or training.is_cut():
+                inaccurate = inaccurate_points()  # type: ignore[misc]
+                if inaccurate is None or training.is_cut():
                     break
-                self._install(training.refined(points))
+                self._install(training.refined(*inaccurate))
         return training.state()
 
     def restore(self, state: dict[str, FloatArray]) -> None:

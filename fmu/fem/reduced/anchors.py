@@ -180,6 +180,15 @@ class Anchors:
         alpha = low[best, np.arange(len(theta))]
         return best, alpha if self.proven else self._estimated(theta, best, space)
 
+    def stretch(self, theta: FloatArray) -> FloatArray:
+        """Return by what factor K + s M exceeds that at the first anchor at most, at theta (n, p).
+
+        Infinite where the terms do not tell.
+        """
+        if not self.proven:
+            return np.full(len(theta), np.inf)
+        return np.asarray(np.max(self._ratios(theta, self.theta[0]), axis=1))
+
     def far(self, theta: FloatArray, space: Space) -> Far | None:
         """Return where K is farthest from every anchor, of theta (n, p); None if it is far nowhere."""
 

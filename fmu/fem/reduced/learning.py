@@ -30,6 +30,10 @@ GROWN, SHARE = 0.25, 0.45
 _NEGLIGIBLE = 0.02
 # Points that the cut is tuned at; all others are checked.
 _TUNED = 24
+# A mode with λ up to this multiple of the highest one needed may change places with it at points nearby.
+_CLOSE = 1.05
+# Decompositions until their weights are settled, and the least factor of a weight, to the fourth power.
+_WEIGHED, _LEAST = 4, 1e-4
 
 
 class Learner:
@@ -83,8 +87,7 @@ class Learner:
         for first in range(0, len(theta), step):
             rows = slice(first, first + step)
             found = bounded(self.space, self.anchors, theta[rows], len(allowed))
-            self.theta = np.concatenate([self.theta, theta[rows]])
-            self.share = np.concatenate([self.share, np.full(len(theta[rows]), share)])
+            self._look(theta[rows], share)
             solved = np.isfinite(found.eigenvalues)
             error = np.where(solved & self.is_whole, 0.0, found.error)
             good[rows] = np.all(error <= SHARE * allowed, axis=1)
@@ -93,6 +96,21 @@ class Learner:
                 target = np.broadcast_to(GROWN * allowed, wrong.shape)
                 self._correct(found.corrections[:, wrong], target[wrong])
         return good
+
+    def is_kept(self, cut: Space, theta: FloatArray, allowed: FloatArray) -> bool:
+        """Say whether a cut of the space agrees with it at theta (n, p); points where it does not join the others.
+
+        The lowest m modes agree within `allowed` (m,).
+        """
+        lam = self.space.modes(theta, len(allowed))[0]
+        off = apart(cut.modes(theta, len(allowed))[0], lam)
+        bad = np.isfinite(lam).all(axis=1) & ~np.all(off <= allowed, axis=1)
+        self._look(theta[bad], 1.0)
+        return not bad.any()
+
+    def _look(self, theta: FloatArray, share: float) -> None:
+        self.theta = np.concatenate([self.theta, theta])
+        self.share = np.concatenate([self.share, np.full(len(theta), share)])
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
         """Return λ (n, count) and shapes (n, r, count) in V at all points visited; NaN on failure."""
@@ -143,47 +161,104 @@ class Learner:
         """Return a space of few vectors whose frequencies agree at all points visited, within `tolerance`.
 
         Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
-        λ. Of the decomposition as many vectors as the worst points need. Where only a share of the tolerance is
-        allowed, modes have more weight.
+        λ; of the decomposition as many vectors as the worst points need. Weights make the largest errors small
+        (`_balanced`). Where only a share of the tolerance is allowed, modes have more weight. A mode that nearly
+        coincides with the highest one needed takes its place not far away, and counts as needed there.
         """
         space, theta = self.space, self.theta
         lam, y = self.solved()
-        lam, y = lam[:, :needed], y[:, :, :needed]
         solved = np.isfinite(lam).all(axis=1)
         theta, lam, y, share = theta[solved], lam[solved], y[solved], self.share[solved]
-        sigma = np.maximum(lam + space.shift, RIGID * lam[:, -1:])
-        Z = (y / np.sqrt(sigma * share[:, None])[:, None, :]).transpose(1, 0, 2).reshape(space.size, -1)
-        _, Q = np.linalg.eigh(Z @ Z.T)
-        Q = Q[:, ::-1][:, : max(largest, needed)]
-        left = np.sum(Z**2, axis=0) - np.cumsum((Q.T @ Z) ** 2, axis=0)  # (r, n · m)
-        left = np.max(left.reshape(Q.shape[1], len(theta), needed), axis=2)
-        # far more vectors than any point needs are not worth their projection
-        Q = Q[:, : max(needed, int(np.sum(np.max(left, axis=1) > _NEGLIGIBLE * tolerance)) + 1)]
-        left = left[: Q.shape[1]]
+        sigma = np.maximum(lam + space.shift, RIGID * lam[:, needed - 1 : needed])
+        kept = np.broadcast_to(np.arange(lam.shape[1]) < needed, lam.shape).copy()
+        if lam.shape[1] > needed:
+            kept[:, needed] = sigma[:, needed] <= _CLOSE * sigma[:, needed - 1]
+        count = needed + bool(kept[:, needed:].any())
+        lam, kept = lam[:, :count], kept[:, :count]
+        Z = (y / np.sqrt(sigma * share[:, None])[:, None, :])[:, :, :count].transpose(1, 0, 2)
+        Z = np.where(kept, Z, 0.0).reshape(space.size, -1)
+        Q, left = _balanced(Z, tolerance, max(needed, 1), max(largest, needed))
+        left = left.reshape(len(left), len(theta), count)
+        left, total = np.max(left, axis=2), np.sum(left, axis=2)
         rotated = space.restricted(Q)
 
-        def worst(size: int, rows: FloatArray) -> FloatArray:
-            reduced = rotated.truncated(size).modes(theta[rows], needed)[0]
-            return np.asarray(np.max(apart(reduced, lam[rows]), axis=1) / share[rows])
+        def worst(size: int, rows: Any) -> FloatArray:
+            reduced = rotated.truncated(size).modes(theta[rows], min(count, size))[0]
+            off = np.full((len(reduced), count), np.inf)
+            off[:, : reduced.shape[1]] = apart(reduced, lam[rows, : reduced.shape[1]])
+            return np.asarray(np.max(off, axis=1, where=kept[rows], initial=0.0) / share[rows])
 
         low, high = max(smallest, needed) - 1, rotated.size
         guess = min(max(low + 1, int(np.sum(np.max(left, axis=1) > 2.0 * tolerance))), high)
         tuned = np.argsort(left[guess - 1])[::-1][:_TUNED]
+        stretch = self.anchors.stretch(theta)
         while True:
-            top = high
-            while top - low > 1:
-                # the guess is rarely far off
-                middle = guess if low < guess < top else top - max(1, (top - low) // 4)
-                guess = -1
-                if np.all(worst(middle, tuned) <= tolerance):
-                    top = middle
-                else:
-                    low = middle
-            others = np.setdiff1d(np.arange(len(theta)), tuned)
+            top = _fewest(lambda size: bool(np.all(worst(size, tuned) <= tolerance)), low, high, guess)
+            # no λ errs by more than the energy left of all these modes in K, which is at most `stretch` times Ā
+            others = np.setdiff1d(np.flatnonzero(~(stretch * total[top - 1] <= 2.0 * tolerance)), tuned)
             bad = others[~(worst(top, others) <= tolerance)] if len(others) else others
             if not len(bad) or top == high:
                 return rotated.truncated(top)
-            low, tuned = top, np.concatenate([tuned, bad])
+            low, guess, tuned = top, top + 1, np.concatenate([tuned, bad])
+
+
+def _balanced(Z: FloatArray, tolerance: float, smallest: int, largest: int) -> tuple[FloatArray, FloatArray]:
+    """Return orthonormal directions Q (r, q), the strongest first, and what they leave of the columns of Z.
+
+    Proper orthogonal decomposition makes the mean of what is left small. Columns of which much is left have more
+    weight in the next decomposition, which makes the largest small (as Lawson's algorithm does for polynomials:
+    Lawson 1961, *Contributions to the theory of linear least maximum approximation*).
+
+    Returns
+    -------
+    Q : ndarray, shape (r, q)
+    left : ndarray, shape (q, n_columns)
+        Energy left by the first 1, 2, … directions.
+    """
+    energy, weight = np.sum(Z**2, axis=0), np.ones(Z.shape[1])
+    best: tuple[FloatArray, FloatArray] | None = None
+    fewest = largest + 1
+    for _ in range(_WEIGHED):
+        weighted = Z * weight
+        Q = np.linalg.eigh(weighted @ weighted.T)[1][:, ::-1][:, :largest]
+        left = energy - np.cumsum((Q.T @ Z) ** 2, axis=0)
+        size = int(np.sum(np.max(left, axis=1) > 2.0 * tolerance)) + 1
+        if best is None or size < fewest:
+            # far more vectors than any point needs are not worth their projection
+            enough = max(smallest, int(np.sum(np.max(left, axis=1) > _NEGLIGIBLE * tolerance)) + 1)
+            best, fewest = (Q[:, :enough], left[:enough]), size
+        rest = np.maximum(left[min(size, len(left)) - 1], 0.0)
+        if not rest.any():
+            break
+        weight *= np.maximum(rest / rest.max(), _LEAST) ** 0.25
+    assert best is not None  # narrowed for the type checker: there is a first decomposition
+    return best
+
+
+def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -> int:
+    """Return the smallest size above `low` and at most `high` that is enough, near a guess that is rarely far off.
+
+    `high` counts as enough.
+    """
+    step = 1 + guess // 64
+    size = guess
+    while low < size < high and not is_enough(size):
+        low, size, step = size, size + step, 2 * step
+    high = min(high, max(size, low + 1))
+    size = high - step
+    while low < size:
+        if not is_enough(size):
+            low = size
+            break
+        high, step = size, 2 * step
+        size = high - step
+    while high - low > 1:
+        middle = (low + high) // 2
+        if is_enough(middle):
+            high = middle
+        else:
+            low = middle
+    return high
 
 
 def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:

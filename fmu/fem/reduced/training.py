@@ -44,10 +44,10 @@ _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
 # Fresh points of full solves, and how often training goes on from them.
 _CHECKED, _ROUNDS = 4, 4
 _MOST_ROUNDS = 20  # in a region
-# The share of what the space leaves of the tolerance that the cut may take, at the points that it is tuned to.
-# With many parameters others lie a little further out.
-_CUT = 0.6
-_CHECKS = 1000  # seeds of theirs
+# The share of what the space leaves of the tolerance that the cut may take at the points that it is tuned to; all
+# of it at fresh points, of which this many are looked at.
+_CUT, _FRESH = 0.85, 48
+_CHECKS, _CUTS = 1000, 2000  # seeds of theirs
 
 
 def affordable(n_dof: int) -> int:
@@ -122,8 +122,9 @@ class Training:
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
         self.share = 1.0
+        self.is_narrow = False
         self.far: Far | None = None
-        self._seed, self._cut_share = 0, _CUT
+        self._seed, self._cut_seed, self._cut_share = 0, _CUTS, _CUT
 
     def run(self) -> Trained:
         """Train until fresh points, corners and faces among them, are within the tolerance, and full solves agree.
@@ -158,16 +159,14 @@ class Training:
         self.far = self._far(np.concatenate([self._points(_CHECKS + _ROUNDS), near_zero]))
         return self._trained()
 
-    def refined(self, theta: FloatArray) -> Trained:
-        """Continue with more points (n, n_parameters) and a third of the tolerance.
+    def refined(self, theta: FloatArray, times: float = 3.0) -> Trained:
+        """Continue with more points (n, n_parameters), where errors may be smaller by `times` than before.
 
-        After `narrowed` a third of that of its region.
+        At other points of the box they may be what they were.
         """
-        if self.share < 1.0:
-            self.share /= 3.0
-        else:
-            self.tolerance /= 3.0
+        self.share /= times
         for b, learner in self.learners.items():
+            learner.share = np.where(learner.share < 1.0, self.share, learner.share)
             for _ in range(_ROUNDS):
                 if learner.visit(theta, self._allowed(b), self.share).all():
                     break
@@ -181,7 +180,7 @@ class Training:
         ones each time. Ends when all of them are good; without success when the basis would be larger than
         `affordable`, or after some rounds.
         """
-        self.share = tolerance / self.tolerance
+        self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
             yield self._trained()
             theta = region()
@@ -200,7 +199,7 @@ class Training:
         `far` are the parameter, the value and what else is known of where errors are not bounded well.
         """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
-        if self.share < 1.0:
+        if self.is_narrow:
             state["elsewhere"] = np.array(self.tolerance)
         if self.far is not None:
             state["far"] = np.array(self.far[1:], dtype=float)
@@ -311,7 +310,15 @@ class Training:
                 return shapes[0]
         smallest = self.reduced[b].size if b in self.reduced else 1
         largest = max(affordable(block.size), needed)
-        cut = self.learners[b].cut(needed, self._cut_share * (1.0 - SHARE) * self.tolerance, smallest, largest)
+        learner, left = self.learners[b], (1.0 - SHARE) * self.tolerance
+        for _ in range(_ROUNDS):
+            cut = learner.cut(needed, self._cut_share * left, smallest, largest)
+            self._cut_seed += 1
+            points = self._points(self._cut_seed)
+            points = points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]
+            if cut.size == largest or learner.is_kept(cut, points, np.full(needed, left)):
+                break
+            smallest = cut.size
         return mass_orthonormal(block, cut.V, centre)
 
     def _verified(self, round_: int) -> bool:
