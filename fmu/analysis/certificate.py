@@ -10,6 +10,8 @@ import numpy as np
 
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.pairing.paired_model import elsewhere
+from fmu.fem.reduced.confirming import LARGE
 from fmu.numbers import apart, share, significant, typed, whole
 from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
 from fmu.progress.phases import by_parts
@@ -22,9 +24,9 @@ if TYPE_CHECKING:
 _AT_ONCE = 16  # draws
 _WORK, _FEWEST, _MOST = 150_000, 64, 1024
 """Degrees of freedom times draws at which the bound is evaluated; at least and at most so many draws."""
-_EACH, _FEWEST_SOLVED, _WORST = 12, 16, 4
-"""One of so many of these draws is solved with the full model, at least so many, and so many that have the largest
-bounds."""
+_EACH, _FEWEST_SOLVED, _FEWEST_OF_LARGE, _WORST = 12, 16, 8, 4
+"""One of so many of these draws is solved with the full model, at least so many, or so many where the structure is
+large (`fmu.fem.reduced.confirming.LARGE`), and so many that have the largest bounds."""
 _ROUNDING = 0.01
 """Part of the tolerance by which the full model's own rounding may exceed the bound."""
 
@@ -54,7 +56,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         each. It is 0 where the full model answers, outside the trained box.
 
         ``certificate_draws``, those of them that were solved with the full model, the four with the largest bounds
-        among them;
+        among them: one in twelve, and at least 16, or 8 where the structure has 20 000 degrees of freedom or more
+        (`fmu.fem.reduced.confirming`);
         ``certificate_frequency_error``, the largest relative error of a frequency there;
         ``certificate_bound_exceeded``, draws at which an error is larger than its bound;
         ``certificate_log_prob_error``, the largest error of the log-probability among those of these draws whose
@@ -62,7 +65,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         ``certificate_pairing_changes``, draws at which the full model pairs a measured mode with another computed
         mode; ``certificate_full_solves``, how often the full model was solved during the run because a theta lay
         outside the trained box; ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``
-        (`fmu.posterior.train_reduced.Tolerance`).
+        (`fmu.posterior.train_reduced.Tolerance`); ``certificate_frequency_elsewhere``, the tolerance of the
+        frequencies where the posterior has no mass, only where it is another one.
 
         Of a surrogate it is ``problem.model.record``, from draws of its posterior that were solved when it was
         learnt (`fmu.surrogate`): ``surrogate_solves``, all solves of the model; ``surrogate_design``, those from
@@ -89,10 +93,13 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
     largest = max(len(block.dofs) for structure in structures for block in structure.full.blocks)
-    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (_FEWEST, _FEWEST_SOLVED, _WORST))
+    enough = _FEWEST_OF_LARGE if largest >= LARGE else _FEWEST_SOLVED
+    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (_FEWEST, enough, _WORST))
     most = int(np.clip(_WORK // (largest * model.n_tests), fewest, _MOST))
     theta = draws[rng.permutation(len(draws))[:most]]
-    bound = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _bound), theta, _AT_ONCE))
+    bound = np.concatenate(
+        by_parts("certificate", lambda part: model.of_modes(part, _bound), theta, _AT_ONCE, _AT_ONCE)
+    )
     n_bounded = len(theta)
     # where a basis is poor is not left to chance
     solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:worst]
@@ -133,6 +140,9 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         "certificate_frequency_tolerance": tolerance.frequency,
         "certificate_log_prob_tolerance": tolerance.log_prob,
     }
+    away = elsewhere(structures)
+    if away is not None:
+        certificate["certificate_frequency_elsewhere"] = away
     is_within = frequency_error <= tolerance.frequency and log_prob_error <= tolerance.log_prob
     if not is_within or changed.any() or exceeded.any():
         warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
@@ -173,7 +183,7 @@ def _bound(structure: Any, points: FloatArray) -> FloatArray:
 
 
 def _by_full(structure: Any, points: FloatArray) -> FloatArray:
-    return _stacked(structure.full_modes(points))
+    return _stacked(structure.confirmed_modes(points))
 
 
 def _by_reduced(structure: Any, points: FloatArray) -> FloatArray:

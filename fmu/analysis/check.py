@@ -21,6 +21,7 @@ from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.fem.frame.drawing import changed_elements, drawn, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
+from fmu.fem.pairing.paired_model import elsewhere
 from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.joint.joint_problem import JointProblem
@@ -397,7 +398,9 @@ def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
         measurement=measurement_in_words(None if tests is None else np.asarray(tests.frequencies_hz)),
         tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
-        assumptions=assumptions(problem.configuration(), _tolerance(problem)),
+        assumptions=assumptions(
+            problem.configuration(), _tolerance(problem), elsewhere=elsewhere(problem.model.structures())
+        ),
         priors=tuple(prior_doubts(problem.parameters)),
         points=problem.data.points,
     )

@@ -43,6 +43,7 @@ def assumptions(
     reduction: float | None,
     inferred: Inferred | None = None,
     error: float | None = None,
+    elsewhere: float | None = None,
 ) -> Assumptions | None:
     """Return what the posterior of a problem rests on.
 
@@ -56,6 +57,8 @@ def assumptions(
         Posterior mean and standard deviation of each inferred standard deviation, after a run.
     error : float, optional
         Largest relative error of a frequency that the certificate of a run found.
+    elsewhere : float, optional
+        What is allowed where the posterior has no mass, if that is more.
 
     Returns
     -------
@@ -77,9 +80,14 @@ def assumptions(
         said.append("The full model is solved everywhere; there is no reduced model.")
     else:
         seen = "" if error is None else f"; {significant(error, 2)} was found at draws solved again in full"
+        away = (
+            ""
+            if elsewhere is None
+            else (f" where the posterior has its mass, and {significant(elsewhere)} elsewhere")
+        )
         said.append(
             "Within the bounds a reduced model replaces the full one. The relative error allowed to a frequency "
-            f"is {significant(reduction)}{seen}."
+            f"is {significant(reduction)}{away}{seen}."
         )
     errors = _by_mode(likelihood, problem["parameters"], data, inferred)
     return Assumptions(tuple(said), errors, bool(likelihood.get("noise")))

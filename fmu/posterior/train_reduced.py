@@ -35,7 +35,7 @@ PATIENCE = 3
 _AT_ONCE = 16  # points
 # The share of the tolerance of the log-probability at the points that training looks at: others lie further out.
 _TUNED = 0.7
-# By what factor errors may have to be smaller there in the next round; somewhat more than the worst point asks for.
+# By what factor errors are to be smaller there in the next round: a little more than the worst point asks for.
 _SPARE, _TIMES = 1.3, (2.0, 10.0)
 _CHECKED, _CHECK_SEED = 32, 10_000
 _TRIED = 7  # steps along the way to a point

@@ -30,6 +30,7 @@ from fmu.fem.pairing.rules import (
     count_rigid,
     reference_modes,
 )
+from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import LOOSE, Trained, Training
 from fmu.progress.phases import solved
@@ -243,6 +244,8 @@ class PairedStructure(ModalModel):
         The rule, or fixed ranks where training found it constant.
     confirmed : bool
         Whether training ended because fresh points of the box were within the tolerance.
+    elsewhere : float or None
+        The tolerance outside the part of the box that matters, if training kept that one there alone.
     full_solves : int
         How often the full model had to answer since `train`.
     softness : float
@@ -266,10 +269,12 @@ class PairedStructure(ModalModel):
         self.by_shape, self.is_soft, self.softness = rule.by_shape, rule.is_soft, rule.softness
         self.reduced: BlockModel | None = None
         self.confirmed = True
+        self.elsewhere: float | None = None
         self.full_solves = 0
         self.pairing: IndexPairing | ShapePairing | RankPairing = rule
         self._sensors, self._at_sensors = sensors, at_sensors
         self._solve_full = rule.bind(full)
+        self._confirmed: Callable[[FloatArray], ModalSolution] | None = None
         self._see_full = self._see_reduced = SensorView(full, self._solve_full, sensors)
         if rule.by_shape:
             self._full_candidates = self._reduced_candidates = CandidateView(full, rule, at_sensors)
@@ -483,6 +488,20 @@ class PairedStructure(ModalModel):
         """Return the modes of the full model, paired by the rule itself: what every certificate compares with."""
         return self._by_full(self._solve_full, theta)
 
+    def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
+        """Return `full_modes` at theta (n, n_parameters), of large structures by what training has factorised.
+
+        From `fmu.fem.reduced.confirming.LARGE` degrees of freedom on the reduced model's modes are where the
+        iterations begin. They end when the frequencies have ten digits and the eigenvalues have been counted.
+        """
+        within = self.within(theta)
+        if not within.any():
+            return self.full_modes(theta)
+        if self._confirmed is None:
+            self._confirmed = self.rule.bind(confirmed_model(self._bound))
+        found = self._by_full(self._confirmed, np.where(within[:, None], theta, self._lower))
+        return found if within.all() else with_rows(found, ~within, self.full_modes(theta[~within]))
+
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies by the full model."""
         return frequency_hz(self.full_modes(theta).eigenvalues)
@@ -578,6 +597,7 @@ class PairedStructure(ModalModel):
 
     def _install(self, trained: Trained) -> None:
         self.pairing, self.confirmed = trained.pairing, trained.confirmed
+        self.elsewhere, self._confirmed = trained.elsewhere, None
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper, trained.anchors)
@@ -628,3 +648,8 @@ class PairedStructure(ModalModel):
             rows = failed.any(axis=1) | ~within.all(axis=1)
             self.full_solves += int(np.sum(rows))
             return with_rows(found, rows, full(theta[rows], gradient))
+
+
+def elsewhere(structures: Sequence[PairedStructure]) -> float | None:
+    """Return the largest tolerance of structures outside the part of the box that matters, None without one."""
+    return max((of.elsewhere for of in structures if of.elsewhere is not None), default=None)

@@ -9,6 +9,7 @@ is the relative error of an eigenvalue.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,9 @@ _NEGLIGIBLE = 0.02
 _TUNED = 24
 # A mode with λ up to this multiple of the highest one needed may change places with it at points nearby.
 _CLOSE = 1.05
-# Decompositions until their weights are settled, and the least factor of a weight, to the fourth power.
-_WEIGHED, _LEAST = 4, 1e-4
+# Decompositions, each weighted by what the one before left, and the least factor of a weight, to the fourth power.
+# More of them save a few vectors, and cost digits of the gradient: all points then err as much as the worst.
+_WEIGHED, _LEAST = 2, 1e-4
 
 
 class Learner:
@@ -97,16 +99,16 @@ class Learner:
                 self._correct(found.corrections[:, wrong], target[wrong])
         return good
 
-    def is_kept(self, cut: Space, theta: FloatArray, allowed: FloatArray) -> bool:
-        """Say whether a cut of the space agrees with it at theta (n, p); points where it does not join the others.
+    def missed(self, cut: Space, theta: FloatArray, needed: int, allowed: float) -> float:
+        """Return how far the needed frequencies of a cut of the space are from its own at most, at theta (n, p).
 
-        The lowest m modes agree within `allowed` (m,).
+        Points where that is more than what is allowed join those visited.
         """
-        lam = self.space.modes(theta, len(allowed))[0]
-        off = apart(cut.modes(theta, len(allowed))[0], lam)
-        bad = np.isfinite(lam).all(axis=1) & ~np.all(off <= allowed, axis=1)
-        self._look(theta[bad], 1.0)
-        return not bad.any()
+        lam = self.space.modes(theta, needed)[0]
+        off = np.max(apart(cut.modes(theta, needed)[0], lam), axis=1)
+        off = np.where(np.isfinite(lam).all(axis=1), np.where(np.isnan(off), np.inf, off), 0.0)
+        self._look(theta[off > allowed], 1.0)
+        return float(np.max(off, initial=0.0))
 
     def _look(self, theta: FloatArray, share: float) -> None:
         self.theta = np.concatenate([self.theta, theta])
@@ -114,9 +116,14 @@ class Learner:
 
     def solved(self) -> tuple[FloatArray, FloatArray]:
         """Return λ (n, count) and shapes (n, r, count) in V at all points visited; NaN on failure."""
-        if self._solved is None or self._solved[0] is not self.space or len(self._solved[1]) != len(self.theta):
-            self._solved = (self.space, *self.space.modes(self.theta, self.count))
-        return self._solved[1:]
+        lam, y = np.empty((0, self.count)), np.empty((0, self.space.size, self.count))
+        if self._solved is not None and self._solved[0] is self.space:
+            _, lam, y = self._solved
+        if len(lam) < len(self.theta):
+            more = self.space.modes(self.theta[len(lam) :], self.count)
+            lam, y = np.concatenate([lam, more[0]]), np.concatenate([y, more[1]])
+            self._solved = (self.space, lam, y)
+        return lam, y
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return how shapes in the trial vectors are compared with references, see `Block.observe`."""
@@ -188,12 +195,15 @@ class Learner:
             off[:, : reduced.shape[1]] = apart(reduced, lam[rows, : reduced.shape[1]])
             return np.asarray(np.max(off, axis=1, where=kept[rows], initial=0.0) / share[rows])
 
+        def is_enough(size: int, rows: Any) -> bool:
+            return bool(np.all(worst(size, rows) <= tolerance))
+
         low, high = max(smallest, needed) - 1, rotated.size
         guess = min(max(low + 1, int(np.sum(np.max(left, axis=1) > 2.0 * tolerance))), high)
         tuned = np.argsort(left[guess - 1])[::-1][:_TUNED]
         stretch = self.anchors.stretch(theta)
         while True:
-            top = _fewest(lambda size: bool(np.all(worst(size, tuned) <= tolerance)), low, high, guess)
+            top = _fewest(partial(is_enough, rows=tuned), low, high, guess)
             # no λ errs by more than the energy left of all these modes in K, which is at most `stretch` times Ā
             others = np.setdiff1d(np.flatnonzero(~(stretch * total[top - 1] <= 2.0 * tolerance)), tuned)
             bad = others[~(worst(top, others) <= tolerance)] if len(others) else others

@@ -186,15 +186,20 @@ class FrequencyBound:
             error[row, column] = self._of_block(int(b), theta, int(rank.max()) + 1)[row, rank]
         return error
 
+    def trial(self, b: int) -> tuple[Space, Anchors]:
+        """Return the space of the reduced block `b`, and its anchors, which are factorised at the first call."""
+        full: Any = self.full.blocks[b]
+        reduced: Any = self.reduced.blocks[b]
+        if b not in self._anchors:
+            self._anchors[b] = Anchors(full, self.lower, self.upper)
+        return Space.of(reduced, full, self._anchors[b].shift), self._anchors[b]
+
     def _of_block(self, b: int, theta: FloatArray, count: int) -> FloatArray:
         full: Any = self.full.blocks[b]
         reduced: Any = self.reduced.blocks[b]
         if not reduced.is_reduced or reduced.size == full.size:
             return np.zeros((len(theta), count))
-        if b not in self._anchors:
-            self._anchors[b] = Anchors(full, self.lower, self.upper)
-        anchors = self._anchors[b]
-        space = Space.of(reduced, full, anchors.shift)
+        space, anchors = self.trial(b)
         step = at_once(full, count)
         parts = [theta[first : first + step] for first in range(0, len(theta), step)]
         return np.concatenate([bounded(space, anchors, part, count).error for part in parts])

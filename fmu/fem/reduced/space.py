@@ -63,13 +63,7 @@ class Space:
 
     def grown(self, X: FloatArray, A: Any) -> Space:
         """Return the space with vectors X (size, q) added, what is new of them orthonormal in A and to V."""
-        X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
-        for new in (_RANK, 0.5):  # twice against rounding
-            X = X - self.V @ (self.V.T @ (A @ X))
-            gram = X.T @ (A @ X)
-            energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
-            X = X @ (U[:, energy > new] / np.sqrt(energy[energy > new]))
-        return self.joined(X)
+        return self.joined(new_directions(self.V, X, A))
 
     def joined(self, X: FloatArray) -> Space:
         """Return the space of the vectors of V and X (size, q)."""
@@ -123,6 +117,17 @@ class Space:
             whole[:, first : first + q, :width] = (weights @ part.reshape(n_terms, -1)).reshape(n, q, width)
             first += q
         return whole
+
+
+def new_directions(V: FloatArray, X: FloatArray, A: Any) -> FloatArray:
+    """Return what vectors X (n, q) add to the space of V (n, r), orthonormal in A and to V, which is so too."""
+    X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
+    for new in (_RANK, 0.5):  # twice against rounding
+        X = X - V @ (V.T @ (A @ X))
+        gram = X.T @ (A @ X)
+        energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
+        X = X @ (U[:, energy > new] / np.sqrt(energy[energy > new]))
+    return X
 
 
 def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:

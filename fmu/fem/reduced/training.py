@@ -24,8 +24,9 @@ from fmu.fem.modes.separable import coefficients, weighted_sum
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.learning import SHARE, Learner, apart
-from fmu.fem.reduced.residuals import bounded
+from fmu.fem.reduced.residuals import FrequencyBound, bounded
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import phase, solved
 from fmu.types import FloatArray
@@ -36,6 +37,8 @@ EXACT_LIMIT = 20
 # digits.
 _HIGHEST = 1e-7
 _MOST_VECTORS = 1000
+MEMORY = 2**31
+"""Bytes of the trial vectors of a block in training; while they grow they are there twice."""
 # Candidates are first told apart with errors of their frequencies up to this; only those that are needed are then
 # improved.
 LOOSE = 1e-3
@@ -60,6 +63,11 @@ def affordable(n_dof: int) -> int:
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
 
+def most_trial_vectors(n_dof: int) -> int:
+    """Return how many vectors training may have for a block: twice what is affordable, and no more than 2 GiB."""
+    return n_dof if n_dof <= DENSE_LIMIT else min(2 * affordable(n_dof), n_dof, MEMORY // (8 * n_dof))
+
+
 @dataclass(frozen=True)
 class Trained:
     """A reduced model, the pairing to use with it, and the box that it was trained for.
@@ -73,6 +81,8 @@ class Trained:
         Whether fresh points of the box were all within the tolerance, those of all candidate modes.
     anchors : mapping of int to Anchors
         The factorised points of each block, where training left them.
+    elsewhere : float or None
+        The tolerance of the box, where a smaller one was kept in a part of it.
     """
 
     model: BlockModel
@@ -81,6 +91,7 @@ class Trained:
     upper: FloatArray
     confirmed: bool = True
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
+    elsewhere: float | None = None
 
 
 class Training:
@@ -124,6 +135,7 @@ class Training:
         self.share = 1.0
         self.is_narrow = False
         self.far: Far | None = None
+        self._cuts: dict[int, Space] = {}
         self._seed, self._cut_seed, self._cut_share = 0, _CUTS, _CUT
 
     def run(self) -> Trained:
@@ -135,8 +147,7 @@ class Training:
         counts = self.rule.counts(self.full)
         for b, count in counts.items():
             block = self._block(b)
-            largest = block.size if block.size <= DENSE_LIMIT else min(2 * affordable(block.size), block.size)
-            self.learners[b] = Learner(block, self.lower, self.upper, count, largest)
+            self.learners[b] = Learner(block, self.lower, self.upper, count, most_trial_vectors(block.size))
         self.n_trained = dict.fromkeys(counts, 0)
         self._visit(2 * _TOGETHER)
         self.fixed, self.n_trained = self._needed()
@@ -160,11 +171,13 @@ class Training:
         return self._trained()
 
     def refined(self, theta: FloatArray, times: float = 3.0) -> Trained:
-        """Continue with more points (n, n_parameters), where errors may be smaller by `times` than before.
+        """Continue with more points (n, n_parameters), where errors are to be smaller by `times` than they are.
 
         At other points of the box they may be what they were.
         """
-        self.share /= times
+        off = [self.learners[b].missed(cut, theta, self.n_trained[b], np.inf) for b, cut in self._cuts.items()]
+        found = max(off, default=0.0) / ((1.0 - SHARE) * self.tolerance)
+        self.share = min(self.share, found if found > 0.0 else 1.0) / times
         for b, learner in self.learners.items():
             learner.share = np.where(learner.share < 1.0, self.share, learner.share)
             for _ in range(_ROUNDS):
@@ -216,6 +229,8 @@ class Training:
     ) -> Trained:
         """Return the outcome that `state` described."""
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
+        if "elsewhere" in state:
+            training.tolerance, training.is_narrow = float(state["elsewhere"]), True
         if "pairing" in state:
             block, rank = state["pairing"].astype(int).tolist()
             training.fixed = RankPairing(tuple(block), tuple(rank))
@@ -229,7 +244,8 @@ class Training:
         blocks = (self.reduced.get(b, full) for b, full in enumerate(self.full.blocks))
         model = BlockModel(tuple(blocks), self.full.n_parameters)
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
-        return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed, anchors)
+        elsewhere = self.tolerance if self.is_narrow else None
+        return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed, anchors, elsewhere)
 
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until `enough` in a row are good, and say whether there were."""
@@ -254,6 +270,12 @@ class Training:
                 if good < len(points) and self._size() == size:  # where no solve succeeds, or rounding is all
                     return False
         return good >= enough
+
+    def _fresh(self) -> FloatArray:
+        """Return points that a cut has not seen."""
+        self._cut_seed += 1
+        points = self._points(self._cut_seed)
+        return points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]
 
     def _points(self, seed: int) -> FloatArray:
         return box_points(self.lower, self.upper, self.n_sobol, seed)
@@ -310,15 +332,17 @@ class Training:
                 return shapes[0]
         smallest = self.reduced[b].size if b in self.reduced else 1
         largest = max(affordable(block.size), needed)
-        learner, left = self.learners[b], (1.0 - SHARE) * self.tolerance
+        learner, left, share = self.learners[b], (1.0 - SHARE) * self.tolerance, self._cut_share
         for _ in range(_ROUNDS):
-            cut = learner.cut(needed, self._cut_share * left, smallest, largest)
-            self._cut_seed += 1
-            points = self._points(self._cut_seed)
-            points = points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]
-            if cut.size == largest or learner.is_kept(cut, points, np.full(needed, left)):
+            cut = learner.cut(needed, share * left, smallest, largest)
+            # points that ask for more than others tell nothing new of the box
+            if cut.size == largest or self.share < 1.0:
                 break
-            smallest = cut.size
+            off = learner.missed(cut, self._fresh(), needed, left)
+            if off <= left:
+                break
+            share *= _CUT * left / off
+        self._cuts[b] = cut
         return mass_orthonormal(block, cut.V, centre)
 
     def _verified(self, round_: int) -> bool:
@@ -330,9 +354,14 @@ class Training:
         points = self._points(_CHECKS + round_)
         points = points[np.random.default_rng(round_).permutation(len(points))][: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
+        # where that is dear, the modes of the cut are a start, and one process has the factors
+        trained = self._trained()
+        bound = FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors)
+        full = confirmed_model(bound)
+        engine = self._engine if full is self.full else InProcess()
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
         with phase("training", len(tasks)) as under_way:
-            outcome = iter(self._engine.run_tasks(_solve_there, self.full, tasks, lambda *_: under_way.advance()))
+            outcome = iter(engine.run_tasks(_solve_there, full, tasks, lambda *_: under_way.advance()))
             solved(_CHECKED)
         agreed = True
         exact = {b: list(islice(outcome, _CHECKED)) for b in counts}

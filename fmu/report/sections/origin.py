@@ -127,9 +127,10 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
     is_reduced = "certificate_draws" in attrs and "surrogate_solves" not in attrs
     allowed = float(attrs.get("certificate_frequency_tolerance", Tolerance().frequency)) if is_reduced else None
     error = float(attrs["certificate_frequency_error"]) if is_reduced else None
+    away = attrs.get("certificate_frequency_elsewhere")
     noise = run.problem.get("likelihood", {}).get("noise", ())
     inferred = {name: (float(mean[name]), float(run.summary["sd"][name])) for name in noise}
-    found = assumed(run.problem, allowed, inferred, error)
+    found = assumed(run.problem, allowed, inferred, error, None if away is None else float(away))
     return () if found is None else assumption_parts(found, "σ at the posterior mean where it is inferred.")
 
 

@@ -1,0 +1,144 @@
+"""The full model's modes from those of a reduced one: what confirms a bound where a solve by itself is dear.
+
+The block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe & Sadkane 1994,
+*SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors' modes. The
+corrections are w = Ā⁻¹ r with the factors that training holds, so that nothing is factorised but K − σ M once:
+its inertia counts the eigenvalues below σ (Sylvester), and shows that no mode is missing. Where the two do not
+agree, or the iterations do not end, the modes are solved for as those of any other structure.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import RIGID, Block, BlockModel
+from fmu.fem.modes.solver import Factor, factorised
+from fmu.fem.reduced.anchors import Anchors
+from fmu.fem.reduced.residuals import FrequencyBound
+from fmu.fem.reduced.space import Space, new_directions
+from fmu.types import FloatArray
+
+LARGE = 20_000
+"""Degrees of freedom of a block from which on its modes are found so."""
+CONVERGED = 1e-10
+"""Estimated error of a frequency, relative, at which the iterations end; one more step follows."""
+_MOST_STEPS = 12
+# Modes above those that are asked for, and how far below them the gap may be where the inertia is counted.
+_BEYOND = 3
+
+
+class ConfirmedBlock(FullBlock):
+    """A large block whose modes at points of the trained box are found from those of its reduced model.
+
+    Parameters
+    ----------
+    block : FullBlock
+    space : Space
+        Of the basis.
+    anchors : Anchors
+    """
+
+    def __init__(self, block: FullBlock, space: Space, anchors: Anchors) -> None:
+        self.__dict__.update(block.__dict__)
+        self._last = None
+        self._space, self._anchors = space, anchors
+
+    def _solved(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        lam = np.full((len(theta), count), np.nan)
+        phi = np.full((len(theta), self.size, count), np.nan)
+        for i in range(len(theta)):
+            point = theta[i : i + 1]
+            found = self._from_ritz(point, count)
+            lam[i], phi[i] = (of[0] for of in super()._solved(point, count)) if found is None else found
+        return lam, phi
+
+    def _from_ritz(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
+        """Return the lowest λ (count,) and shapes (size, count) at theta (1, p); None if not confirmed."""
+        space, anchors = self._space, self._anchors
+        known = anchors.modes(count)
+        wanted = min(count + _BEYOND, space.size, known.size)
+        (best,), (alpha,) = anchors.nearest(theta, space)
+        if not (wanted > count and alpha > 0.0):
+            return None
+        ((K, M),) = self._matrices(theta)
+        A = K + space.shift * M if space.shift else K
+        start = [of.V @ of.modes(theta, wanted)[1][0] for of in (space, known)]
+        if not all(np.isfinite(part).all() for part in start):
+            return None
+        factor = anchors.factor(int(best))
+        found = davidson(A, M, space.shift, start, factor, wanted, count, float(alpha))
+        if found is None or not _are_lowest(K, M, found[0], count):
+            return None
+        lam, X = found
+        return lam[:count], X[:, :count]
+
+
+def confirmed_model(bound: FrequencyBound) -> BlockModel:
+    """Return the full model of a bound, with large blocks whose modes begin with those of the reduced model."""
+
+    def confirmed(b: int, full: Any, reduced: Any) -> Block:
+        if full.size < LARGE or not reduced.is_reduced or reduced.size == full.size:
+            return full
+        return ConfirmedBlock(full, *bound.trial(b))
+
+    if all(block.size < LARGE for block in bound.full.blocks):
+        return bound.full
+    both = zip(bound.full.blocks, bound.reduced.blocks, strict=True)
+    return BlockModel(tuple(confirmed(b, *of) for b, of in enumerate(both)), bound.full.n_parameters)
+
+
+def davidson(
+    A: Any, M: Any, shift: float, start: list[FloatArray], factor: Factor, wanted: int, count: int, alpha: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return Ritz pairs of A x = (λ + s) M x, of which the lowest `count` have converged; None if they do not.
+
+    Parameters
+    ----------
+    A, M : sparse arrays, shape (n, n)
+        K + s M and M; A is positive definite.
+    shift : float
+        s.
+    start : list of ndarray, each of shape (n, m)
+    factor : Factor
+        Of a matrix Ā with A ≥ α Ā.
+    wanted : int
+        Pairs that are returned.
+    alpha : float
+    """
+    V = MV = np.empty((len(start[0]), 0))
+    new, is_converged = np.concatenate(start, axis=1), False
+    for _ in range(_MOST_STEPS):
+        new = new_directions(V, new, A)
+        V, MV = np.concatenate([V, new], axis=1), np.concatenate([MV, M @ new], axis=1)
+        gram = V.T @ MV
+        nu, y = np.linalg.eigh(0.5 * (gram + gram.T))
+        nu, y = nu[::-1][:wanted], y[:, ::-1][:, :wanted]
+        if not nu[-1] > 0.0:
+            return None
+        X = V @ (y / np.sqrt(nu))
+        if is_converged:
+            return 1.0 / nu - shift, X
+        R = A @ X[:, :count] - MV @ (y[:, :count] * nu[:count] ** -1.5)
+        new = factor.solve(R)
+        # of a frequency; half the relative error of λ + s, as if no other mode were near
+        error = 0.5 * np.sum(R * new, axis=0) * nu[:count] / alpha
+        if not np.isfinite(error).all():
+            return None
+        is_converged = bool(np.all(error <= CONVERGED))
+        new = new[:, np.any(new, axis=0)]
+    return None
+
+
+def _are_lowest(K: Any, M: Any, lam: FloatArray, count: int) -> bool:
+    """Say whether K − σ M has as many negative eigenvalues as there are λ below σ, in a wide gap near `count`."""
+    gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
+    first = max(count - 1 - _BEYOND, 0)
+    below = first + int(np.argmax(gap[first:count])) + 1
+    sigma = 0.5 * (lam[below - 1] + lam[below])
+    try:
+        return factorised(K - sigma * M).negative == below
+    except np.linalg.LinAlgError:
+        return False
