@@ -35,8 +35,9 @@ PATIENCE = 3
 _AT_ONCE = 16  # points
 # The share of the tolerance of the log-probability at the points that training looks at: others lie further out.
 _TUNED = 0.7
-# By what factor errors are to be smaller there in the next round: a little more than the worst point asks for.
-_SPARE, _TIMES = 1.3, (2.0, 10.0)
+# By what factor errors are to be smaller there in the next round: more than the worst point asks for, as with many
+# parameters fresh points lie further out.
+_SPARE, _TIMES = 2.0, (3.0, 30.0)
 _CHECKED, _CHECK_SEED = 32, 10_000
 _TRIED = 7  # steps along the way to a point
 

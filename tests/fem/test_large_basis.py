@@ -12,8 +12,8 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import basis as reduced_basis
 from fmu.fem.reduced import residuals, space, training
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.learning import Learner
-from fmu.fem.reduced.training import Training, affordable, box_points, mass_orthonormal
+from fmu.fem.reduced.learning import Learner, _balanced, _fewest
+from fmu.fem.reduced.training import Training, affordable, box_points, mass_orthonormal, most_trial_vectors
 
 PARTS, ELEMENTS = 10, 40
 
@@ -140,6 +140,32 @@ def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
     assert not cut.confirmed
     assert checked == []
     assert [b.size for b in cut.reduced.blocks] == [12]
+
+
+def test_trial_vectors_keep_to_their_memory():
+    assert most_trial_vectors(400) == 400
+    assert most_trial_vectors(10_000) == 2000
+    assert 8 * 1_000_000 * most_trial_vectors(1_000_000) <= 2**31
+
+
+@pytest.mark.parametrize("fewest", [3, 17, 18, 40, 99, 100])
+@pytest.mark.parametrize("guess", [4, 18, 100])
+def test_the_fewest_vectors_are_found_from_any_guess(fewest, guess):
+    tried = []
+    assert _fewest(lambda size: tried.append(size) or size >= fewest, 2, 100, guess) == fewest
+    assert len(tried) == len(set(tried)) < 20
+
+
+def test_weights_make_fewer_vectors_enough_for_the_worst_column():
+    rng = np.random.default_rng(3)
+    Z = 0.6 ** np.arange(20)[:, None] * rng.standard_normal((20, 60))
+    Z[:, 0] = 0.01 * np.eye(20)[17]  # a column that no other one is like
+    Q, left = _balanced(Z, 1e-5, 1, 20)
+    assert_allclose(Q.T @ Q, np.eye(Q.shape[1]), atol=1e-12)
+    assert_allclose(left[7], np.sum(Z**2, axis=0) - np.sum((Q[:, :8].T @ Z) ** 2, axis=0), atol=1e-12)
+    plain = np.linalg.eigh(Z @ Z.T)[1][:, ::-1]
+    left_by_plain = np.sum(Z**2, axis=0) - np.cumsum((plain.T @ Z) ** 2, axis=0)
+    assert np.sum(left.max(axis=1) > 2e-5) < np.sum(left_by_plain.max(axis=1) > 2e-5)
 
 
 def test_what_pays():

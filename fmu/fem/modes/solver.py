@@ -52,7 +52,7 @@ def sparse_solver() -> str:
     return PARDISO if find_spec("pypardiso") else SUPERLU
 
 
-def factorised(matrix: Any, solver: str | None = None) -> Factor:
+def factorised(matrix: Any, solver: str | None = None, is_definite: bool = True) -> Factor:
     """Return the factors of a symmetric matrix, dense or sparse.
 
     Parameters
@@ -60,6 +60,8 @@ def factorised(matrix: Any, solver: str | None = None) -> Factor:
     matrix : ndarray or sparse array, shape (n, n)
     solver : {"SuperLU", "PARDISO"}, optional
         For sparse matrices; `sparse_solver` if not given.
+    is_definite : bool
+        Whether a positive definite matrix is expected: another one then takes longer.
 
     Raises
     ------
@@ -68,7 +70,7 @@ def factorised(matrix: Any, solver: str | None = None) -> Factor:
     """
     if not sp.issparse(matrix):
         return DenseFactor(matrix)
-    return (_Pardiso if (solver or sparse_solver()) == PARDISO else _SuperLU)(matrix)
+    return _Pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else _SuperLU(matrix)
 
 
 class DenseFactor:
@@ -112,17 +114,18 @@ class _SuperLU:
 class _Pardiso:
     """Cholesky factors, or those of an indefinite matrix, L D Lᵀ with a diagonal D."""
 
-    def __init__(self, matrix: Any) -> None:
-        self._upper = _upper_triangle(matrix)
-        n = matrix.shape[0]
-        try:
-            self._factorise(_DEFINITE)
-            self.negative = 0
-        except np.linalg.LinAlgError:
-            self._factorise(_INDEFINITE)
-            self.negative = n - int(self._solver.get_iparm(22))
-            if self._solver.get_iparm(14):
-                raise np.linalg.LinAlgError("the matrix is singular") from None
+    def __init__(self, matrix: Any, is_definite: bool = True) -> None:
+        self._upper, self.negative = _upper_triangle(matrix), 0
+        if is_definite:
+            try:
+                self._factorise(_DEFINITE)
+                return
+            except np.linalg.LinAlgError:
+                pass
+        self._factorise(_INDEFINITE)
+        self.negative = matrix.shape[0] - int(self._solver.get_iparm(22))
+        if self._solver.get_iparm(14):
+            raise np.linalg.LinAlgError("the matrix is singular")
 
     def solve(self, loads: FloatArray) -> FloatArray:
         return _call(self._solver, self._upper, _SOLVE, loads)

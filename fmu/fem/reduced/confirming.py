@@ -23,8 +23,8 @@ from fmu.types import FloatArray
 
 LARGE = 20_000
 """Degrees of freedom of a block from which on its modes are found so."""
-CONVERGED = 1e-10
-"""Estimated error of a frequency, relative, at which the iterations end; one more step follows."""
+CONVERGED = 1e-9
+"""Estimated error of a frequency, relative, at which the iterations end; the last corrections are still used."""
 _MOST_STEPS = 12
 # Modes above those that are asked for, and how far below them the gap may be where the inertia is counted.
 _BEYOND = 3
@@ -127,8 +127,10 @@ def davidson(
         error = 0.5 * np.sum(R * new, axis=0) * nu[:count] / alpha
         if not np.isfinite(error).all():
             return None
-        is_converged = bool(np.all(error <= CONVERGED))
-        new = new[:, np.any(new, axis=0)]
+        wrong = ~(error <= CONVERGED)
+        is_converged = not wrong.any()
+        if not is_converged:
+            new = new[:, wrong]
     return None
 
 
@@ -139,6 +141,6 @@ def _are_lowest(K: Any, M: Any, lam: FloatArray, count: int) -> bool:
     below = first + int(np.argmax(gap[first:count])) + 1
     sigma = 0.5 * (lam[below - 1] + lam[below])
     try:
-        return factorised(K - sigma * M).negative == below
+        return factorised(K - sigma * M, is_definite=False).negative == below
     except np.linalg.LinAlgError:
         return False

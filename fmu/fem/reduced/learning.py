@@ -158,7 +158,7 @@ class Learner:
             k = needed + int(np.argmax(between[1:] / np.maximum(between[:-1], RIGID * values[-1])))
             sigma = 0.5 * (values[k - 1] + values[k])
             try:
-                if factorised(K - sigma * M).negative != k:
+                if factorised(K - sigma * M, is_definite=False).negative != k:
                     return False
             except np.linalg.LinAlgError:
                 continue

@@ -180,8 +180,10 @@ class Training:
         self.share = min(self.share, found if found > 0.0 else 1.0) / times
         for b, learner in self.learners.items():
             learner.share = np.where(learner.share < 1.0, self.share, learner.share)
+            left = theta
             for _ in range(_ROUNDS):
-                if learner.visit(theta, self._allowed(b), self.share).all():
+                left = left[~learner.visit(left, self._allowed(b), self.share)]
+                if not len(left):
                     break
         self._cut()
         return self._trained()
@@ -376,7 +378,8 @@ class Training:
             found = self.reduced[b].eigenvalues(points[:_CHECKED], n)
             known = np.isfinite(lam).all(axis=1)
             bad = known & ~np.all(apart(found, lam) <= self.tolerance, axis=1)
-            agreed &= not bad.any() and learner.counts_the_same(points[_CHECKED:], n)
+            # where the modes of the cut are the start, the eigenvalues have been counted
+            agreed &= not bad.any() and (full is not self.full or learner.counts_the_same(points[_CHECKED:], n))
             for row in np.flatnonzero(bad):
                 learner.add(shapes[b][row])
         return agreed
