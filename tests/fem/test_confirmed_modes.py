@@ -1,4 +1,4 @@
-"""Modes of large structures, from those of the reduced model: they are the full model's, or are solved for anew."""
+"""Modes of large structures, from those of the reduced model: the full model's, or solved for anew."""
 
 import numpy as np
 import pytest

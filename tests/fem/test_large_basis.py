@@ -158,8 +158,8 @@ def test_the_fewest_vectors_are_found_from_any_guess(fewest, guess):
 
 def test_weights_make_fewer_vectors_enough_for_the_worst_column():
     rng = np.random.default_rng(3)
-    Z = 0.6 ** np.arange(20)[:, None] * rng.standard_normal((20, 60))
-    Z[:, 0] = 0.01 * np.eye(20)[17]  # a column that no other one is like
+    Z = 0.6 ** np.arange(20)[:, None] * rng.standard_normal((20, 600))
+    Z[:, 0] = 0.03 * np.eye(20)[17]  # a column that no other one is like
     Q, left = _balanced(Z, 1e-5, 1, 20)
     assert_allclose(Q.T @ Q, np.eye(Q.shape[1]), atol=1e-12)
     assert_allclose(left[7], np.sum(Z**2, axis=0) - np.sum((Q[:, :8].T @ Z) ** 2, axis=0), atol=1e-12)

@@ -237,7 +237,8 @@ def _balanced(Z: FloatArray, tolerance: float, smallest: int, largest: int) -> t
             # far more vectors than any point needs are not worth their projection
             enough = max(smallest, int(np.sum(np.max(left, axis=1) > _NEGLIGIBLE * tolerance)) + 1)
             best, fewest = (Q[:, :enough], left[:enough]), size
-        rest = np.maximum(left[min(size, len(left)) - 1], 0.0)
+        # by the last size that was not enough
+        rest = np.maximum(left[max(min(size, len(left)) - 2, 0)], 0.0)
         if not rest.any():
             break
         weight *= np.maximum(rest / rest.max(), _LEAST) ** 0.25
