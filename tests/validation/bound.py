@@ -22,7 +22,6 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import MISSING, significant, whole
-from fmu.posterior.parameters import box as box_of_priors
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.fem.test_frequency_bound import BUILT, box
@@ -124,7 +123,7 @@ def examined(case: Case) -> Found:
 def shipped() -> Iterator[Case]:
     """Yield the built-in cases."""
     for name in cases.names():
-        yield _of_problem(name, cases.load(name), POINTS)
+        yield from _of_problem(name, cases.load(name), POINTS)
 
 
 def frames() -> Iterator[Case]:
@@ -139,7 +138,7 @@ def frames() -> Iterator[Case]:
         (Size(70, 6, 4), 50, 1e-3, 10 * FEWEST),
     ):
         name = f"frame, `{significant(tolerance, 1)}`"
-        yield _of_problem(name, scale_problem(size, n_parameters, tolerance), points)
+        yield from _of_problem(name, scale_problem(size, n_parameters, tolerance), points)
 
 
 def chains() -> Iterator[Case]:
@@ -148,9 +147,10 @@ def chains() -> Iterator[Case]:
         yield _of_chain(built)
 
 
-def _of_problem(name: str, problem: fmu.UpdatingProblem, points: int) -> Case:
-    structure: Any = problem.model.as_structure()
-    return Case(name, structure, *box_of_priors(problem.parameters[: structure.n_parameters]), points)
+def _of_problem(name: str, problem: fmu.UpdatingProblem | fmu.JointProblem, points: int) -> Iterator[Case]:
+    """Yield the structure of a problem, or those of its tests, each over the box that it was trained for."""
+    for structure in problem.model.structures():
+        yield Case(name, structure, structure._lower[0], structure._upper[0], points)
 
 
 def _of_chain(built: Callable[[], Any]) -> Case:
