@@ -56,7 +56,7 @@ $(READY_FAST): $(READY)
 
 # What factorises sparse matrices.
 SOLVED := tests/fem/test_solver.py tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_frame_stability.py \
-  tests/fem/test_frequency_bound.py tests/fem/test_training.py tests/fem/test_large_basis.py
+  tests/fem/test_frequency_bound.py tests/fem/test_confirmed_modes.py tests/fem/test_training.py tests/fem/test_large_basis.py
 
 test-fast: $(READY_FAST)  ## Run the tests of what factorises sparse matrices with PARDISO
 	OPENBLAS_NUM_THREADS=1 .venv/fast/bin/python -m pytest --numprocesses=auto --quiet $(SOLVED)
