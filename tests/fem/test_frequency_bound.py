@@ -128,7 +128,7 @@ def compared(built, allowed=1e-5):
     learner = Learner(FullBlock(model, dofs), lower, upper, COUNT, N)
     for seed in range(3):
         learner.visit(box_points(lower, upper, 16, seed), np.full(COUNT, allowed))
-    cut = learner.cut(COUNT, allowed, 1, N)
+    cut, _ = learner.cut(COUNT, allowed, 1, N)
     theta = box_points(lower, upper, 128, seed=50)
     exact = learner.block.eigenvalues(theta, COUNT)
     found = bounded(cut, learner.anchors, theta, COUNT)

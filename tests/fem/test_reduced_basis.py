@@ -73,7 +73,7 @@ def learnt(block, lower, upper, theta, tolerance=1e-11):
     learner = Learner(block, lower, upper, COUNT, block.size)
     for _ in range(4):
         learner.visit(theta, np.full(COUNT, tolerance))
-    cut = learner.cut(COUNT, tolerance, 1, block.size)
+    cut, _ = learner.cut(COUNT, tolerance, 1, block.size)
     return ReducedBlock(block, mass_orthonormal(block, cut.V, 0.5 * (lower + upper)), COUNT)
 
 

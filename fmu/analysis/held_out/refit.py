@@ -53,7 +53,7 @@ _ROUNDS, _RESAMPLED = (12_000, 12_000, 20_000, 20_000, 60_000), 2048
 _GROUPS, _A_GROUP = 8, 20
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
-_SHARE, _COMPARED, _SLIGHT = 2.0 / 3.0, 128, 0.5
+_SHARE, _COMPARED, _SLIGHT = 0.75, 128, 0.5
 """Share of the basis for chains that make proposals; points at which log P is compared, and the change allowed."""
 
 

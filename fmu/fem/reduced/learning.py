@@ -164,8 +164,10 @@ class Learner:
                 continue
         return True
 
-    def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> Space:
+    def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
         """Return a space of few vectors whose frequencies agree at all points visited, within `tolerance`.
+
+        And its directions (q, q), those that matter most first.
 
         Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
         λ; of the decomposition as many vectors as the worst points need. Weights make the largest errors small
@@ -208,7 +210,9 @@ class Learner:
             others = np.setdiff1d(np.flatnonzero(~(stretch * total[top - 1] <= 2.0 * tolerance)), tuned)
             bad = others[~(worst(top, others) <= tolerance)] if len(others) else others
             if not len(bad) or top == high:
-                return rotated.truncated(top)
+                # weights mix the order of the directions: strongest first, a part of the basis is a coarser one
+                energy = Q[:, :top].T @ Z
+                return rotated.truncated(top), np.linalg.eigh(energy @ energy.T)[1][:, ::-1]
             low, guess, tuned = top, top + 1, np.concatenate([tuned, bad])
 
 

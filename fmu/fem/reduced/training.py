@@ -336,7 +336,7 @@ class Training:
         largest = max(affordable(block.size), needed)
         learner, left, share = self.learners[b], (1.0 - SHARE) * self.tolerance, self._cut_share
         for _ in range(_ROUNDS):
-            cut = learner.cut(needed, share * left, smallest, largest)
+            cut, order = learner.cut(needed, share * left, smallest, largest)
             # points that ask for more than others tell nothing new of the box
             if cut.size == largest or self.share < 1.0:
                 break
@@ -345,7 +345,7 @@ class Training:
                 break
             share *= _CUT * left / off
         self._cuts[b] = cut
-        return mass_orthonormal(block, cut.V, centre)
+        return mass_orthonormal(block, cut.V @ order, centre)
 
     def _verified(self, round_: int) -> bool:
         """Say whether full solves at fresh points agree; if not, their modes join the space.
