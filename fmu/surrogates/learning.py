@@ -43,7 +43,7 @@ def surrogate(
     *,
     seed: int = 1,
     tolerance: float = TOLERANCE,
-    batch: int = BATCH,
+    batch: int | None = None,
     checks: int = CHECKS,
     max_solves: int = MOST_SOLVES,
     engine: Engine | None = None,
@@ -63,9 +63,9 @@ def surrogate(
     seed : int
     tolerance : float
         How far posterior means may be off, in posterior standard deviations, with 95 % confidence.
-    batch : int
-        Solves between two rounds of sampling; they can run at once. The design depends on this number, and not on
-        how many workers there are.
+    batch : int, optional
+        Solves between two rounds of sampling; they can run at once. By default as many as the model has
+        parameters, and at least four. The design depends on this number, and not on how many workers there are.
     checks : int
         Draws that are solved for a certificate, at least 8.
     max_solves : int
@@ -88,6 +88,7 @@ def surrogate(
     SurrogateWarning
         If it ended before the tolerance was kept, or where modes could not be told apart.
     """
+    batch = max(BATCH, problem.n_structural) if batch is None else batch
     _check(problem, tolerance, batch, checks, max_solves)
     learner = _Learner(problem, seed, max_solves)
     black_box = problem.model.black_box
@@ -102,7 +103,7 @@ def surrogate(
 
 def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
     """Extend the design until the certificate is kept, or no solves are left; return the certificate."""
-    optimism = 1.0
+    optimism, at_floor = 1.0, 0
     while True:
         draws, expected, floor = learner.posterior()
         left = learner.left - checks
@@ -116,9 +117,9 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
         errors, answers = learner.checked(theta, under_way)
         limits = ErrorLimits.of(errors)
         under_way.said["certificate"] = limits.shift
-        # further solves do not help against the scatter of those that check
-        at_floor = floor > _SAFE * tolerance and limits.sd <= 2.0 * np.hypot(floor, expected)
-        if limits.shift <= tolerance or left < checks or at_floor:
+        # further solves do not help against the scatter of those that check; one estimate of it may be wrong
+        at_floor += floor > _SAFE * tolerance and limits.sd <= 2.0 * np.hypot(floor, expected)
+        if limits.shift <= tolerance or left < checks or at_floor > 1:
             return limits
         if np.isfinite(limits.sd) and expected > 0.0:
             optimism = max(1.0, limits.sd / expected)

@@ -1,0 +1,304 @@
+"""Surrogates against exact posteriors, small budgets, kills and awkward functions: results/surrogate.md.
+
+    python -m tests.validation.surrogate OUT_DIRECTORY [--kept FILE]
+
+With a file, parts that it holds are not repeated. Exit code 1 where a gate fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+import fmu
+from tests.validation.surrogate_cases import cases, grid_moments, storeys, through, two_storeys
+from tests.validation.surrogate_page import page, passed
+
+SEED = 1
+DRAWS, WARMUP = 2000, 500
+ESS = 400
+"""Effective draws whose Monte-Carlo error of a mean is 0.05 posterior standard deviations."""
+BUDGETS = 200
+KILLS = 10
+SD = np.array([0.01, 0.03])
+SLOW = """
+import time
+from pathlib import Path
+import numpy as np
+
+log = Path(__file__).with_name("log")
+
+
+def told(what, theta):
+    with log.open("a") as file:
+        file.write(f"{what} {theta.tobytes().hex()}\\n")
+
+
+def storeys(theta):
+    told("begun", theta)
+    time.sleep(SECONDS)
+    k, m = theta, np.array([16e3, 15e3, 12e3])
+    K = np.array([[k[0] + k[1], -k[1], 0.0], [-k[1], k[1] + k[2], -k[2]], [0.0, -k[2], k[2]]])
+    frequencies = np.sqrt(np.linalg.eigvalsh(K / np.sqrt(np.outer(m, m)))) / (2.0 * np.pi)
+    told("done", theta)
+    return frequencies
+"""
+PROBLEM = """
+name = "slow storeys"
+[model]
+type = "python"
+function = "slow:storeys"
+[measurement]
+frequencies = [4.2, 10.3, 14.6]
+sd = [0.04, 0.08, 0.12]
+""" + "".join(
+    f"""
+[[parameters]]
+name = "k{i + 1}"
+start = {median}
+prior = {{ distribution = "log-normal", median = {median}, sigma = 0.4 }}
+"""
+    for i, median in enumerate((5e7, 4.5e7, 3e7))
+)
+
+
+def known_posterior(number: int) -> dict[str, Any]:
+    """Compare a surrogate's posterior with the exact one, and count what samplers need for the same."""
+    case = cases()[number]()
+    given = through(case)
+    began = time.process_time()
+    surrogate = fmu.surrogate(given, seed=SEED)
+    learning_s = time.process_time() - began
+    exact, found = (
+        fmu.sample(problem, draws=DRAWS, warmup=WARMUP, seed=seed)
+        for problem, seed in ((case.exact, 11), (surrogate, 12))
+    )
+    true, ours = fmu.summary(exact), fmu.summary(found)
+    hmc = fmu.sample(case.exact, "hmc", draws=250, warmup=WARMUP, seed=13)
+    return {
+        "name": case.name,
+        "parameters": case.exact.ndim,
+        "most": case.most,
+        "solves": surrogate.model.record["surrogate_solves"],
+        "shift": surrogate.model.record["certificate_shift"],
+        "mean": float(np.max(np.abs(ours["mean"] - true["mean"]) / true["sd"])),
+        "sd": float(np.max(np.abs(ours["sd"] / true["sd"] - 1.0))),
+        "noise": float(np.sqrt(1.0 / true["ess_bulk"].min() + 1.0 / ours["ess_bulk"].min())),
+        "learning_s": learning_s,
+        "mixture": needed(exact, 1),
+        # a function without gradients: differences
+        "hmc": needed(hmc, 2 * case.exact.ndim + 1),
+    }
+
+
+def needed(trace: Any, per_gradient: int) -> float:
+    """Return the solves of a sampler from the start of its warm-up to an ESS of 400."""
+    summary = fmu.summary(trace)
+    solves = {
+        name: float(trace.attrs[f"{name}n_solves"]) + (per_gradient - 1) * float(trace.attrs[f"{name}n_gradients"])
+        for name in ("warmup_", "")
+    }
+    return solves["warmup_"] + solves[""] * ESS / min(summary["ess_bulk"].min(), summary["ess_tail"].min())
+
+
+def small_budgets() -> dict[str, Any]:
+    """Return, of 200 surrogates with one design and no more, the errors reported and real."""
+    rng = np.random.default_rng(SEED)
+    reported, real = [], []
+    for k in range(BUDGETS):
+        truth = rng.uniform([3e7, 2e7], [7e7, 5e7])
+        sd = SD * 10.0 ** rng.uniform(-1.5, 0.0)
+        problem = two_storeys(storeys, storeys(truth) + sd * rng.standard_normal(2), sd)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            surrogate = fmu.surrogate(problem, seed=k, max_solves=22, tolerance=1e-6)
+        best = fmu.find_map(problem, 16)[0]
+        mean, width = grid_moments(problem, best.mean, best.sd)
+        shifted, _ = grid_moments(surrogate, mean, width)
+        reported.append(float(surrogate.model.record["certificate_shift"]))
+        real.append(float(np.max(np.abs(shifted - mean) / width)))
+    return {"reported": reported, "real": real}
+
+
+def in_folder(folder: Path, seconds: float) -> list[str]:
+    """Write a slow function with its problem, and return the command that runs it."""
+    (folder / "slow.py").write_text(SLOW.replace("SECONDS", str(seconds)))
+    (folder / "slow.toml").write_text(PROBLEM)
+    return [sys.executable, "-m", "fmu", "run", str(folder / "slow.toml"), "--workers", "2", "--progress", "none",
+            "--out", str(folder / "run")]  # fmt: skip
+
+
+def calls(folder: Path) -> tuple[Counter[str], Counter[str]]:
+    """Return how often each theta was begun, and how often finished."""
+    lines = [line.split() for line in (folder / "log").read_text().splitlines()]
+    return tuple(Counter(line[1] for line in lines if line[0] == what) for what in ("begun", "done"))  # type: ignore[return-value]
+
+
+def one_second() -> dict[str, Any]:
+    """Run a function of one second with two workers."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        command = in_folder(folder, 1.0)
+        before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        wall_s, after = time.monotonic() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+        attrs = fmu.load_trace(folder / "run" / "mixture.nc").attrs
+        return {
+            "code": done.returncode,
+            "wall_s": wall_s,
+            "cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+            "solves": int(attrs["surrogate_solves"]),
+            "shift": float(attrs["certificate_shift"]),
+            "converged": "converged" in done.stdout,
+        }
+
+
+def killed() -> dict[str, Any]:
+    """Kill a run ten times at random, resume it each time, and count what was solved twice."""
+    rng = random.Random(SEED)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        command = in_folder(folder, 0.5)
+        resumed = [*command[:4], "--resume", str(folder / "run"), "--workers", "2", "--progress", "none"]
+        kills, code = 0, None
+        while kills < KILLS:
+            started = (folder / "run" / "checkpoints" / "run.json").exists()
+            process = subprocess.Popen(resumed if started else command, stdout=subprocess.DEVNULL,
+                                       stderr=subprocess.DEVNULL, start_new_session=True)  # fmt: skip
+            solved, patience = len((folder / "log").read_text()) if (folder / "log").exists() else 0, 120.0
+            until = time.monotonic() + patience
+            while process.poll() is None and time.monotonic() < until:  # until it solves something new
+                if (folder / "log").exists() and len((folder / "log").read_text()) > solved:
+                    break
+                time.sleep(0.05)
+            time.sleep(rng.uniform(0.0, 2.0))
+            if process.poll() is not None:
+                code = process.returncode
+                break
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            kills += 1
+        if code is None:
+            code = subprocess.run(resumed, capture_output=True, check=False).returncode
+        begun, done = calls(folder)
+        attrs = fmu.load_trace(folder / "run" / "mixture.nc").attrs
+        start_calls = max(done.values())  # the start is called besides, to see how long it takes
+        twice = sum(n > 1 for n in done.values()) - (1 if start_calls > 1 else 0)
+        return {
+            "kills": kills,
+            "code": code,
+            "solves": int(attrs["surrogate_solves"]),
+            "distinct": len(done),
+            "twice": twice,
+            "broken_off": sum(begun.values()) - sum(done.values()),
+        }
+
+
+def awkward() -> dict[str, Any]:
+    """Return what comes of functions that are awkward: shift of the means, solves, and what is told."""
+    measured = storeys(np.array([5.2e7, 3.1e7]))
+    plain = two_storeys(storeys, measured, SD)
+    best = fmu.find_map(plain, 16)[0]
+    mean, sd = grid_moments(plain, best.mean, best.sd)
+
+    def compared(surrogate: Any, reference: Any = None) -> dict[str, Any]:
+        true_mean, true_sd = (mean, sd) if reference is None else reference
+        found_mean, found_sd = grid_moments(surrogate, true_mean, true_sd)
+        record = surrogate.model.record
+        return {
+            "mean": float(np.max(np.abs(found_mean - true_mean) / true_sd)),
+            "sd": float(np.max(np.abs(found_sd / true_sd - 1.0))),
+            "solves": record["surrogate_solves"],
+            "shift": record["certificate_shift"],
+            "told": record["surrogate_failed_where"],
+            "scatter": record["surrogate_scatter"],
+        }
+
+    found = {"as it is": compared(fmu.surrogate(plain))}
+    names = ("k1", "k2", "a", "b", "c")
+    found["three parameters without effect"] = compared(fmu.surrogate(two_storeys(storeys, measured, SD, names)))
+
+    def crossing(theta: Any) -> dict[str, Any]:
+        f = np.sqrt(theta[:2] * np.array([1.0, 5.0 / 3.0])) / 1500.0
+        order = np.argsort(f)
+        return {"frequencies": f[order], "shapes": np.array([[1.0, 0.1], [0.1, 1.0]])[:, order]}
+
+    shapes = {"sensors": [(0, "x"), (1, "x")], "shapes": [[1.0, 0.1], [0.1, 1.0]]}
+    of_pair = np.sqrt(np.array([5e7, 5e7])) / 1500.0 + np.array([0.01, -0.01])
+    crossed = two_storeys(crossing, of_pair, np.array([0.1, 0.1]), **shapes)
+    top = fmu.find_map(crossed, 16)[0]
+    found["two modes that cross in the posterior"] = compared(
+        fmu.surrogate(crossed), grid_moments(crossed, top.mean, top.sd)
+    )
+    edge = mean[0] + 0.5 * sd[0]
+
+    def corner(theta: Any) -> Any:
+        if theta[0] > edge:
+            raise RuntimeError("no convergence")
+        return storeys(theta)
+
+    failing = two_storeys(corner, measured, SD)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        half = grid_moments(failing, mean, sd)
+        found[f"fails where k1 is above {edge:.4g}, half a sd above the mean"] = compared(
+            fmu.surrogate(failing), half
+        )
+        rng = np.random.default_rng(SEED)
+        noisy = two_storeys(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2)), measured, SD)
+        found["noise of 1e-4 in the answers"] = compared(fmu.surrogate(noisy))
+    return found
+
+
+PARTS: dict[str, Callable[[], dict[str, Any]]] = {
+    **{f"case {i}": lambda i=i: known_posterior(i) for i in range(4)},  # type: ignore[misc]
+    "awkward": awkward,
+    "one second": one_second,
+    "kills": killed,
+    "budgets": small_budgets,
+}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--kept", type=Path)
+    parser.add_argument("--parts", nargs="*", default=list(PARTS))
+    given = parser.parse_args()
+    known = {}
+    if given.kept is not None and given.kept.is_file():
+        known = {part: found for part, found, _ in map(json.loads, given.kept.read_text().splitlines())}
+    for part in given.parts:
+        if part in known:
+            continue
+        began = time.process_time()
+        with threadpool_limits(1):
+            known[part] = PARTS[part]()
+        print(part, json.dumps(known[part])[:400], flush=True)
+        if given.kept is not None:
+            with given.kept.open("a") as file:
+                file.write(json.dumps([part, known[part], time.process_time() - began]) + "\n")
+    if set(known) < set(PARTS):
+        return 0
+    (given.out / "surrogate.md").write_text(page(known))
+    return 0 if passed(known) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,140 @@
+"""Models whose exact posterior is known, each as the function of a user: frequencies at theta, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+import fmu
+
+Vector = NDArray[np.float64]
+
+
+class Case(NamedTuple):
+    """A posterior by matrices, the same through a function, and the solves that it may take."""
+
+    name: str
+    exact: Any
+    function: Callable[[Vector], Vector]
+    error: Any
+    most: int
+
+
+def through(case: Case, **options: Any) -> fmu.UpdatingProblem:
+    """Return the problem of a case through its function."""
+    data = fmu.ModalData(list(case.exact.data.frequencies_hz))
+    model = fmu.BlackBoxModel(case.function, case.exact.ndim, **options)
+    return fmu.UpdatingProblem(model, data, case.exact.parameters, error=case.error)
+
+
+def built_in(name: str, most: int, error: Any, pairing: str | None = None) -> Case:
+    """Return a built-in case; the function gives its paired frequencies."""
+    exact = fmu.cases.load(name) if pairing is None else fmu.cases.load(name, pairing)
+    return Case(name, exact, lambda theta: exact.model.frequencies(theta[None])[0], error, most)
+
+
+def plate(most: int = 250) -> Case:
+    """A cantilever plate of Morley's triangles with eight moduli, and twelve frequencies off the model's by noise."""
+    from skfem import Basis, BilinearForm, ElementTriMorley, MeshTri
+    from skfem.helpers import dd, ddot, eye, trace
+
+    thickness, nu, density, modulus = 0.004, 0.3, 7850.0, 2.1e11
+    mesh = MeshTri.init_tensor(np.linspace(0.0, 0.8, 9), np.linspace(0.0, 0.5, 5))
+    element = ElementTriMorley()
+    patches = [[(0.2 * i, 0.2 * (i + 1), 0.25 * j, 0.25 * (j + 1)) for i in range(4)] for j in range(2)]
+
+    @BilinearForm
+    def bending(u: Any, v: Any, _: Any) -> Any:
+        moment = 1.0 / (1.0 + nu) * (dd(u) + nu / (1.0 - nu) * eye(trace(dd(u)), 2))
+        return modulus * thickness**3 / 12.0 * ddot(moment, dd(v))
+
+    @BilinearForm
+    def inertia(u: Any, v: Any, _: Any) -> Any:
+        return density * thickness * u * v
+
+    whole = Basis(mesh, element)
+    held = whole.get_dofs(lambda x: x[0] == 0.0).all()
+    free = np.setdiff1d(np.arange(whole.N), held)
+    M = inertia.assemble(whole).toarray()[np.ix_(free, free)]
+    centre = mesh.p[:, mesh.t].mean(axis=1)
+    stiffness = []
+    for x0, x1, y0, y1 in sum(patches, []):
+        inside = np.flatnonzero((centre[0] > x0) & (centre[0] < x1) & (centre[1] > y0) & (centre[1] < y1))
+        part = bending.assemble(Basis(mesh, element, elements=inside)).toarray()
+        stiffness.append(part[np.ix_(free, free)])
+    names = [f"E{k + 1}" for k in range(8)]
+
+    def frequencies(theta: Vector) -> Vector:
+        K = sum(factor * part for factor, part in zip(theta, stiffness, strict=True))
+        return np.sqrt(eigh(K, M, subset_by_index=(0, 11), eigvals_only=True)) / (2.0 * np.pi)
+
+    rng = np.random.default_rng(3)
+    measured = frequencies(rng.uniform(0.8, 1.2, 8)) * (1.0 + 0.005 * rng.standard_normal(12))
+    error = fmu.FrequencyErrors("relative", sd=0.005)
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5, prior=fmu.Normal(0.2, mean=1.0)) for name in names]
+    model = fmu.SeparableModel.from_terms(names, stiffness=list(zip(stiffness, names, strict=True)), mass=[M])
+    data = fmu.ModalData(measured.tolist())
+    exact = fmu.UpdatingProblem(model, data, parameters, pairing="index", error=error)
+    return Case("plate of eight moduli", exact, frequencies, error, most)
+
+
+def cases() -> list[Callable[[], Case]]:
+    """Return what makes each case, in the order of the page."""
+    beam = fmu.FrequencyErrors("absolute", sd=float(np.sqrt(0.5)))  # β = 1
+    return [
+        lambda: built_in("cantilever-young", 60, beam, "shape"),
+        lambda: built_in("cantilever-section", 60, beam, "shape"),
+        lambda: built_in("garteur", 400, fmu.FrequencyErrors("relative", sd=0.005)),
+        plate,
+    ]
+
+
+def storeys(theta: Vector) -> Vector:
+    """Frequencies of a shear building of two storeys, of stiffnesses theta."""
+    k1, k2 = theta[:2]
+    m1, m2 = 16e3, 12e3
+    total, product = (k1 + k2) / m1 + k2 / m2, k1 * k2 / (m1 * m2)
+    upper = 0.5 * (total + np.sqrt(total**2 - 4 * product))
+    return np.sqrt([product / upper, upper]) / (2.0 * np.pi)
+
+
+def two_storeys(
+    function: Callable[[Vector], Any],
+    measured: Vector,
+    sd: Vector,
+    names: tuple[str, ...] = ("k1", "k2"),
+    **data: Any,
+) -> fmu.UpdatingProblem:
+    """Return the problem of a function of two stiffnesses, and of factors after them that have no effect."""
+    start, lower, upper = [5e7, 3e7], [2e7, 1e7], [9e7, 6e7]
+    parameters = [
+        fmu.Parameter(name, start[i], lower[i], upper[i], unit="N/m")
+        if i < 2
+        else fmu.Parameter(name, 1.0, 0.5, 1.5)
+        for i, name in enumerate(names)
+    ]
+    return fmu.UpdatingProblem(
+        fmu.BlackBoxModel(function, len(names)),
+        fmu.ModalData(measured.tolist(), **data),
+        parameters,
+        error=fmu.FrequencyErrors("absolute", sd=sd),
+    )
+
+
+def grid_moments(problem: Any, mean: Vector, sd: Vector, n: int = 101) -> tuple[Vector, Vector]:
+    """Return mean and sd of the first two parameters by quadrature over ± 6 sd, the others at their start."""
+    axes = [
+        np.linspace(max(problem.lower[j], mean[j] - 6 * sd[j]), min(problem.upper[j], mean[j] + 6 * sd[j]), n)
+        for j in (0, 1)
+    ]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    theta = np.tile(problem.start, (len(points), 1))
+    theta[:, :2] = points
+    log = problem.log_prob(theta)
+    w = np.exp(log - log.max())
+    found = w @ points / w.sum()
+    return found, np.sqrt(w @ (points - found) ** 2 / w.sum())
