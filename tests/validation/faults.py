@@ -730,6 +730,43 @@ IN_SEVERAL_TESTS = (
         SEVERAL_TESTS,
     ),
 )
+IN_SURROGATES = (
+    Fault(
+        "surrogate: its variance is left out of the likelihood",
+        "fmu/posterior/errors/surrogate_variance.py",
+        "terms = part.terms + _correction(part, residuals, seen)",
+        "terms = part.terms",
+        ("tests/posterior/test_surrogate_variance.py",),
+    ),
+    Fault(
+        "surrogate: the certificate is from solves that it has seen",
+        "fmu/surrogates/learning.py",
+        "        expected = self.model.frequencies(draws[:, : self.n])\n",
+        "        self.learn(answers)\n        expected = self.model.frequencies(draws[:, : self.n])\n",
+        ("tests/surrogates/test_learning.py",),
+    ),
+    Fault(
+        "surrogate: the smooth part of the gradient has the wrong sign",
+        "fmu/fem/surrogate/process.py",
+        "self._trend * self.x[:, j] - self._by_length[j]",
+        "self._trend * self.x[:, j] + self._by_length[j]",
+        ("tests/fem/test_surrogate_process.py",),
+    ),
+    Fault(
+        "surrogate: half the derivative of its variance",
+        "fmu/fem/surrogate/process.py",
+        "by_variance[:, j] = 2.0 * (",
+        "by_variance[:, j] = 1.0 * (",
+        ("tests/fem/test_surrogate_process.py",),
+    ),
+    Fault(
+        "surrogate: lower instead of upper limit of its error",
+        "fmu/surrogates/error_limits.py",
+        "chi2.ppf(1.0 - LEVEL, freedom)",
+        "chi2.ppf(LEVEL, freedom)",
+        ("tests/surrogates/test_error_limits.py",),
+    ),
+)
 FAULTS = (
     *IN_THE_SAMPLERS,
     *IN_THE_MIXTURE,
@@ -738,4 +775,5 @@ FAULTS = (
     *IN_THE_STRUCTURE,
     *IN_THE_VERDICT,
     *IN_THE_CHECKPOINTS,
+    *IN_SURROGATES,
 )

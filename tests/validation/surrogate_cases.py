@@ -1,4 +1,4 @@
-"""Models whose exact posterior is known, each as the function of a user: frequencies at theta, and nothing else."""
+"""Models whose exact posterior is known, each as a function of a user that gives frequencies and nothing else."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def built_in(name: str, most: int, error: Any, pairing: str | None = None) -> Ca
 
 
 def plate(most: int = 250) -> Case:
-    """A cantilever plate of Morley's triangles with eight moduli, and twelve frequencies off the model's by noise."""
+    """A cantilever plate of Morley's triangles with eight moduli, and twelve frequencies with noise."""
     from skfem import Basis, BilinearForm, ElementTriMorley, MeshTri
     from skfem.helpers import dd, ddot, eye, trace
 
     thickness, nu, density, modulus = 0.004, 0.3, 7850.0, 2.1e11
     mesh = MeshTri.init_tensor(np.linspace(0.0, 0.8, 9), np.linspace(0.0, 0.5, 5))
     element = ElementTriMorley()
-    patches = [[(0.2 * i, 0.2 * (i + 1), 0.25 * j, 0.25 * (j + 1)) for i in range(4)] for j in range(2)]
+    patches = [(0.2 * i, 0.2 * (i + 1), 0.25 * j, 0.25 * (j + 1)) for j in range(2) for i in range(4)]
 
     @BilinearForm
     def bending(u: Any, v: Any, _: Any) -> Any:
@@ -62,7 +62,7 @@ def plate(most: int = 250) -> Case:
     M = inertia.assemble(whole).toarray()[np.ix_(free, free)]
     centre = mesh.p[:, mesh.t].mean(axis=1)
     stiffness = []
-    for x0, x1, y0, y1 in sum(patches, []):
+    for x0, x1, y0, y1 in patches:
         inside = np.flatnonzero((centre[0] > x0) & (centre[0] < x1) & (centre[1] > y0) & (centre[1] < y1))
         part = bending.assemble(Basis(mesh, element, elements=inside)).toarray()
         stiffness.append(part[np.ix_(free, free)])
