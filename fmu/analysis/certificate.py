@@ -27,6 +27,8 @@ _WORK, _FEWEST, _MOST = 150_000, 64, 1024
 _EACH, _FEWEST_SOLVED, _FEWEST_OF_LARGE, _WORST = 12, 16, 8, 4
 """One of so many of these draws is solved with the full model, at least so many, or so many where the structure is
 large (`fmu.fem.reduced.confirming.LARGE`), and so many that have the largest bounds."""
+_SCATTER = 1e-5
+"""Relative scatter of a solver\'s frequencies from which on it is told."""
 _ROUNDING = 0.01
 """Part of the tolerance by which the full model's own rounding may exceed the bound."""
 
@@ -71,7 +73,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         Of a surrogate it is ``problem.model.record``, from draws of its posterior that were solved when it was
         learnt (`fmu.surrogate`): ``surrogate_solves``, all solves of the model; ``surrogate_design``, those from
         which the surrogate was learnt; ``surrogate_failed``, those that failed, and ``surrogate_failed_where`` in
-        words; ``surrogate_scatter``, the estimated scatter of the solver's frequencies, relative;
+        words; ``surrogate_doubts``, a line for each mode that may have been taken for another;
+        ``surrogate_scatter``, the estimated scatter of the solver's frequencies, relative;
         ``certificate_draws`` and ``certificate_frequency_error`` as above; ``certificate_log_prob_sd``, the
         standard deviation of the error of the log-probability; ``certificate_log_prob_error``, the largest from
         its mean, which with 95 % confidence holds for ``certificate_share`` of the posterior;
@@ -171,7 +174,13 @@ def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
         said.append("The model could not be solved at some of these draws, so that nothing is certified.")
     if record["surrogate_failed_where"]:
         said.append(f"The model could not be solved everywhere: {record['surrogate_failed_where']}.")
-    said += [one for one in str(record.get("surrogate_doubts", "")).splitlines() if one]
+    if float(record["surrogate_scatter"]) > _SCATTER:
+        scatter = significant(float(record["surrogate_scatter"]), 2)
+        said.append(
+            f"The solver's frequencies seem to scatter by {scatter} of their size; the certificate has that of "
+            "the solves that check."
+        )
+    said += str(record["surrogate_doubts"]).splitlines()
     return said
 
 

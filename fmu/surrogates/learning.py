@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import failed_region
-from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, solved
+from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
 from fmu.numbers import significant
 from fmu.posterior.failures import FailureRecord
 from fmu.posterior.parameters import box
@@ -31,11 +31,12 @@ _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 4, 200, 150
 _CANDIDATES = 300
 _SAFE = 0.2
 """Checks are solved when the surrogate expects errors of this part of the tolerance."""
-_MAY_BE_SWAPPED = 0.6  # MAC
+_MAY_BE_SWAPPED = 0.6
+"""MAC with the measured shape below which another mode is as likely."""
 
 
 class SurrogateWarning(UserWarning):
-    """The surrogate misses its tolerance, or a mode could not be followed."""
+    """The surrogate misses its tolerance."""
 
 
 def surrogate(
@@ -86,7 +87,7 @@ def surrogate(
     Warns
     -----
     SurrogateWarning
-        If it ended before the tolerance was kept, or where modes could not be told apart.
+        If it ended before the tolerance was kept.
     """
     batch = max(BATCH, problem.n_structural) if batch is None else batch
     _check(problem, tolerance, batch, checks, max_solves)
@@ -208,6 +209,7 @@ class _Learner:
     def checked(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
         """Return the errors of the log-probability at draws (n, ndim), and the solves there."""
         answers = self._solved(draws[:, : self.n], under_way)
+        self.checks = answers.theta
         expected = self.model.frequencies(draws[:, : self.n])
         with np.errstate(invalid="ignore"):
             errors = np.sum(self.likelihood.full_terms(draws) - self.likelihood.terms(draws), axis=1)
@@ -232,6 +234,7 @@ class _Learner:
             "surrogate_design": len(self.design.theta),
             "surrogate_failed": int(np.sum(failed)) + limits.n_failed,
             "surrogate_failed_where": where,
+            "surrogate_doubts": self._doubts(),
             "surrogate_scatter": 0.5 * max(p.scatter for p in self.model.of_frequencies),
             "certificate_draws": limits.n,
             "certificate_frequency_error": self.frequency_error,
@@ -241,6 +244,22 @@ class _Learner:
             "certificate_shift": limits.shift,
             "certificate_shift_tolerance": tolerance,
         }
+
+    def _doubts(self) -> str:
+        """Return in words which modes could not be followed where the posterior is; empty if all could."""
+        shapes = self.given.data.shapes
+        if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None or self.design is None:
+            return ""
+        theta = np.concatenate([self.design.theta[self.n_first :], self.checks])
+        seen = oriented(self.truth.observed(theta).shapes, np.asarray(shapes))  # remembered: nothing is solved
+        unit = np.asarray(shapes) / np.linalg.norm(shapes, axis=0)
+        unlike = np.sum(np.sum(seen * unit, axis=1) ** 2 < _MAY_BE_SWAPPED, axis=0)
+        labels = self.given.data.labels
+        return "\n".join(
+            f"Mode {labels[i]} has a MAC below {_MAY_BE_SWAPPED} with the measured shape at {unlike[i]} of "
+            f"{len(theta)} solves near the posterior: another mode may have been paired there."
+            for i in np.flatnonzero(unlike)
+        )
 
     def _solved(self, theta: FloatArray, under_way: Phase) -> Design:
         found = solved(self.truth, theta, self.reference is not None)

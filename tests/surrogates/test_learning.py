@@ -126,6 +126,22 @@ def test_a_corner_that_fails_is_learnt_and_told():
     assert np.isfinite(found.log_prob(mean - 0.5 * sd))
 
 
+def test_a_mode_that_may_have_been_taken_for_another_is_told():
+    def veering(theta):
+        f = storeys(theta)
+        angle = 0.5 * np.arctan2(1.0, 1e-6 * (theta[0] - 5.2e7))
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return {"frequencies": f, "shapes": turn}
+
+    given = problem(veering)
+    shapes = {"sensors": [(0, "x"), (1, "x")], "shapes": [[1.0, 0.1], [-0.1, 1.0]]}
+    data = fmu.ModalData(given.data.frequencies_hz, **shapes)
+    turned = fmu.UpdatingProblem(
+        fmu.BlackBoxModel(veering, 2), data, given.parameters, error=fmu.FrequencyErrors("absolute", sd=SD)
+    )
+    assert "has a MAC below 0.6" in fmu.surrogate(turned).model.record["surrogate_doubts"]
+
+
 def test_scatter_of_the_answers_is_estimated_and_told():
     rng = np.random.default_rng(1)
     with pytest.warns(SurrogateWarning, match="answers scatter"):
