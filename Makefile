@@ -145,6 +145,7 @@ validate: $(READY) $(READY_FAST)  ## Calibrate samplers, verdicts, intervals and
 	.venv/bin/python -m tests.validation.bound results
 	.venv/bin/python -m tests.validation.scale results
 	.venv/bin/python -m tests.validation.hostile results
+	.venv/bin/python -m tests.validation.surrogate results
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
 	.venv/bin/python -m tests.validation.mutants results/mutants.md

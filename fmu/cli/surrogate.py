@@ -43,7 +43,7 @@ def with_surrogate(
     """Learn the surrogate; say before what it will cost, and after what it is worth."""
     from fmu.analysis.certificate import surrogate_in_words
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
-    from fmu.surrogates.learning import MOST_SOLVES, expected_solves, surrogate
+    from fmu.surrogates.learning import expected_solves, most_solves, surrogate
 
     if speaks:
         one_s, n = seconds_of_a_solve(problem), expected_solves(problem)
@@ -53,7 +53,7 @@ def with_surrogate(
             "for every draw). Solves are stored, and used again.",
             err=True,
         )
-    most = min(MOST_SOLVES, orders["max_solves"])
+    most = min(most_solves(problem), orders["max_solves"])
     found = surrogate(problem, seed=orders["seed"], engine=engine, max_solves=most)
     if speaks:
         for sentence in surrogate_in_words(found.model.record):

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 TOLERANCE = 0.05
 BATCH, CHECKS = 4, 12
-MOST_SOLVES = 1000
 _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 4, 200, 150
 _CANDIDATES = 300
 _SAFE = 0.2
@@ -46,7 +45,7 @@ def surrogate(
     tolerance: float = TOLERANCE,
     batch: int | None = None,
     checks: int = CHECKS,
-    max_solves: int = MOST_SOLVES,
+    max_solves: int | None = None,
     engine: Engine | None = None,
 ) -> UpdatingProblem:
     """Return the same problem with Gaussian processes in place of its slow model.
@@ -69,8 +68,8 @@ def surrogate(
         parameters, and at least four. The design depends on this number, and not on how many workers there are.
     checks : int
         Draws that are solved for a certificate, at least 8.
-    max_solves : int
-        After so many it ends, whatever the certificate says.
+    max_solves : int, optional
+        After so many it ends, whatever the certificate says; by default 100, and 50 more for every parameter.
     engine : Engine, optional
         Calls the user's function at several theta at once, see `fmu.engine`.
 
@@ -90,11 +89,12 @@ def surrogate(
         If it ended before the tolerance was kept.
     """
     batch = max(BATCH, problem.n_structural) if batch is None else batch
+    max_solves = most_solves(problem) if max_solves is None else max_solves
     _check(problem, tolerance, batch, checks, max_solves)
     learner = _Learner(problem, seed, max_solves)
     black_box = problem.model.black_box
     spread = nullcontext() if engine is None or black_box is None else black_box.spread_over(engine)
-    with spread, phase("surrogate", learner.n_first + checks) as under_way:
+    with spread, phase("surrogate", expected_solves(problem)) as under_way:
         learner.begin(under_way)
         limits = _learnt(learner, tolerance, batch, checks, under_way)
     learner.model.record = learner.record(limits, tolerance)
@@ -292,6 +292,11 @@ def can_learn(problem: UpdatingProblem) -> str:
 def expected_solves(problem: UpdatingProblem) -> int:
     """Return about how many solves a surrogate takes."""
     return 8 * problem.n_structural + CHECKS
+
+
+def most_solves(problem: UpdatingProblem) -> int:
+    """Return how many solves a surrogate takes at most, unless told otherwise."""
+    return 100 + 50 * problem.n_structural
 
 
 def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, max_solves: int) -> None:

@@ -1,9 +1,12 @@
 """Surrogates learnt from few solves: right, certified by unseen solves, and told where they are not."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 import fmu
+from fmu.analysis.certificate import surrogate_in_words
 from fmu.surrogates.learning import SurrogateWarning
 
 START, SD = np.array([5e7, 3e7]), np.array([0.01, 0.03])
@@ -122,6 +125,7 @@ def test_a_corner_that_fails_is_learnt_and_told():
     record = found.model.record
     assert record["surrogate_failed"] > 0
     assert "k1 is above" in record["surrogate_failed_where"]
+    assert any("which the certificate does not contain" in said for said in surrogate_in_words(record))
     assert found.log_prob(np.array([8.5e7, 3e7])) == -np.inf
     assert np.isfinite(found.log_prob(mean - 0.5 * sd))
 
@@ -129,7 +133,7 @@ def test_a_corner_that_fails_is_learnt_and_told():
 def test_a_mode_that_may_have_been_taken_for_another_is_told():
     def veering(theta):
         f = storeys(theta)
-        angle = 0.5 * np.arctan2(1.0, 1e-6 * (theta[0] - 5.2e7))
+        angle = 0.5 * np.arctan2(1.0, 1e-7 * (theta[0] - 5.2e7))
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         return {"frequencies": f, "shapes": turn}
 
@@ -139,7 +143,10 @@ def test_a_mode_that_may_have_been_taken_for_another_is_told():
     turned = fmu.UpdatingProblem(
         fmu.BlackBoxModel(veering, 2), data, given.parameters, error=fmu.FrequencyErrors("absolute", sd=SD)
     )
-    assert "has a MAC below 0.6" in fmu.surrogate(turned).model.record["surrogate_doubts"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SurrogateWarning)  # the frequencies jump where the pairing changes
+        found = fmu.surrogate(turned, max_solves=34)
+    assert "has a MAC below 0.6" in found.model.record["surrogate_doubts"]
 
 
 def test_scatter_of_the_answers_is_estimated_and_told():

@@ -37,9 +37,9 @@ def at_least(name: str, value: float, least: float) -> Gate:
 
 
 def gates(known: Mapping[str, Any]) -> list[Gate]:
-    """Return all gates."""
+    """Return the gates of the parts that were run."""
     found = []
-    for case in (known[f"case {i}"] for i in range(_N_CASES)):
+    for case in _cases(known):
         name = case["name"]
         found += [
             at_most(f"{name}: solves", case["solves"], case["most"]),
@@ -49,20 +49,25 @@ def gates(known: Mapping[str, Any]) -> list[Gate]:
         ]
         for sampler in ("mixture", "hmc"):
             found.append(at_least(f"{name}: solves of {sampler} over ours", case[sampler] / case["solves"], FEWER))
-    found.append(
-        at_least("small budgets: reported error at least the real one", share_held(known["budgets"]), HELD)
-    )
-    kills, slow = known["kills"], known["one second"]
-    found += [
-        at_most(f"killed {kills['kills']} times: solves done twice", kills["twice"], 0),
-        at_most(f"killed {kills['kills']} times: exit code at the end", kills["code"], 0),
-        at_most("one second a solve, two workers: seconds in all", slow["wall_s"], WALL_S),
-        at_most("one second a solve: exit code (converged and certified)", slow["code"], 0),
-    ]
-    for name, one in known["awkward"].items():
+    if "budgets" in known:
+        held = share_held(known["budgets"])
+        found.append(at_least("small budgets: reported error at least the real one", held, HELD))
+    if "kills" in known:
+        kills = known["kills"]
+        found.append(at_most(f"killed {kills['kills']} times: solves done twice", kills["twice"], 0))
+        found.append(at_most(f"killed {kills['kills']} times: exit code at the end", kills["code"], 0))
+    if "one second" in known:
+        slow = known["one second"]
+        found.append(at_most("one second a solve, two workers: seconds in all", slow["wall_s"], WALL_S))
+        found.append(at_most("one second a solve: exit code (converged and certified)", slow["code"], 0))
+    for name, one in known.get("awkward", {}).items():
         is_right = one["mean"] <= max(MEAN, one["shift"]) or bool(one["told"])
         found.append(Gate(f"{name}: means off, sd", "right, or told", significant(one["mean"], 2), is_right))
     return found
+
+
+def _cases(known: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [known[f"case {i}"] for i in range(_N_CASES) if f"case {i}" in known]
 
 
 def share_held(budgets: Mapping[str, Sequence[float]]) -> float:
@@ -75,58 +80,72 @@ def passed(known: Mapping[str, Any]) -> bool:
     return all(gate.is_met for gate in gates(known))
 
 
-def page(known: Mapping[str, Any]) -> str:
-    """Return the page as Markdown."""
+def page(known: Mapping[str, Any], missing: Sequence[str] = ()) -> str:
+    """Return the page as Markdown; `missing` are parts that were not run."""
     rows = [(*gate[:3], "yes" if gate.is_met else "**no**") for gate in gates(known)]
     missed = [row[0] for row in rows if row[3] != "yes"]
-    verdict = "**All gates are passed.**" if not missed else f"**Missed: {'; '.join(missed)}.**"
-    listed = [known[f"case {i}"] for i in range(_N_CASES)]
-    table = [
+    verdict = f"**Missed: {'; '.join(missed)}.**" if missed else "**All gates that were tried are passed.**"
+    if missing:
+        verdict += f" Not run for this page: {', '.join(missing)}."
+    parts = [_HEAD.format(verdict=verdict, gates=markdown_table(("gate", "wanted", "found", "met"), rows))]
+    parts.append(_POSTERIORS.format(table=_posteriors(known)))
+    if "awkward" in known:
+        parts.append(_AWKWARD.format(table=_awkward(known["awkward"])))
+    if "budgets" in known:
+        parts.append(_of_budgets(known["budgets"]))
+    if "kills" in known:
+        parts.append(_KILLS.format(kills=known["kills"]))
+    if "one second" in known:
+        slow = known["one second"]
+        numbers = {name: significant(slow[name], 3) for name in ("wall_s", "cpu_s", "shift")}
+        parts.append(_SECOND.format(solves=slow["solves"], **numbers))
+    return "\n".join(parts)
+
+
+def _posteriors(known: Mapping[str, Any]) -> str:
+    header = (
+        *("posterior", "parameters", "solves", "means off, sd", "sds off, %", "Monte-Carlo error, sd"),
+        *("certificate, sd", "solves of the mixture", "of HMC", "learning, s of processor"),
+    )
+    rows = [
         (
             case["name"], whole(case["parameters"]), whole(case["solves"]), significant(case["mean"], 2),
             significant(100 * case["sd"], 2), significant(case["noise"], 2), significant(case["shift"], 2),
             whole(round(case["mixture"])), whole(round(case["hmc"])), significant(case["learning_s"], 2),
         )
-        for case in listed
+        for case in _cases(known)
     ]  # fmt: skip
-    awkward = [
+    return markdown_table(header, rows)
+
+
+def _awkward(found: Mapping[str, Any]) -> str:
+    header = ("function", "solves", "means off, sd", "sds off, %", "certificate, sd", "scatter estimated", "told")
+    rows = [
         (
             name, whole(one["solves"]), significant(one["mean"], 2), significant(100 * one["sd"], 2),
             significant(one["shift"], 2), significant(one["scatter"], 2), one["told"] or "–",
         )
-        for name, one in known["awkward"].items()
+        for name, one in found.items()
     ]  # fmt: skip
-    budgets, kills, slow = known["budgets"], known["kills"], known["one second"]
-    reported, real = np.array(budgets["reported"]), np.array(budgets["real"])
-    ratio = real / reported
-    header = (
-        *("posterior", "parameters", "solves", "means off, sd", "sds off, %", "Monte-Carlo error, sd"),
-        *("certificate, sd", "solves of the mixture", "of HMC", "learning, s of processor"),
-    )
-    told = ("function", "solves", "means off, sd", "sds off, %", "certificate, sd", "scatter estimated", "told")
-    held = significant(100 * share_held(budgets), 3)
+    return markdown_table(header, rows)
+
+
+def _of_budgets(budgets: Mapping[str, Sequence[float]]) -> str:
+    real = np.array(budgets["real"])
+    ratio = real / np.array(budgets["reported"])
     middle, largest = (significant(float(of(real)), 2) for of in (np.median, np.max))
     middle_ratio, largest_ratio = (significant(float(of(ratio)), 2) for of in (np.median, np.max))
-    return _TEXT.format(
-        verdict=verdict,
-        gates=markdown_table(("gate", "wanted", "found", "met"), rows),
-        posteriors=markdown_table(header, table),
-        awkward=markdown_table(told, awkward),
+    return _BUDGETS.format(
         runs=len(real),
-        held=held,
+        held=significant(100 * share_held(budgets), 3),
         middle=middle,
         largest=largest,
         middle_ratio=middle_ratio,
         largest_ratio=largest_ratio,
-        kills=kills,
-        slow_solves=slow["solves"],
-        wall=significant(slow["wall_s"], 3),
-        cpu=significant(slow["cpu_s"], 3),
-        shift=significant(slow["shift"], 2),
     )
 
 
-_TEXT = """# Surrogates of slow models
+_HEAD = """# Surrogates of slow models
 
 Written by `python -m tests.validation.surrogate results`; every number is computed. `fmu.surrogate` lets
 Gaussian processes stand for a function, learnt from few solves, and certifies them by further ones.
@@ -134,8 +153,8 @@ Gaussian processes stand for a function, learnt from few solves, and certifies t
 {verdict}
 
 {gates}
-
-## Known posteriors
+"""
+_POSTERIORS = """## Known posteriors
 
 Each structure as a function that gives frequencies and nothing else. Its posterior by the surrogate is compared
 with the exact one by the structure's matrices, both from long runs; their Monte-Carlo error is given. Solves of
@@ -144,28 +163,29 @@ search for maxima comes on top. A gradient of HMC is by differences, as such a f
 [whole-runs.md](whole-runs.md) has emcee and nautilus on cantilever-young by shape: before the first draw of use
 emcee takes 91 962 evaluations, and nautilus 60 900 or 212 500.
 
-{posteriors}
+{table}
+"""
+_AWKWARD = """## Awkward functions
 
-## Awkward functions
+A building of two storeys, whose posterior is known by quadrature. Where solves fail within the posterior, the
+certificate does not contain the edge of that region, and a run says so.
 
-A building of two storeys, whose posterior is known by quadrature.
-
-{awkward}
-
-## Small budgets
+{table}
+"""
+_BUDGETS = """## Small budgets
 
 {runs} buildings with random stiffnesses and errors of measurement, each with 10 solves to learn from and 12 to
 check. The error reported is at least the real one in {held} %. Real errors are {middle} sd in the median and
 {largest} at most; real over reported is {middle_ratio} in the median and {largest_ratio} at most.
-
-## Interrupted
+"""
+_KILLS = """## Interrupted
 
 A run of a function of half a second was killed {kills[kills]} times at random, with two workers, and resumed each
 time. It took {kills[solves]} solves; {kills[twice]} of them were finished twice, and {kills[broken_off]} calls
 were broken off by a kill.
+"""
+_SECOND = """## One second a solve
 
-## One second a solve
-
-Three parameters, two workers: {slow_solves} solves, {wall} s from the start of `fmu run` to the report, of which
-{cpu} s of processor; certificate {shift} sd.
+Three parameters, two workers: {solves} solves, {wall_s} s from the start of `fmu run` to the report, of which
+{cpu_s} s of processor; certificate {shift} sd.
 """

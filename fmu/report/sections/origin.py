@@ -103,7 +103,7 @@ def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
     relative = float(1.0 / np.sqrt(2.0))  # of a standard deviation, to first order
     rows = (
         ("posterior means may be off by, in posterior sd", *_beside(shift, allowed)),
-        ("posterior sds may be off by, relative", *_beside(relative * shift, relative * allowed)),
+        ("posterior sds may be off by, relative", *_beside(relative * shift, round(relative * allowed, 3))),
         ("standard deviation of the log-probability's error", significant(log_prob_sd, 2), MISSING),
         ("largest relative error of a frequency", significant(frequency, 2), MISSING),
         ("solves from which the surrogate was learnt", whole(attrs["surrogate_design"]), MISSING),
