@@ -174,9 +174,9 @@ def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
         said.append("The model could not be solved at some of these draws, so that nothing is certified.")
     if record["surrogate_failed_where"]:
         said.append(
-            f"The model could not be solved everywhere: {record['surrogate_failed_where']}. The edge of that region "
-            "is known only as closely as solves lie to it, which the certificate does not contain: where the "
-            "posterior reaches it, its means may be off by more."
+            f"The model could not be solved everywhere: {record['surrogate_failed_where']}. The edge of that "
+            "region is known only as closely as solves lie to it, which the certificate does not contain: where "
+            "the posterior reaches it, its means may be off by more."
         )
     if float(record["surrogate_scatter"]) > _SCATTER:
         scatter = significant(float(record["surrogate_scatter"]), 2)
