@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.fem.surrogate.coordinates import Coordinates
-from fmu.fem.surrogate.feasibility import failed_region
+from fmu.fem.surrogate.feasibility import EDGE, failed_region
 from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
 from fmu.numbers import significant
 from fmu.posterior.failures import FailureRecord
@@ -18,7 +18,7 @@ from fmu.posterior.parameters import box
 from fmu.progress.phases import Phase, phase
 from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.selection import chosen, predicted_variance, scatter_variance, stratified
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fmu.engines.base import Engine
@@ -30,6 +30,8 @@ _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 4, 200, 150
 _CANDIDATES = 300
 _SAFE = 0.2
 """Checks are solved when the surrogate expects errors of this part of the tolerance."""
+_UNDECIDED = 0.1
+"""Part of the posterior that may lie between points that were solved and points that failed."""
 _MAY_BE_SWAPPED = 0.6
 """MAC with the measured shape below which another mode is as likely."""
 
@@ -108,9 +110,13 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
     while True:
         draws, expected, floor = learner.posterior()
         left = learner.left - checks
+        edge = learner.undecided(draws)
         under_way.said["expected_error"] = optimism * expected
-        if optimism * expected > max(_SAFE * tolerance, 0.5 * floor) and left >= batch:
-            learner.extend(draws[chosen(learner.likelihood, learner.model, draws, batch)], under_way)
+        is_rough = optimism * expected > max(_SAFE * tolerance, 0.5 * floor) or len(edge) > _UNDECIDED * len(draws)
+        if is_rough and left >= batch:
+            tested = learner.rng.permutation(edge)[: batch // 2]
+            rows = chosen(learner.likelihood, learner.model, draws, batch - len(tested))
+            learner.extend(draws[np.unique([*tested, *rows])], under_way)
             continue
         theta = draws[
             stratified(predicted_variance(learner.likelihood, learner.model, draws), checks, learner.rng)
@@ -201,6 +207,11 @@ class _Learner:
         of_both = (of(self.likelihood, self.model, draws) for of in (predicted_variance, scatter_variance))
         expected, floor = (float(np.sqrt(np.mean(variance))) for variance in of_both)
         return draws, expected, floor
+
+    def undecided(self, draws: FloatArray) -> IntArray:
+        """Return the rows of draws (n, ndim) that lie between points that were solved and points that failed."""
+        margin = self.model.feasibility.margin(self.coordinates.to_x(draws[:, : self.n]))
+        return np.flatnonzero(np.abs(margin) < EDGE)
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
         """Solve at draws (n, ndim), and learn from them."""

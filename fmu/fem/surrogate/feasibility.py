@@ -12,6 +12,8 @@ from fmu.types import BoolArray, FloatArray
 
 _STRICT = 1e6  # penalty of a point on the wrong side: failures of a solver are no noise
 _WORDS_DEPTH = 3
+EDGE = 0.9
+"""Largest |margin| of points that may be on either side: at those solved and failed next to the edge it is 1."""
 
 
 class Feasibility:
@@ -35,8 +37,12 @@ class Feasibility:
         self._gamma, self._offset = 1.0 / x.shape[1], float(machine.intercept_[0])
 
     def __call__(self, x: FloatArray) -> BoolArray:
-        """Return whether points (n, d) can be solved, as far as is known, (n,)."""
-        return self.margin(x) > 0.0
+        """Return whether points (n, d) may be solved, (n,): all but those beyond the nearest failures.
+
+        A point that is wrongly taken for one that can be solved is found out when it is solved; one that is wrongly
+        taken for a failure would never be looked at.
+        """
+        return self.margin(x) > -EDGE
 
     def margin(self, x: FloatArray) -> FloatArray:
         """Return how far points (n, d) are on the side of those solved, (n,); 1 at the nearest of these."""
