@@ -39,8 +39,8 @@ class Feasibility:
     def __call__(self, x: FloatArray) -> BoolArray:
         """Return whether points (n, d) may be solved, (n,): all but those beyond the nearest failures.
 
-        A point that is wrongly taken for one that can be solved is found out when it is solved; one that is wrongly
-        taken for a failure would never be looked at.
+        A point that is wrongly taken for one that can be solved is found out when it is solved. One that is
+        wrongly taken for a failure would never be solved.
         """
         return self.margin(x) > -EDGE
 
