@@ -103,7 +103,7 @@ def test_a_function_of_ones_own_is_not_called_again():
 
     problem = UpdatingProblem(fmu.BlackBoxModel(function, 2), ModalData([1.0, 1.5]), TWO)
     before = len(calls)
-    problem.log_prob([[3.5, 2.0], [1.0, 1.0], [3.6, 2.0]])
+    problem.log_prob([[3.5, 2.0], [1.0, 1.2], [3.6, 2.0]])  # at the start it has been called
     assert [failed.reason for failed in problem.take_failures()] == ["RuntimeError: the mesh is folded"] * 2
     assert len(calls) == before + 3
     model = problem.model
