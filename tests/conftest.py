@@ -131,7 +131,7 @@ def no_pictures():
     """Leave the pictures of pages empty: most of the time of a page. Some are drawn for what is said of them."""
     read = {"plot_ranks", "plot_autocorrelation", "plot_running_rhat"}
 
-    def empty(axes, key, alt, caption):
+    def empty(axes, key, alt, caption, data=None):
         assert alt.strip()
         return Picture(Markup("<svg></svg>"), caption, 400)
 
@@ -139,7 +139,7 @@ def no_pictures():
         for found in pkgutil.iter_modules(sections.__path__, f"{sections.__name__}."):
             module = importlib.import_module(found.name)
             for name in vars(module).copy():
-                if name.startswith("plot_") and name not in read:
+                if name.startswith(("plot_", "linked_")) and name not in read:
                     patch.setattr(module, name, lambda *_, **__: None)
             if hasattr(module, "picture"):
                 patch.setattr(module, "picture", empty)
