@@ -193,7 +193,9 @@ def test_published_tables():
 
 SYNTAX = {
     "fem/frame/drawing.py": "SVG",
-    "report/document.py": "SVG",
+    "report/svg.py": "SVG",
+    "report/packed.py": "data for the script of a page",
+    "report/figure_data.py": "data for the script of a page",
     "analysis/convergence/diagnostics.py": "names of columns, eti90_lb",
     "analysis/prediction.py": "names of columns",
     "paper/page.py": "names of columns",

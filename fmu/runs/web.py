@@ -79,7 +79,7 @@ class WatchServer(ThreadingHTTPServer):
     def reading(self) -> RunReading:
         """Return how far the run has got, not older than `every`; ValueError if its directory has gone."""
         with self._lock:
-            if time.monotonic() - self._read_at >= self.every:
+            if not self.closing.is_set() and time.monotonic() - self._read_at >= self.every:
                 self._reading = self._reader.read()
                 self._read_at = time.monotonic()
             return self._reading
@@ -115,9 +115,14 @@ class WatchServer(ThreadingHTTPServer):
         return True
 
     def server_close(self) -> None:
-        """Close the page, where it is open too."""
+        """Close the page, where it is open too.
+
+        A reading under way is waited for: a thread that Python ends within HDF5 keeps its lock, and the process
+        would not end.
+        """
         self.closing.set()
-        super().server_close()
+        with self._lock:
+            super().server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a reader that has gone; anything else is a fault, which is said."""

@@ -199,7 +199,7 @@ def test_a_live_run_goes_on_when_the_page_is_closed_and_stops_when_it_is_told(tm
         assert (ended["state"], ended["ended"], ended["to_resume"]) == ("stopped", True, "fmu run --resume out")
         assert page.poll() is None  # a page that is left open can say so, and follows a run that is resumed
         page.send_signal(signal.SIGINT)
-        assert page.wait(10) == 0
+        assert page.wait(60) == 0
     finally:
         for process in (run, page):
             if process is not None:
