@@ -29,7 +29,7 @@ ROOMS = {
     "Problems, data, priors and errors": ("posterior",),
     "Structures": ("fem",),
     "Files": ("config", "cases", "formats"),
-    "Sampling": ("sampling", "samplers", "engines", "runs"),
+    "Sampling": ("sampling", "samplers", "engines", "runs", "surrogates"),
     "Analysis": ("analysis",),
     "Reports": ("report",),
 }

@@ -124,7 +124,7 @@ class Process:
         )
 
     def covariance(self, x: FloatArray) -> tuple[FloatArray, float]:
-        """Return the covariance of y between points (n, d), in units of `unit`², shape (n, n), and s²."""
+        """Return the covariance of y between points (n, d), over the square of `unit`, shape (n, n), and s²."""
         k, _ = self._covariances(x)
         prior = self._trend * (1.0 + x @ x.T) + self._smooth * np.exp(-0.5 * _squares(x, x, self._by_length))
         u = k @ self._root.T
