@@ -71,6 +71,7 @@ from .samplers.slice import Slice as Slice
 from .samplers.tempering.tempering import Tempering as Tempering
 from .sampling import StoppedRun as StoppedRun
 from .sampling import sample as sample
+from .surrogates.delayed_acceptance import delayed_acceptance as delayed_acceptance
 from .surrogates.learning import surrogate as surrogate
 
 __version__: str

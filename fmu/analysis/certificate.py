@@ -188,6 +188,24 @@ def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
     return said
 
 
+def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
+    """Return what delayed acceptance made of a surrogate's draws, in sentences; none if it was not asked for."""
+    if "second_stage_proposals" not in attrs:
+        return []
+    proposals, accepted, failed = (
+        int(attrs[f"second_stage_{name}"]) for name in ("proposals", "accepted", "failed")
+    )
+    said = [
+        f"The draws are exact: {whole(accepted)} of {whole(proposals)} draws of the surrogate were accepted after "
+        "a solve of the model itself (delayed acceptance). They have a Monte-Carlo error, and no other."
+    ]
+    if failed:
+        said.append(f"At {whole(failed)} of these draws the solve failed; they were rejected.")
+    if attrs["surrogate_failed_where"]:
+        said.append("Where the surrogate expects solves to fail it proposes no draws.")
+    return said
+
+
 def _bound(structure: Any, points: FloatArray) -> FloatArray:
     """Return the bounds of the errors, (n, n_modes): none where the full model answers."""
     bound = structure.frequency_bound(points)

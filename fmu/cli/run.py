@@ -17,7 +17,7 @@ from fmu.cli.messages import STOPPED, warnings_as_notes
 from fmu.cli.output import claimed, make_writable
 from fmu.cli.problems import built, pairing_option, problem_of
 from fmu.cli.sampled import MAX_SOLVES, sampled, tell
-from fmu.cli.surrogate import wants_surrogate, with_surrogate
+from fmu.cli.surrogate import NO_SURROGATE, wants_surrogate, with_surrogate
 from fmu.config.kept import ORIGIN, KeptProblem, kept
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
@@ -72,6 +72,8 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
 @click.option("--surrogate/--no-surrogate", default=None, help="Whether Gaussian processes stand for a Python "
               "function or a command, with a certificate from further solves.  [default: if a solve takes 0.05 s "
               "or longer]")  # fmt: skip
+@_option("--exact", None, "With a surrogate: accept or reject its draws by solves of the model itself (delayed "
+         "acceptance), so that the posterior is exact. Takes some 500 solves more.", is_flag=True)  # fmt: skip
 @_option("--max-failure-rate", click.FloatRange(0, 1), "Stop if more than this fraction of the solves fails.")
 @_option("--out", click.Path(path_type=Path), "Output directory.  [default: runs/CASE-PAIRING]")
 @_option("--overwrite", None, "Replace the files of an earlier run in the output directory.", is_flag=True)
@@ -135,6 +137,8 @@ def run(
                 problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)
                 samplers = asked.orders["samplers"] or (default_sampler(problem),)
                 takes = wants_surrogate(problem, asked.orders.get("surrogate", False))
+                if asked.orders.get("exact") and not takes:
+                    raise click.UsageError(NO_SURROGATE)
                 asked = replace(asked, orders={**asked.orders, "samplers": samplers, "surrogate": takes})
                 if takes:
                     asked.save(running.folder)  # the decision does not depend on the clock when the run is resumed
@@ -177,6 +181,12 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
                 raise click.UsageError(
                     f"--draws {orders['draws']} fixes the number of draws: leave out --{name.replace('_', '-')}."
                 )
+        if orders["exact"]:
+            raise click.UsageError(
+                f"--exact solves as many draws as converge: leave out --draws {orders['draws']}, or --exact."
+            )
+    if orders["exact"] and orders["surrogate"] is False:
+        raise click.UsageError("--exact is for the draws of a surrogate: leave out --no-surrogate, or --exact.")
     if orders["groups"] is not None:
         from fmu.samplers.loop.run import n_groups
         from fmu.samplers.registry import named

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +14,7 @@ import click
 
 from fmu import sampling
 from fmu.cli.messages import FAILED
+from fmu.cli.surrogate import exact_draws
 from fmu.cli.tables import echo_comparison, echo_evidences, echo_summary
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
@@ -62,6 +64,7 @@ def sampled(
     StoppedRun
         If Ctrl-C or SIGTERM stopped a sampler; what it had drawn is written too.
     """
+    from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
     from fmu.analysis.trace.conversion import load_trace
@@ -79,6 +82,10 @@ def sampled(
         outcome = Sampled(maxima, {}, {})
         arguments = _until(asked.orders) | {"maxima": maxima, "workers": workers}
         every = asked.orders["keep_draws"], asked.orders["keep_seconds"]
+        draw = sampling.sample
+        if asked.orders.get("exact"):
+            most = asked.orders["max_solves"]
+            draw = partial(exact_draws, most=None if most == MAX_SOLVES else most)
         for name in dict.fromkeys(asked.orders["samplers"]):
             if name in asked.finished:
                 trace = load_trace(running.path / f"{name}.nc")
@@ -87,7 +94,7 @@ def sampled(
                 progress = report and labelled(report, name)
                 warmup, draws = planned(name, asked.orders["warmup"], asked.orders["draws"])
                 arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
-                trace = _drawn(name, problem, running, **arguments)
+                trace = _drawn(draw, name, problem, running, **arguments)
             outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
             _write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
             if name in outcome.limited:
@@ -96,8 +103,10 @@ def sampled(
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
                     running.finished(name, asked)
-    if maxima is not None:
-        _write_csv(maxima.table(), running.path / "map.csv")
+    if asked.orders.get("exact"):  # those of the model, and not of its surrogate
+        outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))
+    if outcome.maxima is not None:
+        _write_csv(outcome.maxima.table(), running.path / "map.csv")
     return outcome
 
 
@@ -113,7 +122,9 @@ def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
     return arguments | {"max_solves": None}
 
 
-def _drawn(name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any) -> xr.DataTree:
+def _drawn(
+    draw: Callable[..., xr.DataTree], name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any
+) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
     from fmu.samplers.loop.run import TooManyFailuresError
     from fmu.samplers.registry import named
@@ -123,7 +134,7 @@ def _drawn(name: str, problem: UpdatingProblem, running: RunDirectory, **argumen
         del arguments["groups"]
     resume = f"To resume: fmu run --resume {running.path}"
     try:
-        trace = sampling.sample(problem, name, **arguments)
+        trace = draw(problem, name, **arguments)
     except sampling.StoppedRun as stop:
         if stop.trace is not None:
             _save(stop.trace, path, resume)
@@ -158,7 +169,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
     """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
-    from fmu.analysis.certificate import surrogate_in_words
+    from fmu.analysis.certificate import exact_in_words, surrogate_in_words
     from fmu.analysis.convergence.diagnosis import is_enough
     from fmu.analysis.evidence import found_evidences
 
@@ -173,17 +184,24 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
     if outcome.limited:
         most, until = orders["max_solves"], orders["until_ess"]
+        if orders.get("exact"):
+            attrs = [traces[name].attrs for name in outcome.limited]
+            most = max(int(one["warmup_n_solves"]) + int(one["n_solves"]) for one in attrs)
         aim = f"--until-ess {typed(until)}" if until else "convergence"
         click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(outcome.limited)}")
         click.echo(f"To go on: fmu run --resume {directory} --max-solves {10 * most}")
     record = problem.model.record if problem.model.is_uncertain else {}
     if record:
         click.echo("\nCertificate of the surrogate\n" + "\n".join(surrogate_in_words(record)))
+    for name, trace in traces.items() if orders.get("exact") else ():
+        click.echo("\n" + " ".join([f"{name}:", *exact_in_words(trace.attrs)]))
     click.echo(f"\nWritten to {directory}")
     if orders["draws"] is not None:
         return 0
     least = orders["until_ess"] or 0.0
-    is_certified = not record or record["certificate_shift"] <= record["certificate_shift_tolerance"]
+    is_certified = (
+        not record or orders.get("exact") or record["certificate_shift"] <= record["certificate_shift_tolerance"]
+    )
     converged = all(is_enough(one, summaries[name], least) for name, one in verdicts.items())
     return 0 if converged and is_certified else FAILED
 

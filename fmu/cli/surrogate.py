@@ -11,8 +11,19 @@ from fmu.numbers import significant, whole
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    import xarray as xr
+
     from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
+
+NO_SURROGATE = (
+    "--exact: no surrogate stands for this model, so that its draws are exact anyway: leave out --exact, or ask "
+    "for a surrogate where one is possible (--surrogate)."
+)
+_MOST = 8
+"""Proposals for exact draws, over those that are solved first, unless told otherwise."""
+_THINNED = 4
+"""ESS of the surrogate's draws, over their number when they are thinned, at most."""
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
@@ -43,6 +54,7 @@ def with_surrogate(
     """Learn the surrogate; say before what it will cost, and after what it is worth."""
     from fmu.analysis.certificate import surrogate_in_words
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
+    from fmu.surrogates.delayed_acceptance import proposals
     from fmu.surrogates.learning import expected_solves, most_solves, surrogate
 
     if speaks:
@@ -53,9 +65,55 @@ def with_surrogate(
             "for every draw). Solves are stored, and used again.",
             err=True,
         )
+        if orders.get("exact"):
+            more = proposals(orders["until_ess"], orders["chains"])
+            click.echo(
+                f"Then about {whole(more)} of its draws, or more where it is poor, are solved, and accepted or "
+                f"rejected (--exact): {time_in_words(more * one_s / engine.workers)}.",
+                err=True,
+            )
     most = min(most_solves(problem), orders["max_solves"])
     found = surrogate(problem, seed=orders["seed"], engine=engine, max_solves=most)
     if speaks:
         for sentence in surrogate_in_words(found.model.record):
             click.echo(sentence, err=True)
     return found
+
+
+def exact_draws(
+    problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
+) -> xr.DataTree:
+    """Return exact draws with the surrogate's as proposals: as many of these as are needed, of a longer run if so.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        With a surrogate.
+    name : str
+        Sampler of the surrogate's posterior.
+    until_ess : float
+    most : int, optional
+        Solves after which it ends, those of the surrogate included; by default ten for every effective draw.
+    workers : Engine
+    **arguments
+        Of `fmu.sample`.
+    """
+    from fmu.sampling import sample
+    from fmu.surrogates.delayed_acceptance import delayed_acceptance, proposals
+
+    chains, record = arguments["chains"], problem.model.record
+    first = proposals(until_ess, chains)
+    left = _MOST * first if most is None else most - record["surrogate_solves"]
+    if left < chains:
+        raise ValueError(
+            f"max_solves: must leave some for exact draws (got {most}, and the surrogate took "
+            f"{record['surrogate_solves']})"
+        )
+    enough = _THINNED * first
+    while True:
+        trace = sample(problem, name, until_ess=enough, workers=workers, **arguments)
+        found = delayed_acceptance(problem, trace, until_ess=until_ess, max_solves=left, engine=workers)
+        solved = found.attrs["second_stage_proposals"]
+        if "limit" not in found.attrs or "limit" in trace.attrs or solved + chains > left:
+            return found
+        enough *= 2

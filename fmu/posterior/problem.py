@@ -217,9 +217,13 @@ class UpdatingProblem:
 
         A solve takes less time and is less accurate: for what may be approximate, such as proposals.
         """
+        return self.of_model(self.model.coarser(share))
+
+    def of_model(self, model: ModalModel) -> UpdatingProblem:
+        """Return the same problem with another model of the same parameters and modes."""
         other, likelihood = copy(self), cast("Any", self.likelihood)
-        other.model = self.model.coarser(share)
-        other.likelihood = likelihood.of_model(other.model)
+        other.model = model
+        other.likelihood = likelihood.of_model(model)
         other._failed = FailureRecord()
         return other
 

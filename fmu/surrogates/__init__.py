@@ -1,4 +1,4 @@
-"""From a slow model to a surrogate with a certificate: which theta are solved, and when there are enough.
+"""From a slow model to a surrogate with a certificate, and to exact draws: which theta are solved, and how many.
 
-Reading order: learning, selection, error_limits.
+Reading order: learning, selection, error_limits; second_stage, delayed_acceptance.
 """

@@ -111,6 +111,8 @@ SHORTEST_WARMUP = 1000
 
 def for_chains_apart(trace: xr.DataTree) -> str:
     """Return the remedy for chains that do not move, or are in a region of negligible probability."""
+    if "second_stage_proposals" in trace.attrs:
+        return "; the surrogate is too far from the model there: learn it from more solves"
     if has(trace, "observed_data") and trace.attrs["init"] != "maxima":
         return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))

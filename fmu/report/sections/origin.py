@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.analysis.certificate import surrogate_in_words
+from fmu.analysis.certificate import exact_in_words, surrogate_in_words
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
@@ -96,7 +96,10 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
     """Return how far the surrogate of a slow model is from it at draws of the posterior."""
     shift, allowed = float(attrs["certificate_shift"]), float(attrs["certificate_shift_tolerance"])
-    sentences = surrogate_in_words(attrs)
+    exact = exact_in_words(attrs)
+    if exact:
+        exact.append("The rest of this section is about the surrogate, on whose errors the draws do not depend.")
+    sentences = exact + surrogate_in_words(attrs)
     failed = int(attrs["surrogate_failed"])
     scatter = float(attrs["surrogate_scatter"])
     log_prob_sd, frequency = (float(attrs[f"certificate_{name}"]) for name in ("log_prob_sd", "frequency_error"))

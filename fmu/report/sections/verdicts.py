@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.information import DATA, information
@@ -126,6 +127,7 @@ def convergence(run: ReportedRun) -> Verdict:
         f"R-hat at most {fixed(rhat, 4)} (below {given(RHAT_LIMIT)} needed), at least {fixed(ess, 0)} effective "
         f"draws ({given(needed)} needed)."
     )
+    said += "".join(f" {sentence}" for sentence in exact_in_words(run.trace.attrs)[:1])
     if run.diagnosis.converged:
         beside = run.diagnosis.remarks or (COVERED,)
         why = "Why the run counts as converged"
