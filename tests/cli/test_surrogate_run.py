@@ -1,12 +1,15 @@
 """``fmu run`` of a slow function: a surrogate by itself, its certificate told, its solves never repeated."""
 
 import json
+import warnings
 
 import pytest
 from click.testing import CliRunner
 
 import fmu
 from fmu.cli import main
+from fmu.numbers import whole
+from fmu.surrogates.learning import SurrogateWarning
 
 SOURCE = """
 import time
@@ -115,3 +118,51 @@ def test_a_model_with_matrices_is_refused(tmp_path):
     done = run("shear-2dof", "--surrogate", "--out", tmp_path / "a", *LENGTH)
     assert done.exit_code == 2
     assert "a model with matrices has a reduced model" in done.stderr
+
+
+ROUGH = SOURCE.replace("return np", "return (1 + 5e-4 * np.sin(1e9 * np.sin(1e3 * k1 / k2))) * np").format(
+    seconds=0
+)
+"""A function whose answers scatter: no surrogate of it keeps the tolerance."""
+EXACT = ("--exact", "--surrogate", "--starts", "8", "--progress", "none", "--workers", "2")
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory):
+    folder = written(tmp_path_factory.mktemp("exact"), 0)
+    (folder / "slow.py").write_text(ROUGH)
+    (folder / "storeys.toml").write_text(PROBLEM.replace("[4.65, 13.5]", "[5.7, 12.8]"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SurrogateWarning)  # the tolerance is missed
+        return folder, run(folder / "storeys.toml", "--out", folder / "a", *EXACT)
+
+
+def test_exact_draws_do_not_depend_on_the_certificate(exact):
+    folder, done = exact
+    assert done.exit_code == 0, done.output
+    attrs = fmu.load_trace(folder / "a" / "mixture.nc").attrs
+    assert attrs["certificate_shift"] > attrs["certificate_shift_tolerance"]
+    assert "mixture  converged" in done.stdout
+
+
+def test_exact_draws_are_announced_and_told(exact):
+    folder, done = exact
+    assert "Then about 500 of its draws, or more where it is poor, are solved, and accepted or" in done.stderr
+    attrs = fmu.load_trace(folder / "a" / "mixture.nc").attrs
+    accepted, proposals = (whole(attrs[f"second_stage_{name}"]) for name in ("accepted", "proposals"))
+    told = f"{accepted} of {proposals} draws of the surrogate were accepted"
+    assert told in done.stdout
+    page = (folder / "a" / "report" / "mixture.html").read_text()
+    assert page.count(f"{told} after a solve of the model itself") == 2  # at the top, and beside the certificate
+
+
+def test_exact_draws_need_a_surrogate_and_no_number_of_draws(tmp_path):
+    written(tmp_path, 0.0)
+    for options, said in (
+        (("--no-surrogate",), "--exact is for the draws of a surrogate"),
+        (("--draws", "50"), "--exact solves as many draws as converge"),
+        ((), "no surrogate stands for this model"),
+    ):
+        done = run(tmp_path / "storeys.toml", "--exact", "--out", tmp_path / "a", "--progress", "none", *options)
+        assert done.exit_code == 2
+        assert said in " ".join(done.stderr.replace("│", " ").split())

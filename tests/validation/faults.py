@@ -766,6 +766,41 @@ IN_SURROGATES = (
         "chi2.ppf(LEVEL, freedom)",
         ("tests/surrogates/test_error_limits.py",),
     ),
+    Fault(
+        "delayed acceptance: ratio of the weights upside down",
+        "fmu/surrogates/second_stage.py",
+        "if u * weight[at] < weight[j]:",
+        "if u * weight[j] < weight[at]:",
+        ("tests/surrogates/test_delayed_acceptance.py",),
+    ),
+    Fault(
+        "delayed acceptance: the old state keeps the weight of the start",
+        "fmu/surrogates/second_stage.py",
+        "if u * weight[at] < weight[j]:",
+        "if u * weight[start] < weight[j]:",
+        ("tests/surrogates/test_delayed_acceptance.py",),
+    ),
+    Fault(
+        "delayed acceptance: failed solves are accepted",
+        "fmu/surrogates/second_stage.py",
+        "if u * weight[at] < weight[j]:",
+        "if weight[j] == 0.0 or u * weight[at] < weight[j]:",
+        ("tests/surrogates/test_delayed_acceptance.py",),
+    ),
+    Fault(
+        "delayed acceptance: the start has the distribution of the surrogate",
+        "fmu/surrogates/second_stage.py",
+        "np.searchsorted(cumulative, rng.random() * cumulative[-1], side=\"right\")",
+        "rng.integers(len(weight))",
+        ("tests/surrogates/test_delayed_acceptance.py",),
+    ),
+    Fault(
+        "delayed acceptance: the weight is the model's density alone",
+        "fmu/surrogates/second_stage.py",
+        "self._log_p[new] - self.problem.log_prob(self._distinct[new])",
+        "self._log_p[new] - 0.0 * self.problem.log_prob(self._distinct[new])",
+        ("tests/surrogates/test_delayed_acceptance.py",),
+    ),
 )
 FAULTS = (
     *IN_THE_SAMPLERS,
