@@ -790,7 +790,7 @@ IN_SURROGATES = (
     Fault(
         "delayed acceptance: the start has the distribution of the surrogate",
         "fmu/surrogates/second_stage.py",
-        "np.searchsorted(cumulative, rng.random() * cumulative[-1], side=\"right\")",
+        'np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right")',
         "rng.integers(len(weight))",
         ("tests/surrogates/test_delayed_acceptance.py",),
     ),
