@@ -130,9 +130,7 @@ def seconds_of_a_solve(problem: UpdatingProblem) -> float:
     """Return the time of one solve; for a function, of one call."""
     function = problem.model.black_box
     if function is not None:
-        start = problem.start[: problem.n_structural]
-        stored = function.seconds_at(start)
-        return _timed(lambda: function.called_at(start)) if stored is None else stored
+        return function.seconds_at(problem.start[: problem.n_structural])
     return _timed(lambda: problem.log_prob(problem.start))
 
 

@@ -20,13 +20,13 @@ If the function raises, or returns numbers that are not finite, that point has f
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 
 from fmu.durable_files import digest
 from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
+from fmu.fem.programs.sources import source_digest
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.shown import in_words, one_line, shown
 from fmu.progress.phases import solved
@@ -42,7 +43,6 @@ from fmu.types import FloatArray
 
 SLOW_S = 0.05
 """Seconds of a solve from which on answers are stored, and ``fmu run`` takes a surrogate."""
-_LOADING_S = 1.0
 MOST_NUMBERS = 2**24
 """Largest array that the function may return."""
 _PARTS = ("frequencies", "shapes", "gradient")
@@ -88,8 +88,11 @@ class BlackBoxModel:
     name : str, optional
         Name used where a problem is described.
     store : path-like, optional
-        Folder of what was solved. Answers that took `SLOW_S` or longer are kept there, under a hash of the source
-        file of the function, and none of them is computed twice, in this run or another.
+        Folder of what was solved. Answers that took `SLOW_S` or longer are kept there, and none of them is
+        computed twice, in this run or another; of a batched function, those whose call took so long per point.
+        They are kept under a hash of the function's source file and of the user's own modules that it imports
+        (`fmu.fem.programs.sources`). What else it depends on, such as data files, is not known: when a problem
+        is built, the function is called at the start, and must give what is stored there (`at`).
 
     Attributes
     ----------
@@ -106,6 +109,8 @@ class BlackBoxModel:
 
     place = "model.function"
     """The key of problem files that is named where the function fails."""
+    loading_s = 1.0
+    """A first call that takes less may have loaded modules for most of it."""
     sensors: tuple[tuple[Any, str], ...] = ()
     """Where its shapes are, if that can be chosen."""
 
@@ -139,10 +144,11 @@ class BlackBoxModel:
         self._latest: dict[bytes, str] = {}
         self._engine: Engine | None = None
         self._is_fast = False
+        self._took: dict[bytes, list[float]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the engine and the failures: a copy records its own."""
-        return self.__dict__ | {"reasons": [], "_latest": {}, "_engine": None}
+        return self.__dict__ | {"reasons": [], "_latest": {}, "_engine": None, "_took": {}}
 
     def __repr__(self) -> str:
         return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
@@ -164,29 +170,22 @@ class BlackBoxModel:
         words = "".join(c if c.isalnum() else "-" for c in self.name)
         return SolveStore(self._folder / f"{words}-{digest(repr([*key.items()]).encode())[:12]}")
 
-    def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the time of a solve that is known without calling the function at theta; None if it is not.
+    def seconds_at(self, theta: FloatArray) -> float:
+        """Return the seconds that a call at theta (n_parameters,) takes, even if it is stored or fails.
 
-        That of a first call is not, unless it was long: it may have loaded modules.
+        They are measured once, by `at` if it has called the function there. After a first call of less than
+        `loading_s` the second counts.
         """
-        store = self.solves
-        solve = None if store is None else store.find(np.asarray(theta, dtype=float))
-        return None if solve is None or solve.seconds < _LOADING_S else solve.seconds
+        took = self._took.setdefault(theta.tobytes(), [])
+        while not took or (len(took) == 1 and took[0] < self.loading_s):
+            with suppress(Exception), self._timed(theta):
+                self._again(theta)
+        return took[-1]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
         """Return the function's answers at theta (n, n_parameters), None where it fails; see `reasons`."""
-        if self.batched and len(theta) > 1:
-            try:
-                answers: list[Answer | None] = list(self._called(theta))
-                solved(len(theta))
-                return answers
-            except KeyboardInterrupt:
-                raise
-            except BaseException:  # calls with one point at a time show which point is at fault
-                return [answer for point in theta for answer in self.answers(point[None])]
         found: list[Answer | None] = []
         for point, (answer, reason) in zip(theta, self._tried(theta), strict=True):
-            solved()
             if answer is None:
                 self.fail(point, reason)
             found.append(answer)
@@ -225,26 +224,38 @@ class BlackBoxModel:
             return None, _in_words(error)
 
     def at(self, theta: FloatArray) -> Answer:
-        """Return the function's answer at one theta, shape (n_parameters,).
+        """Return the function's answer at one theta, shape (n_parameters,), where a problem starts.
+
+        It is called there once in a process, even if its answer is stored, to see whether what is stored is still
+        true. The stored answer is returned, so that a resumed run draws the same; a stored failure is forgotten.
 
         Raises
         ------
         ValueError
-            If it fails there.
+            If it fails there, or no longer gives what is stored (`fmu.fem.programs.store.MOST_SCATTER`).
+
+        Warns
+        -----
+        StoreWarning
+            If it gives what is stored, but not to all digits.
         """
+        theta, store = np.asarray(theta, dtype=float), self.solves
+        is_first = theta.tobytes() not in self._took
+        stored = store.find(theta) if store is not None and is_first else None
+        if store is not None and stored is not None and stored.reason:
+            store.forget_failure(theta)
+            stored = None
         try:
-            return self._answer(np.asarray(theta, dtype=float))
+            with self._timed(theta) if is_first else nullcontext():
+                answer = self._answer(theta) if stored is None else self._again(theta)
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raise ValueError(
-                f"must work at the start {np.asarray(theta).tolist()} ({_in_words(error)})"
-            ) from error
-
-    def called_at(self, theta: FloatArray) -> None:
-        """Call the function at one theta (n_parameters,), whatever is stored and whatever comes of it."""
-        with suppress(Exception):
-            self._called(np.asarray(theta, dtype=float)[None])
+            raise ValueError(f"must work at the start {theta.tolist()} ({_in_words(error)})") from error
+        if store is None or stored is None:
+            return answer
+        store.check(stored, answer.frequencies, answer.shapes)
+        return _answer_of(stored)
 
     def fail(self, theta: FloatArray, reason: str) -> None:
         """Keep the reason why a theta failed: the first few permanently, others until many more have failed."""
@@ -260,68 +271,122 @@ class BlackBoxModel:
         return self._latest.get(theta.tobytes())
 
     def configuration(self) -> dict[str, Any]:
-        """Return the data that identify the model: the function's name, and a hash of its source file."""
-        digest = source_digest(self.function)
-        return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": digest}
+        """Return the data that identify the model: the function's name, and a hash of its source."""
+        return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": self.sha256}
 
-    def _tried(self, theta: FloatArray) -> Iterable[tuple[Answer | None, str]]:
-        """Return `tried` at points (n, n_parameters), one after the other or in the engine."""
-        if self._engine is None or self.batched or len(theta) < 2:
-            return map(self.tried, theta)
-        return _spread(self, theta, self._engine)
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the user's source, see `source_digest`; a copy in another process has that of this one."""
+        return source_digest(self.function)
+
+    def _tried(self, theta: FloatArray) -> Iterator[tuple[Answer | None, str]]:
+        """Yield `tried` at points (n, n_parameters): of one call, from the engine, or one after the other."""
+        if self.batched and len(theta) > 1:
+            try:
+                together = self._found(theta)
+            except KeyboardInterrupt:
+                raise
+            except BaseException:  # calls with one point at a time show which point is at fault
+                together = []
+            if together:
+                solved(len(theta))
+                yield from together
+                return
+        alone = self._engine is None or self.batched or len(theta) < 2
+        for one in map(self.tried, theta) if alone else _spread(self, theta, self._engine):
+            solved()
+            yield one
 
     def _answer(self, theta: FloatArray) -> Answer:
         """Return the answer at one theta (n_parameters,): from the store, or by calling the function."""
-        store = None if self._folder is None else self.solves  # a command has one of its own
-        if store is None or self._is_fast:
-            return self._called(theta[None])[0]
-        known = store.find(theta)
-        if known is None:
+        [(answer, reason)] = self._found(theta[None])
+        if answer is None:
+            raise AnswerError(reason)
+        return answer
+
+    def _found(self, theta: FloatArray) -> list[tuple[Answer | None, str]]:
+        """Return answers at points (n, n_parameters), or None and why it failed there when it was called before.
+
+        The function is called for what is not stored; for one point, unless it is batched. The points of a call
+        have one lock: of two processes that ask for the same ones, one calls. Batches that share only some points
+        may solve these twice; a lock for each point would need as many open files.
+        """
+        store = None if self._folder is None or self._is_fast else self.solves  # a command has one of its own
+        if store is None:
+            return [(answer, "") for answer in self._called(theta)]
+        found, missing = _looked_up(store, theta)
+        if missing:
             with ExitStack() as stack:
                 try:
-                    stack.enter_context(store.only_one(theta))
+                    stack.enter_context(store.only_one(theta[missing]))
                 except OSError as error:
-                    return self._without_store(error, theta)
-                known = store.find(theta)  # another process may have solved it meanwhile
-                if known is None:
-                    return self._kept(store, theta)
-        if known.reason:
-            raise AnswerError(known.reason)
-        return Answer(known.frequencies, known.shapes, known.gradient)
+                    self._warn_of_store(error)
+                    return [(answer, "") for answer in self._called(theta)]
+                found, missing = _looked_up(store, theta)  # another process may have solved them meanwhile
+                if missing:
+                    found |= zip(missing, self._kept(store, theta[missing]), strict=True)
+        solves = (found[i] for i in range(len(theta)))
+        return [(None, solve.reason) if solve.reason else (_answer_of(solve), "") for solve in solves]
 
-    def _kept(self, store: SolveStore, theta: FloatArray) -> Answer:
-        """Call the function at one theta, and keep what it gives, or why it fails, if that took long."""
-        began, answer, failure = time.perf_counter(), Answer(np.zeros(0)), None
+    def _kept(self, store: SolveStore, theta: FloatArray) -> list[Solve]:
+        """Call the function at points (n, n_parameters); keep the answers, or why one fails, if that took long."""
+        began, failure, nothing = time.perf_counter(), None, Answer(np.zeros(0))
+        answers: Sequence[Answer] = [nothing] * len(theta)
         try:
-            answer = self._called(theta[None])[0]
+            answers = self._called(theta)
         except Exception as error:
             failure = error
         seconds = time.perf_counter() - began
-        if seconds >= SLOW_S:
-            reason = "" if failure is None else _in_words(failure)
+        reason = "" if failure is None else _in_words(failure)
+        solves = [
+            Solve(point, answer.frequencies, answer.shapes, seconds / len(theta), reason, answer.gradient)
+            for point, answer in zip(theta, answers, strict=True)
+        ]
+        is_known = failure is None or len(theta) == 1  # which point is at fault
+        if seconds / len(theta) >= SLOW_S and is_known:
             try:
-                store.keep(Solve(theta, answer.frequencies, answer.shapes, seconds, reason, answer.gradient))
+                for solve in solves:
+                    store.keep(solve)
             except OSError as error:
                 self._warn_of_store(error)
-        elif failure is None:
+        elif seconds < SLOW_S and failure is None:
             self._is_fast = True  # a store would slow it down
         if failure is not None:
             raise failure
-        return answer
-
-    def _without_store(self, error: OSError, theta: FloatArray) -> Answer:
-        self._warn_of_store(error)
-        return self._called(theta[None])[0]
+        return solves
 
     def _warn_of_store(self, error: OSError) -> None:
         self._is_fast = True
         warnings.warn(f"store: solves cannot be kept in {self._folder} ({error})", stacklevel=2)
+
+    def _again(self, theta: FloatArray) -> Answer:
+        """Call the function at one theta (n_parameters,), whatever is stored."""
+        return self._called(theta[None])[0]
 
     def _called(self, theta: FloatArray) -> Sequence[Answer]:
         """Return the answers at points (n, n_parameters), of which there is one unless the function is batched."""
         if self.batched:
             return checked(self.function(theta.copy()), self.n_parameters, len(theta))
         return checked(self.function(theta[0].copy()), self.n_parameters)
+
+    @contextmanager
+    def _timed(self, theta: FloatArray) -> Iterator[None]:
+        """Keep the time of a call at a theta."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._took.setdefault(theta.tobytes(), []).append(time.perf_counter() - began)
+
+
+def _looked_up(store: SolveStore, theta: FloatArray) -> tuple[dict[int, Solve], list[int]]:
+    """Return what is stored of points (n, n_parameters) by their number, and the numbers of those that are not."""
+    found = {i: solve for i, point in enumerate(theta) if (solve := store.find(point)) is not None}
+    return found, [i for i in range(len(theta)) if i not in found]
+
+
+def _answer_of(solve: Solve) -> Answer:
+    return Answer(solve.frequencies, solve.shapes, solve.gradient)
 
 
 def _spread(model: BlackBoxModel, theta: FloatArray, engine: Engine) -> list[tuple[Answer | None, str]]:
@@ -350,15 +415,6 @@ def _try_there(model: BlackBoxModel, theta: FloatArray, _: object) -> tuple[Answ
 def _in_words(error: BaseException) -> str:
     """Return an exception in one line; for an `AnswerError` its text alone."""
     return one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
-
-
-def source_digest(function: Any) -> str:
-    """Return a hash of the source file of a function; empty if it has none, as in a notebook."""
-    try:
-        with open(inspect.getsourcefile(inspect.unwrap(function)) or "", "rb") as file:
-            return hashlib.sha256(file.read()).hexdigest()
-    except Exception:  # not a Python function: its attributes may be of any kind
-        return ""
 
 
 def _name_of(function: Any) -> str:

@@ -19,7 +19,8 @@ from pydantic import Field, StringConstraints
 from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, TomlTable
-from fmu.fem.black_box import BlackBoxModel, source_digest
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.programs.sources import source_digest
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import in_words
 
@@ -49,7 +50,7 @@ class PythonTable(TomlTable):
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the function and return the model; BrokenError if there is none."""
         function = imported(self.function, folder)
-        store = folder / self.store if source_digest(function) and not self.batched else None
+        store = folder / self.store if source_digest(function) else None
         model = BlackBoxModel(
             function, len(parameters), batched=self.batched, step=self.step, name=self.function, store=store
         )

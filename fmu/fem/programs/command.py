@@ -20,7 +20,7 @@ import numpy as np
 
 from fmu.durable_files import digest
 from fmu.engines.program import TOO_LONG, last_lines, run_program
-from fmu.fem.black_box import AnswerError, BlackBoxModel
+from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, checked
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.decks import filled, filled_name, placeholders, read_deck, write_deck
 from fmu.formats.files import too_large, why_no_file
@@ -145,6 +145,7 @@ class CommandModel(BlackBoxModel):
     """
 
     place = "model.command"
+    loading_s = 0.0
 
     def __init__(
         self,
@@ -223,11 +224,6 @@ class CommandModel(BlackBoxModel):
         changed.function = changed._modes
         return changed
 
-    def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return how long the program took at a theta that is solved already; None if it is not."""
-        solve = self.solves.find(np.asarray(theta, dtype=float))
-        return None if solve is None else solve.seconds
-
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model: hashes of its files, the command and the reader."""
         return {"function": self.name, "batched": False, "step": self.step, **self._key}
@@ -266,10 +262,14 @@ class CommandModel(BlackBoxModel):
 
     def _modes(self, theta: FloatArray) -> dict[str, Any]:
         """Return frequencies, and shapes if there are any, at one theta; AnswerError if the program fails."""
-        solve = self.solve(theta)
-        if solve.reason:
-            raise AnswerError(solve.reason)
-        return {"frequencies": solve.frequencies, "shapes": solve.shapes}
+        return _given(self.solve(theta))
+
+    def _again(self, theta: FloatArray) -> Answer:
+        with self.solves.only_one(theta) as folder:
+            anew = folder.with_name(f"{folder.name}-again")
+            solve = self._run_well(theta, anew)
+            shutil.rmtree(anew, ignore_errors=True)
+        return checked(_given(solve), self.n_parameters)[0]
 
     def solve(self, theta: FloatArray) -> Solve:
         """Return what the program gives at theta (n_parameters,): from the store, or by running it."""
@@ -281,10 +281,7 @@ class CommandModel(BlackBoxModel):
             known = self._known(theta)
             if known is not None:
                 return known
-            for _ in range(self.retries + 1):
-                solve = self._run(theta, folder)
-                if not solve.reason:
-                    break
+            solve = self._run_well(theta, folder)
             if solve.reason:
                 solve = solve._replace(reason=self._with_files(solve.reason, folder, store.failed_folder(theta)))
             elif not self.keep:
@@ -296,6 +293,14 @@ class CommandModel(BlackBoxModel):
         """Return what is stored of a theta, unless it took longer than a limit that is higher now."""
         found = self.solves.find(theta)
         return None if found is not None and TOO_LONG in found.reason and found.seconds < self.timeout else found
+
+    def _run_well(self, theta: FloatArray, folder: Path) -> Solve:
+        """Run the program until it does not fail, as often as is allowed."""
+        for _ in range(self.retries + 1):
+            solve = self._run(theta, folder)
+            if not solve.reason:
+                break
+        return solve
 
     def _run(self, theta: FloatArray, folder: Path) -> Solve:
         """Run the program once, in a folder that is made anew."""
@@ -349,6 +354,13 @@ class CommandModel(BlackBoxModel):
             folder.replace(failed)
             return f"{reason}; its files are in {failed}"
         return reason
+
+
+def _given(solve: Solve) -> dict[str, Any]:
+    """Return what the function of a model would; AnswerError if the program failed."""
+    if solve.reason:
+        raise AnswerError(solve.reason)
+    return {"frequencies": solve.frequencies, "shapes": solve.shapes}
 
 
 def _beside(name: str) -> Path:

@@ -14,6 +14,7 @@ import inspect
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,11 +23,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.engines.program import last_lines
-from fmu.fem.black_box import BlackBoxModel, source_digest
+from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.exports import Export, from_exports
 from fmu.fem.modes.modal import frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, names_shown, shown
 from fmu.numbers import typed
@@ -221,9 +223,14 @@ class OpenSeesModel(BlackBoxModel):
         return changed
 
     def configuration(self) -> dict[str, Any]:
-        """Return the data that identify the model: a hash of the source file of `build`."""
-        digest = source_digest(self.build)
-        return {"function": self.name, "batched": False, "step": self.step, "modes": self.modes, "sha256": digest}
+        """Return the data that identify the model: its number of modes, and a hash of the source of `build`."""
+        own = {"modes": self.modes, "sha256": self.sha256}
+        return {"function": self.name, "batched": False, "step": self.step, **own}
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the source of `build`, see `source_digest`."""
+        return source_digest(self.build)
 
     def _modes(self, theta: FloatArray) -> dict[str, Any]:
         """Return frequencies, and shapes at the sensors, at one theta."""

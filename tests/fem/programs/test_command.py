@@ -86,8 +86,6 @@ def test_the_store_gives_theta_frequencies_time_and_reasons(tmp_path):
     assert_allclose(well.frequencies, exact(THETA), rtol=1e-13)
     assert well.shapes is None
     assert well.seconds > 0.0
-    assert model.seconds_at(THETA) == well.seconds
-    assert model.seconds_at(THETA + 1.0) is None
     assert_array_equal(badly.theta, [0.8, 0.7])
     assert len(badly.frequencies) == 0
     assert "ended with exit code 1; it printed at the end: solving for k1 = 0.8 / *ERROR: negative pivot" in (
@@ -98,7 +96,7 @@ def test_the_store_gives_theta_frequencies_time_and_reasons(tmp_path):
 
 def test_what_a_solve_depends_on_is_in_the_name_of_its_store(tmp_path, runs):
     def ran(**changes):
-        command_model(tmp_path, **changes).at(THETA)
+        command_model(tmp_path, **changes).solve(THETA)
         return len(runs())
 
     assert ran() == 1

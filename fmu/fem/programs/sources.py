@@ -1,0 +1,130 @@
+"""Which code a user's function is made of: its source file, and the user's own modules that it imports.
+
+Import statements are read, wherever they are, and nothing is run: the answer is the same in every process, before
+the first call, which may import more, and after it. The user's own modules are those of the function's package,
+and all that belong neither to Python nor to an installed package: beside the function, on the path, or of a
+package that was installed to be edited. New versions of installed packages are not seen, nor modules that no
+statement names (``importlib.import_module(name)``), nor data files.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sysconfig
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from typing import Any
+
+_INSTALLED = {"site-packages", "dist-packages"}
+_LIBRARIES = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), str(Path(__file__).parents[2]))
+"""Python's own modules, and those of fmu."""
+
+
+def source_digest(function: Any) -> str:
+    """Return a hash of the source file of a function and of the user's own modules that it imports.
+
+    Empty if the function has no source file, as in a notebook.
+    """
+    try:
+        function = inspect.unwrap(function)
+        file = Path(inspect.getsourcefile(function) or "").absolute()
+        spec = getattr(function, "__globals__", {}).get("__spec__")
+        name = function.__module__ if spec is None else spec.name  # of a script it is __main__
+        found = hashlib.sha256(file.read_bytes())
+    except Exception:  # not a Python function: its attributes may be of any kind
+        return ""
+    for imported, other in sorted(own_modules(file, name).items()):
+        found.update(f"{imported} {hashlib.sha256(other.read_bytes()).hexdigest()}\n".encode())
+    return found.hexdigest()
+
+
+def own_modules(file: Path, name: str) -> dict[str, Path]:
+    """Return the files of the user's own modules that a module imports, directly or through each other.
+
+    Parameters
+    ----------
+    file : Path
+        Source of the module.
+    name : str
+        Its full name; if it does not agree with the file, the module is taken for one outside packages.
+
+    Returns
+    -------
+    dict of str to Path
+        By the full name of the module, without the given one.
+    """
+    path, parts = file.parent if file.stem == "__init__" else file.with_suffix(""), name.split(".")
+    if path.parts[-len(parts) :] != tuple(parts):
+        name, parts = path.name, [path.name]
+    root = path.parents[len(parts) - 1]
+    importlib.invalidate_caches()
+    found: dict[str, Path] = {}
+    waiting, asked = [(name, file), *_located(name.rpartition(".")[0], root)], {name}
+    while waiting:
+        module, source = waiting.pop()
+        if module in found:
+            continue
+        found[module] = source
+        imported = set(_imports(source, module)) - asked
+        asked |= imported
+        for other, place in (pair for one in imported for pair in _located(one, root)):
+            if place.is_relative_to(root / parts[0]) or _is_own(place):
+                waiting.append((other, place))
+    del found[name]
+    return found
+
+
+def _imports(file: Path, module: str) -> Iterator[str]:
+    """Yield the full names that a module imports: of modules, and of what may be one in a package."""
+    if file.suffix != ".py":
+        return
+    package = module if file.stem == "__init__" else module.rpartition(".")[0]
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # it cannot be imported
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            with suppress(ImportError):  # beyond the package
+                of = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                yield from (f"{of}.{alias.name}" for alias in node.names)
+
+
+def _located(name: str, root: Path) -> list[tuple[str, Path]]:
+    """Return full names and files of the packages that a module is in, and of itself, as far as there are any.
+
+    They are searched for in the folder from which the function was imported, then on the path.
+    """
+    found, within = [], [str(root)]
+    parts = name.split(".") if name else []
+    for i, part in enumerate(parts):  # each by its last name: a full one would need its package imported
+        specs = [PathFinder.find_spec(part, within), _on_the_path(part) if i == 0 else None]
+        known = [spec for spec in specs if spec is not None]
+        spec = next((spec for spec in known if spec.has_location), known[0] if known else None)
+        if spec is None:
+            break
+        if spec.has_location and spec.origin and Path(spec.origin).is_file():
+            found.append((".".join(parts[: i + 1]), Path(spec.origin).absolute()))
+        if spec.submodule_search_locations is None:
+            break
+        within = list(spec.submodule_search_locations)
+    return found
+
+
+def _on_the_path(name: str) -> ModuleSpec | None:
+    try:
+        return importlib.util.find_spec(name)
+    except (ImportError, ValueError, AttributeError):  # something else was put among the modules
+        return None
+
+
+def _is_own(file: Path) -> bool:
+    return not _INSTALLED & set(file.parts) and not any(map(file.is_relative_to, _LIBRARIES))
