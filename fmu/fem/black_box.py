@@ -292,8 +292,8 @@ class BlackBoxModel:
                 solved(len(theta))
                 yield from together
                 return
-        alone = self._engine is None or self.batched or len(theta) < 2
-        for one in map(self.tried, theta) if alone else _spread(self, theta, self._engine):
+        engine = None if self.batched or len(theta) < 2 else self._engine
+        for one in map(self.tried, theta) if engine is None else _spread(self, theta, engine):
             solved()
             yield one
 

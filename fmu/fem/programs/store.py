@@ -190,6 +190,8 @@ def _shapes_apart(frequencies: FloatArray, stored: FloatArray, given: FloatArray
     Close ones, within 1 % of the highest frequency, may turn into each other. Shapes without motion at the sensors
     do not count.
     """
+    if not np.array_equal(np.isnan(given), np.isnan(stored)):
+        return 1.0
     size = np.linalg.norm(given, axis=0)
     moves = (size > _NO_MOTION * np.nanmax(size, initial=0.0)) & np.isfinite(frequencies)
     apart = np.abs(frequencies[:, None] - frequencies)
