@@ -1,4 +1,4 @@
-"""Answers of a slow function on disk: kept whole, found again by anyone, never asked for twice, and not when stale."""
+"""Answers of a slow function on disk: kept whole, found again, never asked for twice, and told where stale."""
 
 import multiprocessing
 
@@ -96,14 +96,15 @@ def test_a_batched_function_gets_only_what_is_not_stored(tmp_path):
 
 
 def test_of_a_batch_the_point_that_fails_is_stored_as_failed(tmp_path):
-    answers = written(tmp_path, name="batch").answers(THETA)
+    theta = THETA[[0, 2, 1]]
+    answers = written(tmp_path, name="batch").answers(theta)
     calls = n_calls(tmp_path)
     model = model_in(tmp_path, "batch")
-    again = model.answers(THETA)
+    again = model.answers(theta)
     assert n_calls(tmp_path) == calls
-    assert answers[1] is again[1] is None
+    assert answers[2] is again[2] is None
     assert model.reason_at(THETA[1]) == "RuntimeError: no convergence"
-    assert_same(answers[::2], again[::2])
+    assert_same(answers[:2], again[:2])
 
 
 def test_a_changed_file_is_another_model(tmp_path):
