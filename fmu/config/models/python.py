@@ -34,7 +34,8 @@ class PythonTable(TomlTable):
 
     ``batched = true`` if it takes many theta at once; ``step`` is that of central differences, relative to the
     range of each parameter, where the function gives no gradient; ``store`` is the folder, from that of this file,
-    of what took 0.05 s or longer: it is not solved again while the function's file is the same.
+    of what took 0.05 s or longer: it is not solved again while the function's file and your own modules that it
+    imports are the same. The start is solved in every run, and must give what is stored.
     """
 
     type: Literal["python"]
