@@ -16,8 +16,8 @@ from click.core import ParameterSource
 from fmu.cli.messages import STOPPED, warnings_as_notes
 from fmu.cli.output import claimed, make_writable
 from fmu.cli.problems import built, pairing_option, problem_of
-from fmu.cli.sampled import MAX_SOLVES, sampled, tell
-from fmu.cli.surrogate import NO_SURROGATE, wants_surrogate, with_surrogate
+from fmu.cli.sampled import sampled, tell
+from fmu.cli.surrogate import MAX_SOLVES, NO_SURROGATE, of_its_surrogate, wants_surrogate, with_surrogate
 from fmu.config.kept import ORIGIN, KeptProblem, kept
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
@@ -58,7 +58,8 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
               "also until every effective sample size is at least N. Convergence needs 400.")  # fmt: skip
 @click.option("--max-solves", type=_FROM_1, metavar="N", default=MAX_SOLVES, show_default=True, help="Without "
               "--draws, about how many solves a sampler may take, warm-up included. One that needs more ends "
-              "there, with exit code 1; with --resume and a larger number it goes on.")  # fmt: skip
+              "there, with exit code 1; with --resume and a larger number it goes on. With a surrogate, how many "
+              "solves it may take.")  # fmt: skip
 @click.option("--warmup", type=_FROM_0, help="Warm-up steps per chain, before the draws.  [default: 1000; "
               "without --draws 400 for mixture, 500 for hmc]")  # fmt: skip
 @_option("--chains", _FROM_1, "Number of chains (emcee: ensembles).")
@@ -143,6 +144,7 @@ def run(
                 if takes:
                     asked.save(running.folder)  # the decision does not depend on the clock when the run is resumed
                     problem = with_surrogate(problem, asked.orders, at_work, speaks)
+                    asked = of_its_surrogate(asked, problem, running)
                 if resume is None and speaks:
                     _echo_estimate(problem, asked.orders, at_work.workers)
                 outcome = sampled(problem, asked, running, at_work, report, speaks)

@@ -14,16 +14,13 @@ import click
 
 from fmu import sampling
 from fmu.cli.messages import FAILED
-from fmu.cli.surrogate import exact_draws
+from fmu.cli.surrogate import MAX_SOLVES, exact_draws, may_learn_more
 from fmu.cli.tables import echo_comparison, echo_evidences, echo_summary
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.numbers import typed
 from fmu.progress import Report, labelled
 from fmu.runs import Checkpoint
-
-MAX_SOLVES = 2_000_000
-"""Solves of a sampler, warm-up included, after which a run that has not converged ends, unless told otherwise."""
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -182,26 +179,30 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     comparison, verdicts = echo_comparison(traces, summaries)
     _write_csv(comparison, directory / "comparison.csv")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
-    if outcome.limited:
-        most, until = orders["max_solves"], orders["until_ess"]
+    record = problem.model.record if problem.model.is_uncertain else {}
+    is_certified = (
+        not record or orders.get("exact") or record["certificate_shift"] <= record["certificate_shift_tolerance"]
+    )
+    can_learn_more = not is_certified and may_learn_more(problem, orders)
+    if outcome.limited and not can_learn_more:
+        most, until = _until(orders)["max_solves"], orders["until_ess"]
         if orders.get("exact"):
             attrs = [traces[name].attrs for name in outcome.limited]
             most = max(int(one["warmup_n_solves"]) + int(one["n_solves"]) for one in attrs)
         aim = f"--until-ess {typed(until)}" if until else "convergence"
         click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(outcome.limited)}")
         click.echo(f"To go on: fmu run --resume {directory} --max-solves {10 * most}")
-    record = problem.model.record if problem.model.is_uncertain else {}
     if record:
         click.echo("\nCertificate of the surrogate\n" + "\n".join(surrogate_in_words(record)))
+        if can_learn_more:
+            more = 2 * record["surrogate_solves"]
+            click.echo(f"To learn from more solves: fmu run --resume {directory} --max-solves {more}")
     for name, trace in traces.items() if orders.get("exact") else ():
         click.echo("\n" + " ".join([f"{name}:", *exact_in_words(trace.attrs)]))
     click.echo(f"\nWritten to {directory}")
     if orders["draws"] is not None:
         return 0
     least = orders["until_ess"] or 0.0
-    is_certified = (
-        not record or orders.get("exact") or record["certificate_shift"] <= record["certificate_shift_tolerance"]
-    )
     converged = all(is_enough(one, summaries[name], least) for name, one in verdicts.items())
     return 0 if converged and is_certified else FAILED
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,9 +14,13 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
+    from fmu.config.kept import KeptProblem
     from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
+    from fmu.runs.run_directory import RunDirectory
 
+MAX_SOLVES = 2_000_000
+"""Solves of a sampler, warm-up included, after which a run that has not converged ends, unless told otherwise."""
 NO_SURROGATE = (
     "--exact: no surrogate stands for this model, so that its draws are exact anyway: leave out --exact, or ask "
     "for a surrogate where one is possible (--surrogate)."
@@ -55,7 +60,7 @@ def with_surrogate(
     from fmu.analysis.certificate import surrogate_in_words
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
-    from fmu.surrogates.learning import expected_solves, most_solves, surrogate
+    from fmu.surrogates.learning import expected_solves, surrogate
 
     if speaks:
         one_s, n = seconds_of_a_solve(problem), expected_solves(problem)
@@ -72,12 +77,43 @@ def with_surrogate(
                 f"rejected (--exact): {time_in_words(more * one_s / engine.workers)}.",
                 err=True,
             )
-    most = min(most_solves(problem), orders["max_solves"])
-    found = surrogate(problem, seed=orders["seed"], engine=engine, max_solves=most)
+    found = surrogate(problem, seed=orders["seed"], engine=engine, max_solves=_budget(problem, orders))
     if speaks:
         for sentence in surrogate_in_words(found.model.record):
             click.echo(sentence, err=True)
     return found
+
+
+def _budget(problem: UpdatingProblem, orders: Mapping[str, Any]) -> int:
+    """Return how many solves a surrogate may take: as asked for, but for exact draws some must be left."""
+    from fmu.surrogates.learning import most_solves
+
+    by_default, most = most_solves(problem), int(orders["max_solves"])
+    return min(by_default, most) if most == MAX_SOLVES or orders.get("exact") else most
+
+
+def may_learn_more(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
+    """Return whether a surrogate ended because it had no solves left for another certificate."""
+    from fmu.surrogates.learning import CHECKS
+
+    return bool(_budget(problem, orders) - problem.model.record["surrogate_solves"] < CHECKS)
+
+
+def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
+    """Note in the options of a run which solves its surrogate has learnt from; return them.
+
+    A run that is resumed with more solves has another surrogate. What was drawn of the earlier one is removed.
+    """
+    design = problem.model.configuration()["design"]
+    is_other = asked.orders.get("design", design) != design
+    asked = replace(asked, orders={**asked.orders, "design": design})
+    if is_other:
+        click.echo("The surrogate has learnt from other solves than before: the draws begin anew.", err=True)
+        asked = replace(asked, finished=())
+        running.begin(asked)
+    else:
+        asked.save(running.folder)
+    return asked
 
 
 def exact_draws(

@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 from typing import Self
 
-from fmu.config.kept import ORIGIN, KeptProblem
+from fmu.config.kept import FILE, ORIGIN, KeptProblem
 from fmu.runs.lock import FILE as PRESENCE
 from fmu.runs.lock import LOCK, DirectoryLock, PhaseNote, announce
 from fmu.runs.store import LEDGER
@@ -57,7 +57,7 @@ class RunDirectory:
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
-            elif path.name not in (LOCK, PRESENCE):
+            elif path.name not in (LOCK, PRESENCE, FILE, ORIGIN):  # the last two are replaced
                 path.unlink()
         problem.save(self.folder)
 

@@ -105,6 +105,24 @@ def test_another_run_solves_nothing_again_and_draws_the_same(finished):
     assert again.posterior.equals(trace.posterior)
 
 
+def test_a_surrogate_that_is_allowed_more_solves_goes_on_and_what_it_gave_is_drawn_anew(finished):
+    folder, _ = finished
+    few = ("--max-solves", "22", "--surrogate", "--no-report", *LENGTH[:2], *LENGTH[4:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", SurrogateWarning)
+        done = run(folder / "storeys.toml", "--out", folder / "c", *few)
+    assert done.exit_code == 1
+    assert "Note: the surrogate misses its tolerance after 22 solves" in done.stderr
+    assert f"To learn from more solves: fmu run --resume {folder / 'c'} --max-solves 44" in done.stdout
+    calls = len((folder / "calls").read_text())
+    done = run("--resume", folder / "c", "--max-solves", "44", "--no-report", "--progress", "none")
+    assert done.exit_code == 0, done.output
+    assert "the draws begin anew" in done.stderr
+    assert len((folder / "calls").read_text()) == calls + 2  # all is stored, but the start is solved in every run
+    first, more = (fmu.load_trace(folder / name / "mixture.nc").attrs for name in ("a", "c"))
+    assert more["surrogate_solves"] == first["surrogate_solves"] > 22
+
+
 def test_a_fast_function_is_called_itself(tmp_path):
     written(tmp_path, 0.0)
     done = run(tmp_path / "storeys.toml", "--out", tmp_path / "a", "--no-report", *LENGTH)
