@@ -170,6 +170,17 @@ def test_the_start_is_solved_again_once_and_what_is_stored_is_taken(tmp_path):
     assert model.at(THETA[2]).frequencies[0] == 1.5 * (1.0 + 1e-9)  # nothing was stored there
 
 
+def test_the_time_of_a_solve_is_that_of_a_second_call_and_measured_once(tmp_path):
+    model = written(tmp_path)
+    model.at(THETA[0])
+    assert model.seconds_at(THETA[0]) == model.seconds_at(THETA[0]) >= 0.06
+    assert n_calls(tmp_path) == 2
+    model.loading_s = 0.05  # the first call was longer than that
+    model.at(THETA[2])
+    assert model.seconds_at(THETA[2]) >= 0.06
+    assert n_calls(tmp_path) == 3
+
+
 @pytest.mark.parametrize(
     ("factor", "turn", "said"),
     [
