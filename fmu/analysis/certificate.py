@@ -197,7 +197,7 @@ def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
     )
     said = [
         f"The draws are exact: {whole(accepted)} of {whole(proposals)} draws of the surrogate were accepted after "
-        "a solve of the model itself (delayed acceptance). They have a Monte-Carlo error, and no other."
+        "a solve of the model itself (delayed acceptance). They have a Monte-Carlo error only."
     ]
     if failed:
         said.append(f"At {whole(failed)} of these draws the solve failed; they were rejected.")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 _APART = 2.0
 """Autocorrelation times between two proposals, at least: of an autoregression e⁻⁴ of its correlation is left."""
+_FEWEST = 4
+"""Proposals of a chain, at least: ArviZ judges no fewer draws."""
 _TURNS = 4
 """Solves of a worker between two reports."""
 _STREAM = 22
@@ -71,9 +73,12 @@ class SecondStage:
         if canonical_json(configuration) != canonical_json(problem.configuration()):
             raise ValueError("trace: must be of the posterior by this surrogate (it is of another problem)")
         draws, walkers, ess = parameter_draws(trace), walkers_of(trace), fewest(summary(trace))
-        if not ess > 0.0:
-            raise ValueError(f"trace: must have effective draws (its ESS is {ess})")
         chains, ndim = len(draws), problem.ndim
+        least = 2.0 * _APART * _FEWEST * chains  # as the thinning is up to twice as large as it has to be
+        if not ess >= least:
+            raise ValueError(
+                f"trace: must have an ESS of at least {least:.0f} (got {ess:.0f}): sample the surrogate longer"
+            )
         times = max(draws.shape[0] * draws.shape[1] / ess, 1.0 / _APART)
         # a power of two, so that a longer run has the same proposals and more
         self.thinning = 2 ** int(np.ceil(np.log2(_APART * times)))

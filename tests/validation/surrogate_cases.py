@@ -125,6 +125,74 @@ def two_storeys(
     )
 
 
+class PoorCase(NamedTuple):
+    """A posterior of two stiffnesses, of which few solves give a poor surrogate.
+
+    Attributes
+    ----------
+    name : str
+    n_modes : int
+        Frequencies measured.
+    sd : float
+        Of the lower frequency, Hz; that of the upper one is three times as large.
+    lower, upper : tuple of float
+        Bounds.
+    seed : int
+        Of the surrogate: one that is off.
+    fills_box : bool
+        Whether the posterior is wide enough for quadrature over all of the box.
+    edge : float
+        Solves fail where the first stiffness is larger.
+    """
+
+    name: str
+    n_modes: int
+    sd: float
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    seed: int
+    fills_box: bool
+
+    edge: float = np.inf
+
+    def problem(self, batched: bool = False) -> fmu.UpdatingProblem:
+        """Return the problem through a function."""
+        measured = storeys(np.array([5.2e7, 3.1e7]))[: self.n_modes]
+        parameters = [
+            fmu.Parameter(name, start, lower, upper, unit="N/m")
+            for name, start, lower, upper in zip(("k1", "k2"), (5e7, 3e7), self.lower, self.upper, strict=True)
+        ]
+
+        def function(theta: Vector) -> Vector:
+            if np.any(theta.T[0] > self.edge):
+                raise RuntimeError("no convergence")
+            return storeys(theta.T)[: self.n_modes].T
+
+        return fmu.UpdatingProblem(
+            fmu.BlackBoxModel(function, 2, batched=batched),
+            fmu.ModalData(measured.tolist()),
+            parameters,
+            error=fmu.FrequencyErrors("absolute", sd=self.sd * np.array([1.0, 3.0])[: self.n_modes]),
+        )
+
+    def moments(self) -> tuple[Vector, Vector]:
+        """Return mean and sd by quadrature."""
+        upper = min(self.upper[0], self.edge), self.upper[1]
+        problem = self._replace(upper=upper, edge=np.inf).problem(batched=True)
+        if self.fills_box:
+            middle, width = 0.5 * (problem.lower + problem.upper), problem.upper - problem.lower
+            return grid_moments(problem, middle, width / 12.0, 801)
+        best = fmu.find_map(problem, 16)[0]
+        return grid_moments(problem, best.mean, best.sd, 301)
+
+
+POOR = (
+    PoorCase("one maximum", 2, 0.005, (5e6, 2.6e7), (2e8, 2e8), 1, False),
+    PoorCase("two maxima", 2, 0.05, (5e6, 5e6), (2e8, 2e8), 5, True),
+    PoorCase("cut off where solves fail", 2, 0.02, (2e7, 2.6e7), (9e7, 6e7), 1, False, 5.2e7),
+)
+
+
 def grid_moments(problem: Any, mean: Vector, sd: Vector, n: int = 101) -> tuple[Vector, Vector]:
     """Return mean and sd of the first two parameters by quadrature over ± 6 sd, the others at their start."""
     axes = [

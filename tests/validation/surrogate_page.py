@@ -14,6 +14,8 @@ MEAN, SD = 0.05, 0.05
 FEWER = 50.0
 HELD = 0.95
 WALL_S = 60.0
+Z = 3.5
+"""Largest of twelve errors in standard errors from twenty seeds: more in 3 % of such pages."""
 _N_CASES = 4
 
 
@@ -52,6 +54,9 @@ def gates(known: Mapping[str, Any]) -> list[Gate]:
     if "budgets" in known:
         held = share_held(known["budgets"])
         found.append(at_least("small budgets: reported error at least the real one", held, HELD))
+    for one in known.get("exact", ()):
+        name = f"exact draws, {one['name']}: largest error of a mean or sd, in its standard error"
+        found.append(at_most(name, largest_z(one), Z))
     if "kills" in known:
         kills = known["kills"]
         found.append(at_most(f"killed {kills['kills']} times: solves done twice", kills["twice"], 0))
@@ -75,6 +80,11 @@ def share_held(budgets: Mapping[str, Sequence[float]]) -> float:
     return float(np.mean(np.array(budgets["reported"]) >= np.array(budgets["real"])))
 
 
+def largest_z(one: Mapping[str, Any]) -> float:
+    """Return the largest mean error of a moment over its standard error."""
+    return float(np.max(np.abs(np.array(one["exact"])) / np.array(one["error"])))
+
+
 def passed(known: Mapping[str, Any]) -> bool:
     """Say whether all gates are passed."""
     return all(gate.is_met for gate in gates(known))
@@ -93,6 +103,8 @@ def page(known: Mapping[str, Any], missing: Sequence[str] = ()) -> str:
         parts.append(_AWKWARD.format(table=_awkward(known["awkward"])))
     if "budgets" in known:
         parts.append(_of_budgets(known["budgets"]))
+    if "exact" in known:
+        parts.append(_of_exact(known["exact"]))
     if "kills" in known:
         parts.append(_KILLS.format(kills=known["kills"]))
     if "one second" in known:
@@ -145,6 +157,24 @@ def _of_budgets(budgets: Mapping[str, Sequence[float]]) -> str:
     )
 
 
+def _of_exact(found: Sequence[Mapping[str, Any]]) -> str:
+    header = (
+        *("posterior", "surrogate: means off, sd", "sds off, %", "exact draws: means off, sd", "sds off, %"),
+        *("standard error, sd", "solves", "accepted, %", "ESS"),
+    )
+    rows = []
+    for one in found:
+        off = [np.abs(np.array(one[name])).reshape(2, -1).max(axis=1) for name in ("surrogate", "exact")]
+        rows.append((
+            one["name"], *(significant(float(x), 2) for mean, sd in off for x in (mean, 100 * sd)),
+            significant(max(one["error"]), 2), whole(round(one["solves"])), significant(100 * one["accepted"], 2),
+            whole(round(one["ess"])),
+        ))  # fmt: skip
+    return _EXACT.format(
+        seeds=found[0]["seeds"], learnt=found[0]["learnt"], z=Z, table=markdown_table(header, rows)
+    )
+
+
 _HEAD = """# Surrogates of slow models
 
 Written by `python -m tests.validation.surrogate results`; every number is computed. `fmu.surrogate` lets
@@ -177,6 +207,15 @@ _BUDGETS = """## Small budgets
 {runs} buildings with random stiffnesses and errors of measurement, each with 10 solves to learn from and 12 to
 check. The error reported is at least the real one in {held} %. Real errors are {middle} sd in the median and
 {largest} at most; real over reported is {middle_ratio} in the median and {largest_ratio} at most.
+"""
+_EXACT = """## Exact draws
+
+Delayed acceptance (`fmu run --exact`) from poor surrogates, of {learnt} solves each, of a building of two
+storeys. Means and standard deviations are compared with quadrature; the larger error of both parameters is given.
+Those of the draws are averages over {seeds} seeds, and the standard error is that of the average. The gate is
+{z} standard errors.
+
+{table}
 """
 _KILLS = """## Interrupted
 
