@@ -85,8 +85,8 @@ def delayed_acceptance(
     Raises
     ------
     ValueError
-        If the problem has no surrogate, the trace is not one of its posterior or has no effective draws, a number
-        is out of range, or all solves of a chain fail.
+        If the problem has no surrogate, the trace is not one of its posterior or has too few effective draws, a
+        number is out of range, or all solves of a chain fail.
     """
     until_ess = positive_number("until_ess", until_ess)
     stage = SecondStage(problem, trace)

@@ -206,6 +206,9 @@ def test_what_cannot_be_corrected_is_refused(first_stage):
     other = fmu.sample(given, draws=20, warmup=20, init="start")
     with pytest.raises(ValueError, match="must be of the posterior by this surrogate"):
         fmu.delayed_acceptance(surrogate, other)
+    short = fmu.sample(surrogate, draws=12, warmup=20, init="start")
+    with pytest.raises(ValueError, match="must have an ESS of at least 64"):
+        fmu.delayed_acceptance(surrogate, short)
     for name, value in (("until_ess", 0), ("max_solves", 3)):
         with pytest.raises(ValueError, match=f"{name}: must be"):
             fmu.delayed_acceptance(surrogate, trace, **{name: value})

@@ -41,7 +41,7 @@ ESS = 400
 """Effective draws whose Monte-Carlo error of a mean is 0.05 posterior standard deviations."""
 BUDGETS = 200
 KILLS = 10
-SEEDS = 20
+SEEDS = 60
 SD = np.array([0.01, 0.03])
 SLOW = """
 import time

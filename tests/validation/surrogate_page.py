@@ -15,7 +15,7 @@ FEWER = 50.0
 HELD = 0.95
 WALL_S = 60.0
 Z = 3.5
-"""Largest of twelve errors in standard errors from twenty seeds: more in 3 % of such pages."""
+"""Largest of twelve errors, in standard errors from sixty seeds: larger in 1 % of such pages."""
 _N_CASES = 4
 
 
