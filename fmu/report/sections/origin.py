@@ -98,7 +98,7 @@ def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
     shift, allowed = float(attrs["certificate_shift"]), float(attrs["certificate_shift_tolerance"])
     exact = exact_in_words(attrs)
     if exact:
-        exact.append("The rest of this section is about the surrogate, on whose errors the draws do not depend.")
+        exact.append("The rest of this section is about the surrogate; its errors are not those of the draws.")
     sentences = exact + surrogate_in_words(attrs)
     failed = int(attrs["surrogate_failed"])
     scatter = float(attrs["surrogate_scatter"])
