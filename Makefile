@@ -128,7 +128,7 @@ bench-whole: $(READY_BENCH)  ## Measure whole runs, search and warm-up counted, 
 	.venv/bin/python -m tests.benchmarks.peers.whole_runs.page .benchmarks/whole.json results/whole-runs.md results/benchmarks/whole-runs.png
 
 validate: export OPENBLAS_NUM_THREADS = 1
-validate: $(READY) $(READY_FAST)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
+validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
 	.venv/bin/python -m tests.validation results
 	.venv/bin/python -m tests.validation.verdicts results
 	.venv/bin/python -m tests.validation.coverage results

@@ -78,8 +78,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         ``certificate_draws`` and ``certificate_frequency_error`` as above; ``certificate_log_prob_sd``, the
         standard deviation of the error of the log-probability; ``certificate_log_prob_error``, the largest from
         its mean, which with 95 % confidence holds for ``certificate_share`` of the posterior;
-        ``certificate_shift``, how many posterior standard deviations a posterior mean may be off with 95 %
-        confidence, and ``certificate_shift_tolerance``.
+        ``certificate_shift``, how many posterior standard deviations a posterior mean, and how much, relative, a
+        posterior standard deviation may be off with 95 % confidence, and ``certificate_shift_tolerance``.
 
     Warns
     -----
@@ -155,8 +155,14 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
 def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
     """Return what the certificate of a surrogate says, in sentences; see `certify`."""
     n, shift, allowed = (record[f"certificate_{name}"] for name in ("draws", "shift", "shift_tolerance"))
-    found, limit = apart(float(shift), float(allowed), digits=2)
     is_kept = float(shift) <= float(allowed)
+    # to one decimal place where they are near to each other
+    near = float(shift) <= 10.0 * float(allowed)
+    found, limit = (
+        apart(float(shift), float(allowed), digits=2)
+        if near
+        else (significant(float(shift), 2), typed(float(allowed)))
+    )
     said = [
         f"Gaussian processes stand for the model: they were learnt from {whole(record['surrogate_design'])} "
         f"solves, and {n} draws of the posterior, unseen by them, were solved to check them: "
@@ -164,8 +170,9 @@ def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
     ]
     if np.isfinite(float(shift)):
         said += [
-            f"With 95 % confidence no posterior mean is off by more than {found} posterior standard deviations "
-            f"({'allowed' if is_kept else 'more than the allowed'}: {limit}), to first order.",
+            f"With 95 % confidence no posterior mean is off by more than {found} posterior standard deviations, and "
+            f"no standard deviation by more than {found} of its size ({'allowed' if is_kept else 'more than the allowed'}: "
+            f"{limit}), to first order.",
             f"In the log-probability the largest error at these draws is "
             f"{significant(float(record['certificate_log_prob_error']), 2)}, and with 95 % confidence "
             f"{share(float(record['certificate_share']))} of the posterior has no larger one.",

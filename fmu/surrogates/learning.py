@@ -16,7 +16,7 @@ from fmu.numbers import significant
 from fmu.posterior.failures import FailureRecord
 from fmu.posterior.parameters import box
 from fmu.progress.phases import Phase, phase
-from fmu.surrogates.error_limits import ErrorLimits
+from fmu.surrogates.error_limits import ErrorLimits, draws_needed
 from fmu.surrogates.selection import chosen, predicted_variance, scatter_variance, stratified
 from fmu.types import FloatArray, IntArray
 
@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 
 TOLERANCE = 0.05
 BATCH, CHECKS = 4, 12
-_STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 4, 200, 150
+_STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 8, 250, 150
 _CANDIDATES = 300
-_SAFE = 0.2
-"""Checks are solved when the surrogate expects errors of this part of the tolerance."""
 _UNDECIDED = 0.1
 """Part of the posterior that may lie between points that were solved and points that failed."""
 _MAY_BE_SWAPPED = 0.6
@@ -69,7 +67,8 @@ def surrogate(
         Solves between two rounds of sampling; they can run at once. By default as many as the model has
         parameters, and at least four. The design depends on this number, and not on how many workers there are.
     checks : int
-        Draws that are solved for a certificate, at least 8.
+        Draws that are solved for a certificate, at least 8; more where that takes fewer solves than a better
+        surrogate.
     max_solves : int, optional
         After so many it ends, whatever the certificate says; by default 100, and 50 more for every parameter.
     engine : Engine, optional
@@ -109,27 +108,31 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
     optimism, at_floor = 1.0, 0
     while True:
         draws, expected, floor = learner.posterior()
-        left = learner.left - checks
         edge = learner.undecided(draws)
         under_way.said["expected_error"] = optimism * expected
-        is_rough = optimism * expected > max(_SAFE * tolerance, 0.5 * floor) or len(edge) > _UNDECIDED * len(draws)
-        if is_rough and left >= batch:
+        # more checks instead of a better surrogate are no cheaper beyond two batches
+        most = checks + 2 * batch
+        n_checks = draws_needed(optimism * expected, learner.drawn, tolerance, checks, most)
+        is_rough = (n_checks == 0 and optimism * expected > 0.5 * floor) or len(edge) > _UNDECIDED * len(draws)
+        if is_rough and learner.left - checks >= batch:
             tested = learner.rng.permutation(edge)[: batch // 2]
             rows = chosen(learner.likelihood, learner.model, draws, batch - len(tested))
             learner.extend(draws[np.unique([*tested, *rows])], under_way)
             continue
+        n_checks = min(n_checks or checks, learner.left)
         theta = draws[
-            stratified(predicted_variance(learner.likelihood, learner.model, draws), checks, learner.rng)
+            stratified(predicted_variance(learner.likelihood, learner.model, draws), n_checks, learner.rng)
         ]
         errors, answers = learner.checked(theta, under_way)
-        limits = ErrorLimits.of(errors)
+        limits = ErrorLimits.of(errors, theta, learner.drawn, expected)
         under_way.said["certificate"] = limits.shift
         # further solves do not help against the scatter of those that check; one estimate of it may be wrong
-        at_floor += floor > _SAFE * tolerance and limits.sd <= 2.0 * np.hypot(floor, expected)
-        if limits.shift <= tolerance or left < checks or at_floor > 1:
+        is_limiting = not draws_needed(floor, learner.drawn, tolerance, checks, most)
+        at_floor += is_limiting and limits.sd <= 2.0 * np.hypot(floor, expected)
+        if limits.shift <= tolerance or learner.left < checks or at_floor > 1:
             return limits
         if np.isfinite(limits.sd) and expected > 0.0:
-            optimism = max(1.0, limits.sd / expected)
+            optimism = max(1.0, np.sqrt(limits.sd / expected))  # the surrogate learns from these errors, too
         learner.learn(answers)
 
 
@@ -201,10 +204,11 @@ class _Learner:
         settings = named("mixture").starting_from(*components(self.problem, maxima))
         start, _ = starts(self.problem, "maxima", maxima, _CHAINS, 1, seed)
         run = Run(self.problem, settings, warmup=_WARMUP, chains=_CHAINS, seed=seed, init=start)
-        drawn = np.unique(run.extend(_DRAWS).posterior.position.reshape(-1, self.problem.ndim), axis=0)
+        self.drawn = run.extend(_DRAWS).posterior.position.reshape(-1, self.problem.ndim)
+        drawn = np.unique(self.drawn, axis=0)
         draws = drawn[np.sort(self.rng.permutation(len(drawn))[:_CANDIDATES])]
         self.previous = draws[:, : self.n]
-        of_both = (of(self.likelihood, self.model, draws) for of in (predicted_variance, scatter_variance))
+        of_both = (of(self.likelihood, self.model, drawn) for of in (predicted_variance, scatter_variance))
         expected, floor = (float(np.sqrt(np.mean(variance))) for variance in of_both)
         return draws, expected, floor
 
@@ -246,7 +250,7 @@ class _Learner:
             "surrogate_failed": int(np.sum(failed)) + limits.n_failed,
             "surrogate_failed_where": where,
             "surrogate_doubts": self._doubts(),
-            "surrogate_scatter": 0.5 * max(p.scatter for p in self.model.of_frequencies),
+            "surrogate_scatter": 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter))),
             "certificate_draws": limits.n,
             "certificate_frequency_error": self.frequency_error,
             "certificate_log_prob_error": limits.largest,

@@ -19,9 +19,9 @@ def predicted_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta
 def scatter_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray) -> FloatArray:
     """Return the variance of the log-probability that the scatter of the solver's answers causes, (n,)."""
     of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
-    scatter = np.concatenate([p.unit * p.relative_scatter for p in model.of_frequencies])
-    squares = (0.5 * model.frequencies(theta[:, : model.n_parameters]) * scatter) ** 2
-    found = np.sum(of_frequency * squares, axis=1)
+    found = np.sum(
+        model.weights_of_learnt(theta[:, : model.n_parameters], of_frequency) * model.scatter**2, axis=1
+    )
     for i, process in enumerate(model.of_shapes):
         found += np.sum(of_shape[:, :, i] * (process.unit * process.relative_scatter) ** 2, axis=1)
     return np.asarray(found)
@@ -37,14 +37,14 @@ def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray
     """
     of_frequency, of_shape = likelihood.sensitivity_to_model(draws)
     x = model.coordinates.to_x(draws[:, : model.n_parameters])
-    by_log = (0.5 * model.frequencies(draws[:, : model.n_parameters])) ** 2 * of_frequency
+    of_learnt = model.weights_of_learnt(draws[:, : model.n_parameters], of_frequency)
     covariances, scatters, weights, first = [], [], [], 0
     for process in model.of_frequencies:
         covariance, scatter = process.covariance(x)
         columns = slice(first, first := first + len(process.unit))
         covariances.append(covariance)
         scatters.append(scatter)
-        weights.append(by_log[:, columns] @ process.unit**2)
+        weights.append(of_learnt[:, columns] @ process.unit**2)
     for i, process in enumerate(model.of_shapes):
         covariance, scatter = process.covariance(x)
         covariances.append(covariance)

@@ -145,7 +145,7 @@ def test_a_mode_that_may_have_been_taken_for_another_is_told():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SurrogateWarning)  # the frequencies jump where the pairing changes
-        found = fmu.surrogate(turned, max_solves=34)
+        found = fmu.surrogate(turned)
     assert "has a MAC below 0.6" in found.model.record["surrogate_doubts"]
 
 

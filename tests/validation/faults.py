@@ -767,6 +767,27 @@ IN_SURROGATES = (
         ("tests/surrogates/test_error_limits.py",),
     ),
     Fault(
+        "surrogate: its means are taken to be off by what the draws show",
+        "fmu/surrogates/error_limits.py",
+        "np.abs(moved.mean(axis=0)) + _quantile(n, ndim) * standard_errors",
+        "np.abs(moved.mean(axis=0))",
+        ("tests/surrogates/test_error_limits.py",),
+    ),
+    Fault(
+        "surrogate: both modes of a pair have the lower eigenvalue's derivative",
+        "fmu/fem/surrogate/close_pairs.py",
+        "dy[:, i] - by_root, dy[:, i] + by_root",
+        "dy[:, i] - by_root, dy[:, i] - by_root",
+        ("tests/fem/test_close_pairs.py",),
+    ),
+    Fault(
+        "surrogate: the variance of a distance is that of its square",
+        "fmu/fem/surrogate/close_pairs.py",
+        "v[:, i] + 0.25 * v[:, i + 1] / h",
+        "v[:, i] + v[:, i + 1]",
+        ("tests/fem/test_close_pairs.py",),
+    ),
+    Fault(
         "delayed acceptance: ratio of the weights upside down",
         "fmu/surrogates/second_stage.py",
         "if u * weight[at] < weight[j]:",

@@ -1,4 +1,4 @@
 """Surrogates of slow models: Gaussian processes of what is paired, learnt from a few solves.
 
-Reading order: coordinates, process, feasibility, surrogate_model.
+Reading order: coordinates, process, close_pairs, feasibility, surrogate_model.
 """

@@ -13,6 +13,7 @@ from fmu.fem.black_box import Failure
 from fmu.fem.modes.modal import single_thread
 from fmu.fem.pairing.paired_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.surrogate.close_pairs import ClosePairs
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import Feasibility
 from fmu.fem.surrogate.process import Process
@@ -98,13 +99,16 @@ class SurrogateModel(ModalModel):
         x = coordinates.to_x(design.theta)
         self.feasibility = Feasibility(x, design.failed)
         log = 2.0 * np.log(design.frequencies[good])
+        self.pairs = ClosePairs() if truth.by_shape else ClosePairs.of(log)
+        if before is not None and before.pairs != self.pairs:
+            before = None  # its hyper-parameters are of other quantities
         shapes = None if reference is None else oriented(design.shapes[good], reference)
         n_searched: int = 0 if before is None else before._n_searched
         search = np.sum(good) >= _GROWN * n_searched
         self._n_searched: int = int(np.sum(good)) if search else n_searched
         with single_thread():
             self.of_frequencies: list[Process] = fitted_together(
-                x[good], log, None if before is None else before.of_frequencies, bool(search)
+                x[good], self.pairs.learnt(log), None if before is None else before.of_frequencies, bool(search)
             )
             self.of_shapes: list[Process] = []
             for i in range(self.n_modes if shapes is not None else 0):
@@ -122,9 +126,12 @@ class SurrogateModel(ModalModel):
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves fail, as far as is known."""
         x = self.coordinates.to_x(theta)
-        with single_thread():
-            log = np.concatenate([p.values(x) for p in self.of_frequencies], axis=1)
-        return self._where_feasible(x, np.exp(0.5 * log))
+        if self.pairs.first:  # they are uncertain by what is uncertain
+            z, _ = self.pairs.values(*self._learnt(x))
+        else:
+            with single_thread():
+                z = np.concatenate([p.values(x) for p in self.of_frequencies], axis=1)
+        return self._where_feasible(x, np.exp(0.5 * z))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
@@ -140,16 +147,18 @@ class SurrogateModel(ModalModel):
             parts = [_predicted(p, x, by_theta) for p in (*self.of_frequencies, *self.of_shapes)]
         n = len(self.of_frequencies)
         y, v, dy, dv = (_joined(c, np.concatenate, 1) for c in zip(*parts[:n], strict=True))
-        f = np.exp(0.5 * y)
-        f_hz, v_hz2 = self._where_feasible(x, f), 0.25 * f**2 * v
+        z, z_variance = self.pairs.values(y, v)
+        f = np.exp(0.5 * z)
+        f_hz, v_hz2 = self._where_feasible(x, f), 0.25 * f**2 * z_variance
         empty = np.empty((len(x), 0, self.n_modes))
         s, sv, ds, dsv = empty, empty, np.empty((*empty.shape, self.n_parameters)), None
         if self.of_shapes:
             s, sv, ds, dsv = (_joined(c, np.stack, 2) for c in zip(*parts[n:], strict=True))
         if not gradient:
             return ModalPrediction(f_hz, s, frequency_variance=v_hz2, shape_variance=sv)
-        df = 0.5 * f[..., None] * dy
-        dv_hz2 = 0.25 * f[..., None] ** 2 * dv + 0.5 * (f * v)[..., None] * df
+        dz, dz_variance = self.pairs.slopes(y, v, dy, dv)
+        df = 0.5 * f[..., None] * dz
+        dv_hz2 = 0.25 * f[..., None] ** 2 * dz_variance + 0.5 * (f * z_variance)[..., None] * df
         return ModalPrediction(f_hz, s, df, ds, v_hz2, sv, dv_hz2, ds if dsv is None else dsv)
 
     def limit_variance(self, theta: FloatArray) -> None:
@@ -162,12 +171,25 @@ class SurrogateModel(ModalModel):
     def variances(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the variances of frequencies, Hz², and of shapes at theta, as in `observed` but without limit."""
         x = self.coordinates.to_x(theta)
+        z, v = self.pairs.values(*self._learnt(x, limited=False))
         with single_thread():
-            parts = [p.predict(x, limited=False) for p in self.of_frequencies]
             of_shapes = [p.predict(x, limited=False)[1] for p in self.of_shapes]
-        y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
         empty = np.empty((len(x), 0, self.n_modes))
-        return 0.25 * np.exp(y) * v, np.stack(of_shapes, axis=2) if of_shapes else empty
+        return 0.25 * np.exp(z) * v, np.stack(of_shapes, axis=2) if of_shapes else empty
+
+    def weights_of_learnt(self, theta: FloatArray, of_frequency: FloatArray) -> FloatArray:
+        """Return the weights of the variances of what was learnt of frequencies, for those of the frequencies.
+
+        Both have the shape (n, n_modes); the weights that are given are in 1/Hz².
+        """
+        y, v = self._learnt(self.coordinates.to_x(theta))
+        z, _ = self.pairs.values(y, v)
+        return self.pairs.weights(y, v, 0.25 * np.exp(z) * of_frequency)
+
+    @property
+    def scatter(self) -> FloatArray:
+        """Standard deviations of the scatter of what was learnt of frequencies, shape (n_modes,)."""
+        return np.concatenate([p.unit * p.relative_scatter for p in self.of_frequencies])
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies by the slow model."""
@@ -183,6 +205,13 @@ class SurrogateModel(ModalModel):
         for part in (self.design.theta, self.design.frequencies, self.design.shapes):
             digest.update(np.ascontiguousarray(part).tobytes())
         return {"surrogate of": self.truth.configuration(), "design": digest.hexdigest()}
+
+    def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Return what was learnt of frequencies and its variance, (n, n_modes) each."""
+        with single_thread():
+            parts = [p.predict(x, limited) for p in self.of_frequencies]
+        y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
+        return y, v
 
     def _where_feasible(self, x: FloatArray, frequencies: FloatArray) -> FloatArray:
         return np.where(self.feasibility(x)[:, None], frequencies, np.nan)

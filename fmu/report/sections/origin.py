@@ -7,8 +7,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from fmu.analysis.certificate import exact_in_words, surrogate_in_words
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
@@ -103,10 +101,9 @@ def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
     failed = int(attrs["surrogate_failed"])
     scatter = float(attrs["surrogate_scatter"])
     log_prob_sd, frequency = (float(attrs[f"certificate_{name}"]) for name in ("log_prob_sd", "frequency_error"))
-    relative = float(1.0 / np.sqrt(2.0))  # of a standard deviation, to first order
     rows = (
         ("posterior means may be off by, in posterior sd", *_beside(shift, allowed)),
-        ("posterior sds may be off by, relative", *_beside(relative * shift, round(relative * allowed, 3))),
+        ("posterior sds may be off by, relative", *_beside(shift, allowed)),
         ("standard deviation of the log-probability's error", significant(log_prob_sd, 2), MISSING),
         ("largest relative error of a frequency", significant(frequency, 2), MISSING),
         ("solves from which the surrogate was learnt", whole(attrs["surrogate_design"]), MISSING),

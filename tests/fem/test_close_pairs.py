@@ -1,0 +1,92 @@
+"""Modes that cross or veer: their mean and the square of their distance are learnt, and give both back."""
+
+import numpy as np
+import pytest
+
+from fmu.fem.surrogate.close_pairs import ClosePairs
+from fmu.fem.surrogate.coordinates import Coordinates
+from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel
+
+LOWER, UPPER = np.array([0.5, 0.5]), np.array([2.0, 2.0])
+
+
+class Crossing:
+    """Two modes of squared frequencies k1 and k2 with a weak coupling, and one far above, by number."""
+
+    n_parameters, n_modes, by_shape, name = 2, 3, False, "crossing"
+    reasons = ()
+
+    def __init__(self, coupling):
+        self.coupling = coupling
+
+    def frequencies(self, theta):
+        middle, half = theta.mean(axis=1), 0.5 * (theta[:, 0] - theta[:, 1])
+        root = np.sqrt(half**2 + self.coupling**2)
+        return np.sqrt(np.stack([middle - root, middle + root, 20.0 + theta[:, 0]], axis=1))
+
+
+def surrogate(truth, n=30):
+    theta = np.random.default_rng(1).uniform(LOWER, UPPER, (n, 2))
+    design = Design(theta, truth.frequencies(theta), np.empty((n, 0, 3)))
+    return SurrogateModel(truth, design, Coordinates.of_box(LOWER, UPPER, np.array([True, True])))
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.02])
+def test_both_modes_are_right_on_either_side_and_between(coupling):
+    truth = Crossing(coupling)
+    model = surrogate(truth)
+    assert model.pairs.first == (0,)
+    truth.by_shape = True  # as if its modes were followed
+    plain = surrogate(truth)
+    assert plain.pairs.first == ()
+    theta = np.random.default_rng(2).uniform(0.6, 1.8, (300, 2))
+    seen = model.observed(theta)
+    errors = [
+        np.sqrt(np.mean((one.frequencies(theta) - truth.frequencies(theta))[:, :2] ** 2)) for one in (model, plain)
+    ]
+    assert errors[0] < 1e-3
+    assert errors[0] < 0.1 * errors[1]
+    assert np.array_equal(model.frequencies(theta), seen.frequencies)
+
+
+def test_derivatives_are_those_of_frequencies_and_variances():
+    """Variances end in rounding, which long steps do not show."""
+    model = surrogate(Crossing(0.05))
+    theta, h = np.array([[1.0, 1.13], [1.2, 0.9], [0.8, 1.5]]), 1e-3
+    seen = model.observed(theta, gradient=True)
+    for j in range(2):
+        ahead, behind = (model.observed(theta + sign * h * np.eye(2)[j]) for sign in (1.0, -1.0))
+        slope = (ahead.frequencies - behind.frequencies) / (2 * h)
+        np.testing.assert_allclose(seen.frequency_slopes[:, :, j], slope, rtol=1e-3, atol=2e-4)
+        slope = (ahead.frequency_variance - behind.frequency_variance) / (2 * h)
+        scale = np.max(np.abs(slope))
+        np.testing.assert_allclose(seen.frequency_variance_slopes[:, :, j], slope, atol=0.02 * scale)
+
+
+def test_where_the_distance_is_uncertain_both_are_finite_and_in_order():
+    pairs = ClosePairs((0,))
+    y = np.array([[1.0, d] for d in (-1.0, -1e-6, 0.0, 1e-30, 1e-6, 1.0)])
+    for v in (0.0, 1e-12, 1e-3):
+        z, variance = pairs.values(y, np.full_like(y, v))
+        assert np.all(np.isfinite(z))
+        assert np.all(np.isfinite(variance))
+        assert np.all(z[:, 0] <= z[:, 1])
+        dz, dv = pairs.slopes(y, np.full_like(y, v), np.ones((6, 2, 1)), np.ones((6, 2, 1)))
+        assert np.all(np.isfinite(dz))
+        assert np.all(np.isfinite(dv))
+    np.testing.assert_allclose(pairs.values(y[-1:], np.full((1, 2), 1e-20))[0], [[0.0, 2.0]])
+
+
+def test_weights_are_those_of_the_variances():
+    rng = np.random.default_rng(3)
+    pairs, y, v = ClosePairs((1,)), rng.uniform(0.5, 1.0, (4, 3)), rng.uniform(0.0, 0.01, (4, 3))
+    by_z = rng.uniform(size=(4, 3))
+    of_learnt = pairs.weights(y, v, by_z)
+    np.testing.assert_allclose(np.sum(of_learnt * v, axis=1), np.sum(by_z * pairs.values(y, v)[1], axis=1))
+
+
+def test_only_modes_that_stay_in_order_and_come_close_are_pairs():
+    z = np.array([[0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 1.01, 3.0], [0.0, 0.9, 2.0, 2.05]])
+    assert ClosePairs.of(z).first == (1,)  # the next pair shares a mode with it, and comes less close
+    assert ClosePairs.of(z[:, [0, 2, 1, 3]]).first == ()  # not by number: each is followed
+    assert ClosePairs.of(np.array([[0.0, 1.0], [0.0, 0.8]])).first == ()
