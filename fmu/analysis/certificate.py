@@ -170,9 +170,9 @@ def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
     ]
     if np.isfinite(float(shift)):
         said += [
-            f"With 95 % confidence no posterior mean is off by more than {found} posterior standard deviations, and "
-            f"no standard deviation by more than {found} of its size ({'allowed' if is_kept else 'more than the allowed'}: "
-            f"{limit}), to first order.",
+            f"With 95 % confidence no posterior mean is off by more than {found} posterior standard deviations, "
+            f"and no standard deviation by more than {found} of its size "
+            f"({'allowed' if is_kept else 'more than the allowed'}: {limit}), to first order.",
             f"In the log-probability the largest error at these draws is "
             f"{significant(float(record['certificate_log_prob_error']), 2)}, and with 95 % confidence "
             f"{share(float(record['certificate_share']))} of the posterior has no larger one.",
