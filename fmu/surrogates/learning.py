@@ -305,8 +305,8 @@ def can_learn(problem: UpdatingProblem) -> str:
 
 
 def expected_solves(problem: UpdatingProblem) -> int:
-    """Return about how many solves a surrogate takes."""
-    return 8 * problem.n_structural + CHECKS
+    """Return about how many solves a surrogate takes: more for each parameter, the more parameters there are."""
+    return problem.n_structural * (6 + problem.n_structural) + CHECKS
 
 
 def most_solves(problem: UpdatingProblem) -> int:
