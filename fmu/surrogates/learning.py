@@ -28,7 +28,7 @@ TOLERANCE = 0.05
 BATCH, CHECKS = 4, 12
 _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 8, 250, 150
 _CANDIDATES = 300
-_UNDECIDED = 0.1
+_UNDECIDED = 0.05
 """Part of the posterior that may lie between points that were solved and points that failed."""
 _MAY_BE_SWAPPED = 0.6
 """MAC with the measured shape below which another mode is as likely."""
