@@ -52,7 +52,7 @@ def surrogate(
 
     They are fitted to solves at points that fill the bounds, and then, batch after batch, where the posterior is
     and a solve reduces its error most. When the surrogate expects little error, fresh draws of the posterior are
-    solved: their errors are the certificate. If it allows posterior means to be off by more than the tolerance,
+    solved: their errors are the certificate. If it allows the posterior to be off by more than the tolerance,
     these solves join the design, and it goes on. The certificate is always from solves that the surrogate has not
     seen.
 
@@ -62,7 +62,8 @@ def surrogate(
         Of a `BlackBoxModel`, or of any `ModalModel` without matrices.
     seed : int
     tolerance : float
-        How far posterior means may be off, in posterior standard deviations, with 95 % confidence.
+        How far posterior means may be off, in posterior standard deviations, and how far these, relative, with 95 %
+        confidence.
     batch : int, optional
         Solves between two rounds of sampling; they can run at once. By default as many as the model has
         parameters, and at least four. The design depends on this number, and not on how many workers there are.
