@@ -62,8 +62,8 @@ def surrogate(
         Of a `BlackBoxModel`, or of any `ModalModel` without matrices.
     seed : int
     tolerance : float
-        How far posterior means may be off, in posterior standard deviations, and how far these, relative, with 95 %
-        confidence.
+        How far posterior means may be off, in posterior standard deviations, and how far these, relative, with
+        95 % confidence.
     batch : int, optional
         Solves between two rounds of sampling; they can run at once. By default as many as the model has
         parameters, and at least four. The design depends on this number, and not on how many workers there are.
