@@ -57,6 +57,8 @@ def gates(known: Mapping[str, Any]) -> list[Gate]:
     if "budgets" in known:
         held = share_held(known["budgets"])
         found.append(at_least("small budgets: reported error at least the real one", held, HELD))
+    for one in known.get("held", ()):
+        found.append(at_least(f"{one['name']}, {one['solves']} solves: limits that hold", one["held"], HELD))
     for one in known.get("exact", ()):
         name = f"exact draws, {one['name']}: largest error of a mean or sd, in its standard error"
         found.append(at_most(name, largest_z(one), Z))
@@ -112,6 +114,8 @@ def page(known: Mapping[str, Any], missing: Sequence[str] = ()) -> str:
         parts.append(_AWKWARD.format(table=_awkward(known["awkward"])))
     if "budgets" in known:
         parts.append(_of_budgets(known["budgets"]))
+    if "held" in known:
+        parts.append(_LIMITS.format(table=_limits(known["held"])))
     if "exact" in known:
         parts.append(_of_exact(known["exact"]))
     if "kills" in known:
@@ -162,6 +166,16 @@ def _awkward(found: Mapping[str, Any]) -> str:
             significant(one["shift"], 2), significant(one["scatter"], 2), one["told"] or "–",
         )
         for name, one in found.items()
+    ]  # fmt: skip
+    return markdown_table(header, rows)
+
+
+def _limits(found: Sequence[Mapping[str, Any]]) -> str:
+    header = ("posterior", "solves", "error of ln p, sd", "real error", "limit, median", "limits that hold, %")
+    rows = [
+        (one["name"], whole(one["solves"]), *(significant(one[name], 2) for name in ("sd", "real", "limit")),
+         significant(100 * one["held"], 3))
+        for one in found
     ]  # fmt: skip
     return markdown_table(header, rows)
 
@@ -244,6 +258,15 @@ Delayed acceptance (`fmu run --exact`) from poor surrogates, of {learnt} solves 
 storeys. Means and standard deviations are compared with quadrature; the larger error of both parameters is given.
 Those of the draws are averages over {seeds} seeds, and the standard error is that of the average. The gate is
 {z} standard errors.
+
+{table}
+"""
+_LIMITS = """## Limits of certificates
+
+Surrogates of the known posteriors that had to end too early. Of many draws of each the errors are known, and with
+them the *real error* of the posterior: that of means, in standard deviations, or of these, relative; the largest
+over the parameters. A certificate sees 12 of the draws; 400 times 12 others were taken, as `fmu.surrogate` takes
+them.
 
 {table}
 """
