@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 import time
@@ -9,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Never
 
 import click
 
@@ -65,8 +66,8 @@ def watch(directory: Path, follow: bool, every: float, is_json: bool, web: bool,
             return
 
 
-def _serve(directory: Path, every: float, host: str, port: int) -> None:
-    """Serve the page of a run until Ctrl-C."""
+def _serve(directory: Path, every: float, host: str, port: int) -> Never:
+    """Serve the page of a run until Ctrl-C, which ends the process."""
     from fmu.runs.web import LOOPBACK, WatchServer
 
     with WatchServer(directory, every, host, port) as server:
@@ -77,6 +78,9 @@ def _serve(directory: Path, every: float, host: str, port: int) -> None:
         click.echo("Ctrl-C closes the page; the run goes on.")
         with suppress(KeyboardInterrupt):
             server.serve_forever()
+    # Python would end the threads of open pages anywhere, and one with a lock of HDF5 keeps the process alive
+    sys.stdout.flush()
+    os._exit(0)
 
 
 def _lines(reading: RunReading) -> Iterator[str]:

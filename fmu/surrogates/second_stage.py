@@ -16,6 +16,7 @@ from fmu.analysis.maxima.missed import nearest_maxima
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import check_trace, parameter_draws, walkers_of
+from fmu.numbers import significant, whole
 from fmu.progress.phases import Phase
 from fmu.samplers.loop.record import Draws, RunResult
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -77,7 +78,8 @@ class SecondStage:
         least = 2.0 * _APART * _FEWEST * chains  # as the thinning is up to twice as large as it has to be
         if not ess >= least:
             raise ValueError(
-                f"trace: must have an ESS of at least {least:.0f} (got {ess:.0f}): sample the surrogate longer"
+                f"trace: must have an ESS of at least {whole(round(least))} (got {significant(ess, 3)}): sample "
+                "the surrogate longer"
             )
         times = max(draws.shape[0] * draws.shape[1] / ess, 1.0 / _APART)
         # a power of two, so that a longer run has the same proposals and more
