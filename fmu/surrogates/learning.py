@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from contextlib import nullcontext
-from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,11 +12,10 @@ from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import EDGE, failed_region
 from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
 from fmu.numbers import significant
-from fmu.posterior.failures import FailureRecord
 from fmu.posterior.parameters import box
 from fmu.progress.phases import Phase, phase
 from fmu.surrogates.error_limits import ErrorLimits, draws_needed
-from fmu.surrogates.selection import chosen, predicted_variance, scatter_variance, stratified
+from fmu.surrogates.selection import chosen, error_variances, stratified
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -121,9 +119,8 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
             learner.extend(draws[np.unique([*tested, *rows])], under_way)
             continue
         n_checks = min(n_checks or checks, learner.left)
-        theta = draws[
-            stratified(predicted_variance(learner.likelihood, learner.model, draws), n_checks, learner.rng)
-        ]
+        variance, _ = error_variances(learner.likelihood, learner.model, draws)
+        theta = draws[stratified(variance, n_checks, learner.rng)]
         errors, answers = learner.checked(theta, under_way)
         limits = ErrorLimits.of(errors, theta, learner.drawn, expected)
         under_way.said["certificate"] = limits.shift
@@ -209,7 +206,7 @@ class _Learner:
         drawn = np.unique(self.drawn, axis=0)
         draws = drawn[np.sort(self.rng.permutation(len(drawn))[:_CANDIDATES])]
         self.previous = draws[:, : self.n]
-        of_both = (of(self.likelihood, self.model, drawn) for of in (predicted_variance, scatter_variance))
+        of_both = error_variances(self.likelihood, self.model, drawn)
         expected, floor = (float(np.sqrt(np.mean(variance))) for variance in of_both)
         return draws, expected, floor
 
@@ -288,10 +285,7 @@ class _Learner:
         model = SurrogateModel(self.truth, self.design, self.coordinates, self.reference, before)
         if self.previous is not None:
             model.limit_variance(self.previous)
-        self.problem = copy(self.given)
-        self.problem.model = model
-        self.problem.likelihood = self.given.likelihood.of_model(model)  # type: ignore[attr-defined]
-        self.problem._failed = FailureRecord()
+        self.problem = self.given.of_model(model)
 
 
 def can_learn(problem: UpdatingProblem) -> str:

@@ -9,22 +9,21 @@ from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.types import FloatArray, IntArray
 
 
-def predicted_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray) -> FloatArray:
-    """Return the variance of the log-probability that the surrogate expects at theta (n, ndim), (n,)."""
-    of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
-    v, shape_v = model.variances(theta[:, : model.n_parameters])
-    return np.asarray(np.sum(of_frequency * v, axis=1) + np.sum(of_shape * shape_v, axis=(1, 2)))
+def error_variances(
+    likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return two variances of the error of the log-probability at theta (n, ndim), (n,) each.
 
-
-def scatter_variance(likelihood: ModalLikelihood, model: SurrogateModel, theta: FloatArray) -> FloatArray:
-    """Return the variance of the log-probability that the scatter of the solver's answers causes, (n,)."""
+    That which the surrogate expects of itself, and that which the scatter of the solver's answers causes.
+    """
     of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
-    found = np.sum(
-        model.weights_of_learnt(theta[:, : model.n_parameters], of_frequency) * model.scatter**2, axis=1
-    )
+    structural = theta[:, : model.n_parameters]
+    v, shape_v = model.variances(structural)
+    expected = np.sum(of_frequency * v, axis=1) + np.sum(of_shape * shape_v, axis=(1, 2))
+    of_scatter = np.sum(model.weights_of_learnt(structural, of_frequency) * model.scatter**2, axis=1)
     for i, process in enumerate(model.of_shapes):
-        found += np.sum(of_shape[:, :, i] * (process.unit * process.relative_scatter) ** 2, axis=1)
-    return np.asarray(found)
+        of_scatter += np.sum(of_shape[:, :, i] * process.scatter**2, axis=1)
+    return np.asarray(expected), np.asarray(of_scatter)
 
 
 def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:

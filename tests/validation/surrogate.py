@@ -36,7 +36,8 @@ from fmu.samplers.loop.run import run
 from fmu.samplers.registry import named
 from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.learning import CHECKS
-from fmu.surrogates.selection import predicted_variance, stratified
+from fmu.surrogates.selection import error_variances, stratified
+from tests.benchmarks.peers.target import of_unit_cube
 from tests.validation.surrogate_cases import POOR, PoorCase, cases, grid_moments, storeys, through, two_storeys
 from tests.validation.surrogate_page import N_CASES, page, passed
 
@@ -140,21 +141,11 @@ def others(number: int) -> dict[str, Any]:
     import nautilus
 
     sampler = nautilus.Sampler(
-        _of_unit_cube(problem), problem.log_likelihood, n_dim=problem.ndim, vectorized=True, seed=SEED
+        of_unit_cube(problem), problem.log_likelihood, n_dim=problem.ndim, vectorized=True, seed=SEED
     )
     if sampler.run(n_eff=ESS, n_like_max=MOST_SOLVES):
         found["nautilus"] = float(sampler.n_like)
     return found
-
-
-def _of_unit_cube(problem: Any) -> Callable[[Any], Any]:
-    """Return what maps the unit cube (n, ndim) to the prior within the bounds."""
-
-    def theta(u: Any) -> Any:
-        each = [p.prior.quantile(u[..., j], p.lower, p.upper) for j, p in enumerate(problem.parameters)]
-        return np.stack(each, axis=-1)
-
-    return theta
 
 
 def needed(trace: Any, per_gradient: int) -> float:
@@ -204,7 +195,7 @@ def held() -> list[dict[str, Any]]:
             draws = np.unique(parameter_draws(trace).reshape(-1, case.exact.ndim), axis=0)
             error = case.exact.log_prob(draws) - surrogate.log_prob(draws)
             real = float(max(shifts(draws, error)))
-            variance = predicted_variance(surrogate.likelihood, surrogate.model, draws)
+            variance, _ = error_variances(surrogate.likelihood, surrogate.model, draws)
             expected = float(np.sqrt(variance.mean()))
             limits = []
             for _ in range(CHOICES):

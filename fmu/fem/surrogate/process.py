@@ -48,8 +48,8 @@ class Process:
         out (Rasmussen & Williams, eq. 5.12).
     left_out_error : float
         Root mean square of these errors, in units of y.
-    scatter : float
-        Standard deviation s of the solver's answers, in units of y; `relative_scatter` of the scaled y.
+    scatter : ndarray, shape (q,)
+        Standard deviations s of the solver's answers, in units of y; `relative_scatter` of the scaled y.
     most : float
         Largest variance that `predict` gives, scaled and without caution: see `limit`. At first the median of the
         squared errors where each point is left out.
@@ -79,7 +79,7 @@ class Process:
         self.caution = max(1.0, float(np.mean(errors**2 / variance[:, None])))
         self.left_out_error = float(np.sqrt(np.mean((errors * self._unit) ** 2)))
         self.relative_scatter = float(np.sqrt(self._s2))
-        self.scatter = self.relative_scatter * float(np.max(self._unit))
+        self.scatter = self._unit * self.relative_scatter
         self.most = float(np.median(errors**2)) / self.caution
 
     def values(self, x: FloatArray) -> FloatArray:

@@ -189,7 +189,7 @@ class SurrogateModel(ModalModel):
     @property
     def scatter(self) -> FloatArray:
         """Standard deviations of the scatter of what was learnt of frequencies, shape (n_modes,)."""
-        return np.concatenate([p.unit * p.relative_scatter for p in self.of_frequencies])
+        return np.concatenate([p.scatter for p in self.of_frequencies])
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies by the slow model."""

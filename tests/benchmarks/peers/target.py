@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -185,3 +186,13 @@ def _dense(terms: Any, dofs: Any) -> tuple[FloatArray, FloatArray]:
     powers = np.array([term.powers for term in terms])
     used = np.array([np.any(matrix) for matrix in matrices])
     return matrices[used], powers[used]
+
+
+def of_unit_cube(problem: Any) -> Callable[[FloatArray], FloatArray]:
+    """Return what maps the unit cube (..., ndim) to the prior, truncated to the bounds."""
+
+    def theta(u: FloatArray) -> FloatArray:
+        each = [p.prior.quantile(u[..., j], p.lower, p.upper) for j, p in enumerate(problem.parameters)]
+        return np.stack(each, axis=-1)
+
+    return theta

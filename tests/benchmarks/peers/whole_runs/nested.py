@@ -10,7 +10,7 @@ import nautilus
 import numpy as np
 
 from fmu.types import FloatArray
-from tests.benchmarks.peers.target import Target
+from tests.benchmarks.peers.target import Target, of_unit_cube
 from tests.benchmarks.peers.whole_runs.runs import ENOUGH, MOST_CALLS, OTHERWISE, Meter, WholeRun
 
 
@@ -24,7 +24,7 @@ def nautilus_whole(target: Target, networks: int) -> Callable[[int], WholeRun]:
     def once(seed: int) -> WholeRun:
         meter = Meter(target)
         sampler = nautilus.Sampler(
-            _of_unit_cube(target),
+            of_unit_cube(target.problem),
             target.problem.log_likelihood,
             n_dim=target.problem.ndim,
             n_networks=networks,
@@ -50,7 +50,7 @@ def dynesty_whole(target: Target) -> Callable[[int], WholeRun]:
         meter = Meter(target)
         sampler = dynesty.DynamicNestedSampler(
             target.problem.log_likelihood,
-            _of_unit_cube(target),
+            of_unit_cube(target.problem),
             target.problem.ndim,
             rstate=np.random.default_rng(seed),
         )
@@ -62,17 +62,6 @@ def dynesty_whole(target: Target) -> Callable[[int], WholeRun]:
         return _weighted(found.samples, found.importance_weights(), evidence, ended, draws=drawn)
 
     return once
-
-
-def _of_unit_cube(target: Target) -> Callable[[FloatArray], FloatArray]:
-    """Return what maps the unit cube (..., ndim) to the prior, truncated to the bounds."""
-    parameters = target.problem.parameters
-
-    def theta(u: FloatArray) -> FloatArray:
-        each = [p.prior.quantile(u[..., j], p.lower, p.upper) for j, p in enumerate(parameters)]
-        return np.stack(each, axis=-1)
-
-    return theta
 
 
 def _weighted(x: FloatArray, w: FloatArray, evidence: tuple[float, float], ended: bool, **costs: Any) -> WholeRun:
