@@ -54,7 +54,7 @@ class OpenSeesTable(TomlTable):
             if self.per_theta:
                 store = folder / self.store
                 model = OpenSeesModel(build, start, modes=self.modes, step=self.step, store=store)
-                return Built(model, {}, len(model.dofs))
+                return Built(model, {}, model.assembled.n_dof)
             model = from_opensees(build, [table.name for table in parameters], start, lower, upper)
         except ValueError as error:
             text = str(error)

@@ -49,6 +49,8 @@ _MOST_COMPARED = 2000
 _MOST_CORNERS = 4096
 _WORST_CONDITION = 1e12
 _TOLD = 3
+_SAME_MOTION = 1e-6
+"""Largest difference of a weight, relative to the largest of its motion, from that of the first export."""
 
 Powers = tuple[int, ...]
 Dof = tuple[Any, str]
@@ -221,8 +223,9 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Refuse exports whose degrees of freedom are not those of the first."""
+    """Refuse exports whose degrees of freedom, or motions that are sums of these, differ from the first one's."""
     first = exports[0].model.dofs
+    motions = exports[0].model.motions
     for i, one in enumerate(exports):
         if one.model.dofs != first:
             here, there = set(one.model.dofs), set(first)
@@ -231,6 +234,15 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
                 f"exports.{i}: must have the degrees of freedom of the first export, {len(there)} of one mesh "
                 f"(got {len(here)}; only one of the two has {names_in_words(which)})"
             )
+        for (node, direction), weights in one.model.motions.items():
+            before = motions.get((node, direction), {})
+            names = sorted(weights.keys() | before.keys())
+            size = max(abs(w) for w in weights.values())
+            if any(abs(weights.get(name, 0.0) - before.get(name, 0.0)) > _SAME_MOTION * size for name in names):
+                raise ValueError(
+                    f"exports.{i}: must have the geometry of the first export (the motion of node {node} "
+                    f"{direction} depends differently on the nodes that it follows)"
+                )
 
 
 def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:

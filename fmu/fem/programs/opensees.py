@@ -27,10 +27,11 @@ from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.exports import Export, from_exports
 from fmu.fem.modes.modal import frequency_hz, single_thread
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.programs.followers import follower_motions
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
-from fmu.formats.shown import in_words, names_shown, shown
+from fmu.formats.shown import in_words, shown
 from fmu.numbers import typed
 from fmu.types import FloatArray
 
@@ -70,7 +71,8 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
     Returns
     -------
     ExportedModel
-        Without the degrees of freedom that are fixed, or follow others.
+        Without the degrees of freedom that are fixed, or follow others. The motions of followers are weighted sums
+        of its degrees of freedom.
 
     Raises
     ------
@@ -92,6 +94,7 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
         followers = _followers(ops)
         dofs_at = _assembled(ops, bool(followers))
         dofs: dict[int, DofName] = {}
+        directions: dict[int, tuple[str, ...]] = {}
         places: dict[int, Any] = {}
         for node in nodes:
             place = ops.nodeCoord(node)
@@ -101,17 +104,18 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
             if names is None:
                 rule = f"node {node} has {ndf} in {len(place)} dimensions"
                 raise ValueError(f"build: must make degrees of freedom of structures ({rule})")
+            directions[node] = names
             own = [name for j, name in enumerate(names, 1) if j not in followers.get(node, ())]
             dofs |= {row: (node, name) for row, name in zip(dofs_at[node], own, strict=False) if row >= 0}
         n = ops.systemSize()
         stiffness, mass = (_matrix(ops, what, n, factors) for what, factors in _WHAT.items())
+        step = 2.0 * float(
+            np.sqrt(mass.diagonal().max() / stiffness.diagonal().max())
+        )  # K and 4 M/Δt² of like size
+        motions, notes = follower_motions(ops, directions, frozenset(dofs.values()), step)
         elements = {tag: tuple(ops.eleNodes(tag)) for tag in ops.getEleTags() or []}
     if len(dofs) < n:
         raise ValueError(f"build: OpenSees must name its {n} equations (it names {len(dofs)})")
-    notes = []
-    if followers:
-        which = names_shown([f"{node} ({', '.join(map(str, those))})" for node, those in followers.items()])
-        notes.append(f"No sensors can be at degrees of freedom that follow others, by node: {which}.")
     known = {tag: nodes for tag, nodes in elements.items() if len(nodes) in _KINDS}
     if len(known) < len(elements):
         notes.append(f"Of {len(elements)} elements, {len(elements) - len(known)} are not drawn.")
@@ -126,6 +130,7 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
         mesh.elements,
         mesh.kinds,
         tuple(notes),
+        motions,
     )
 
 
@@ -205,14 +210,14 @@ class OpenSeesModel(BlackBoxModel):
         store: str | os.PathLike[str] | None = None,
     ) -> None:
         self.build, self.modes = build, modes
-        self.dofs = exported(build, start).dofs
+        self.assembled = _fixed_model(exported(build, start))
         self.sensors: tuple[tuple[Any, str], ...] = ()
         name = getattr(inspect.unwrap(build), "__qualname__", "build")
         super().__init__(self._modes, len(start), step=step, store=store, name=f"{name} in OpenSees")
 
     def sees(self, sensor: tuple[Any, str]) -> bool:
-        """Return whether a sensor is at a degree of freedom."""
-        return (sensor[0], sensor[1].removeprefix("-")) in self.dofs
+        """Say whether a sensor sees a degree of freedom, or the follower of one."""
+        return self.assembled.sees(sensor)
 
     def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> OpenSeesModel:
         """Return the model with shapes at these sensors."""
@@ -237,12 +242,13 @@ class OpenSeesModel(BlackBoxModel):
         model = exported(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
-        rows = {dof: i for i, dof in enumerate(model.dofs)}
-        shapes = [
-            (-1.0 if direction.startswith("-") else 1.0) * phi[rows[node, direction.removeprefix("-")]]
-            for node, direction in self.sensors
-        ]
-        return {"frequencies": frequency_hz(eigenvalues), "shapes": np.array(shapes) if shapes else None}
+        shapes = _fixed_model(model).observation(self.sensors) @ phi if self.sensors else None
+        return {"frequencies": frequency_hz(eigenvalues), "shapes": shapes}
+
+
+def _fixed_model(model: ExportedModel) -> SeparableModel:
+    """Return the model of one theta, without parameters."""
+    return SeparableModel([Term(model.stiffness, ())], [Term(model.mass, ())], model.dofs, motions=model.motions)
 
 
 _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.programs.opensees import exported
 
 ops = pytest.importorskip("openseespy.opensees", reason="needs openseespy: pip install 'fmu[opensees]'")
@@ -149,19 +150,97 @@ def test_a_model_of_another_kind_of_dependence_is_refused_with_its_entries():
     assert_allclose(model.at([1.0]).frequencies, np.sqrt(np.e / 2.0) / (2.0 * np.pi), rtol=1e-12)
 
 
-def test_nodes_that_follow_others_have_no_sensors():
-    def tied(theta):
-        portal([theta[0], theta[0]])
-        ops.equalDOF(N + 1, 2 * N + 1, 1)
+def tied_portal(theta):
+    portal([theta[0], theta[0]])
+    ops.equalDOF(N + 1, 2 * N + 1, 1)
 
-    model = exported(tied, START)
-    assert model.notes == ("No sensors can be at degrees of freedom that follow others, by node: 9 (1).",)
-    assert [d for node, d in model.dofs if node == 2 * N + 1] == ["y", "z", "rx", "ry", "rz"]
+
+CORNERS = {11: (0.0, 0.0), 12: (6.0, 0.0), 13: (6.0, 5.0), 14: (0.0, 5.0)}
+DIRECTIONS = ["x", "y", "z", "rx", "ry", "rz"]
+CENTRE = np.array([3.5, 2.0])
+
+
+def tower(theta, fixed=True, centre=CENTRE):
+    """Make a storey of four columns under a rigid diaphragm, whose centre of mass is off its middle."""
+    ops.model("basic", "-ndm", 3, "-ndf", 6)
+    for tag, (x, y) in CORNERS.items():
+        ops.node(tag - 10, x, y, 0.0)
+        ops.node(tag, x, y, 3.0)
+        if fixed:
+            ops.fix(tag - 10, 1, 1, 1, 1, 1, 1)
+    ops.node(20, *centre.tolist(), 3.0)
+    ops.fix(20, 0, 0, 1, 1, 1, 0)
+    ops.mass(20, 1e4, 1e4, 0.0, 0.0, 0.0, 2e5)
+    ops.geomTransf("Linear", 1, 1.0, 0.0, 0.0)
+    ops.geomTransf("Linear", 2, 0.0, 0.0, 1.0)
+    lines = [(tag - 10, tag, 1) for tag in CORNERS] + [(11, 12, 2), (12, 13, 2), (13, 14, 2), (14, 11, 2)]
+    for k, (i, j, axes) in enumerate(lines, 1):
+        section = (0.09, float(theta[0]), 1.2e10, 1e-3, 7e-4, 6e-4)
+        ops.element("elasticBeamColumn", k, i, j, *section, axes, "-mass", 200.0, "-cMass")
+    ops.rigidDiaphragm(3, 20, *CORNERS)
+
+
+def test_motions_of_a_rigid_diaphragm():
+    model = exported(tower, np.array([3e10]))
+    assert not model.notes
+    for tag, place in CORNERS.items():
+        dx, dy = np.array(place) - CENTRE
+        expected = {"x": {"x": 1.0, "rz": -dy}, "y": {"y": 1.0, "rz": dx}, "rz": {"rz": 1.0}}
+        for direction, weights in expected.items():
+            got = model.motions[tag, direction]
+            assert got.keys() == {(20, d) for d in weights}
+            assert_allclose([got[20, d] for d in weights], list(weights.values()), rtol=1e-8)
+
+
+@pytest.mark.parametrize("build", [tower, tied_portal, lambda theta: tower(theta, fixed=False)])
+def test_shapes_at_followers_are_those_that_opensees_gives(build):
+    theta = np.array([3e10])
+    found = exported(build, theta)
+    model = fmu.SeparableModel([fmu.Term(found.stiffness, ())], [fmu.Term(found.mass, ())], found.dofs,
+                               motions=found.motions)  # fmt: skip
+    assert not found.notes
+    eigenvalues, phi = eigen(found.stiffness, found.mass, 9)
     ops.wipe()
-    tied(START)
-    there = np.sqrt(ops.eigen("-fullGenLapack", 5)) / (2.0 * np.pi)
+    build(theta)
+    there = np.array(ops.eigen("-fullGenLapack", 9))
+    sensors = list(found.motions)
+    seen = np.array([[ops.nodeEigenvector(n, k + 1)[DIRECTIONS.index(d)] for k in range(9)]
+                     for n, d in sensors])  # fmt: skip
     ops.wipe()
-    assert_allclose(hz(model, START, 5), there, rtol=1e-8)
+    ours = model.observation(sensors) @ phi
+    size = np.linalg.norm(ours, axis=0), np.linalg.norm(seen, axis=0)
+    compared = (there > 1e-6 * there.max()) & (size[1] > 1e-6 * size[1].max())
+    assert compared.any()
+    assert_allclose(eigenvalues[compared], there[compared], rtol=1e-8)
+    cosines = np.abs(np.sum(ours * seen, axis=0))
+    assert_allclose(cosines[compared], (size[0] * size[1])[compared], rtol=1e-8)
+
+
+def test_sensors_at_followers():
+    modulus = fmu.Parameter("E", 3e10, 1e10, 6e10)
+    by_terms = fmu.from_opensees(tower, ["E"], [3e10], [1e10], [6e10])
+    anew = fmu.OpenSeesModel(tower, [3e10], modes=3)
+    sensors = ((11, "x"), (12, "-y"), (13, "rz"), (20, "x"))
+    assert all(anew.sees(sensor) and by_terms.sees(sensor) for sensor in sensors)
+    assert not anew.sees((20, "z"))
+    answer = anew.at_sensors(sensors).at([3e10])
+    observed = fmu.ModalData(answer.frequencies, sensors=sensors, shapes=answer.shapes)
+    here, there = (
+        fmu.UpdatingProblem(
+            model, observed, [modulus], error=[fmu.FrequencyErrors(sd=0.1), fmu.ShapeErrors(sd=0.1)]
+        )
+        for model in (by_terms, anew)
+    )
+    theta = np.array([[2e10], [4e10]])
+    assert_allclose(here.log_prob(theta), there.log_prob(theta), rtol=1e-7)
+
+
+def test_a_diaphragm_whose_centre_moves_is_refused():
+    def moved(theta):
+        tower(theta, centre=CENTRE + 1e-11 * float(theta[0]))
+
+    with pytest.raises(ValueError, match=r"must have the geometry of the first export \(the motion of node"):
+        fmu.from_opensees(moved, ["E"], [3e10], [1e10], [6e10])
 
 
 def nothing(theta):

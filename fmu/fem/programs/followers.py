@@ -1,0 +1,108 @@
+"""Motions of nodes in OpenSees that follow others: rigid diaphragms, rigid links, equal degrees of freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fmu.formats.models.exported import DofName
+from fmu.formats.shown import names_shown
+from fmu.types import FloatArray
+
+_SPARE = 2
+"""Loads beyond those that determine the weights: they show whether the motion is a weighted sum."""
+_UNEXPLAINED = 1e-9
+"""Relative error of a follower's motion as a weighted sum; OpenSees imposes it to rounding."""
+_TAG = 987_654_321
+"""Of the loads; builds use smaller tags."""
+
+
+def follower_motions(
+    ops: Any, directions: Mapping[int, Sequence[str]], dofs: Collection[DofName], step: float
+) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
+    """Return the motions of followers as weighted sums of the degrees of freedom that they follow.
+
+    OpenSees does not print C of u_follower = C u_retained. Here C follows by least squares from displacements
+    under random loads: the handler Transformation imposes the constraint to rounding. The loads act during a step
+    of Newmark's method, whose matrix K + 4 M/Δt² is regular for free structures too.
+
+    Parameters
+    ----------
+    ops : module
+        openseespy.opensees, with a model. Its state and its analysis are changed.
+    directions : mapping of int to sequence of str
+        Names of each node's degrees of freedom.
+    dofs : collection of (node, direction)
+        The free degrees of freedom that follow none.
+    step : float, s
+        Δt, for which K and 4 M/Δt² are of like size.
+
+    Returns
+    -------
+    motions : dict of (node, direction) to dict of (node, direction) to float
+        Of the followers that move.
+    notes : list of str
+        The followers whose motion is no such sum; at these no sensor can be.
+    """
+    retained = {
+        node: sorted(set(ops.getRetainedNodes(node))) for node in sorted(set(ops.getConstrainedNodes() or []))
+    }
+    if not retained:
+        return {}, []
+    sources = {
+        node: [(other, d) for other in others for d in directions[other]] for node, others in retained.items()
+    }
+    moved = _displacements(ops, directions, max(map(len, sources.values())) + _SPARE, step)
+    motions: dict[DofName, dict[DofName, float]] = {}
+    unknown: list[DofName] = []
+    for node, source in sources.items():
+        u = np.column_stack([moved[other, d] for other, d in source])
+        for j in ops.getConstrainedDOFs(node):
+            name = (node, directions[node][j - 1])
+            weights = _weights(u, moved[name])
+            if weights is None:
+                unknown.append(name)
+                continue
+            found = {dof: w for dof, w in zip(source, weights.tolist(), strict=True) if w and dof in dofs}
+            motions |= {name: found} if found else {}
+    which = names_shown([f"{node} {direction}" for node, direction in unknown])
+    return motions, [f"No sensors can be at followers whose motion is not known: {which}."] if unknown else []
+
+
+def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
+    """Return w (m,) of own (n,) = u (n, m) w, zero where it adds nothing; None if there is no such w."""
+    size = np.linalg.norm(u, axis=0)
+    size[size == 0.0] = 1.0
+    scaled = np.linalg.lstsq(u / size, own, rcond=1e-12)[0]
+    allowed = _UNEXPLAINED * np.linalg.norm(own)
+    if not np.linalg.norm(u / size @ scaled - own) <= allowed:  # NaN too: the step failed
+        return None
+    scaled[np.abs(scaled) <= allowed] = 0.0
+    return scaled / size
+
+
+def _displacements(
+    ops: Any, directions: Mapping[int, Sequence[str]], n_loads: int, step: float
+) -> dict[DofName, FloatArray]:
+    """Return the displacements (n_loads,) of all degrees of freedom, fixed ones too, under random loads."""
+    rng = np.random.default_rng(0)
+    ops.wipeAnalysis()
+    ops.constraints("Transformation")
+    ops.numberer("Plain")
+    ops.system("FullGeneral")
+    ops.algorithm("Linear")
+    ops.integrator("Newmark", 0.5, 0.25)
+    ops.analysis("Transient")
+    ops.timeSeries("Constant", _TAG)
+    rows = []
+    for _ in range(n_loads):
+        ops.pattern("Plain", _TAG, _TAG)
+        for node, names in directions.items():
+            ops.load(node, *rng.standard_normal(len(names)).tolist())
+        ops.analyze(1, step)
+        ops.remove("loadPattern", _TAG)
+        rows.append([x for node in directions for x in ops.nodeDisp(node)])
+    dofs = [(node, d) for node, own in directions.items() for d in own]
+    return dict(zip(dofs, np.array(rows, dtype=float).T, strict=True))
