@@ -11,8 +11,8 @@ from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes import eigensolver
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
-from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import frequency_gradient, frequency_hz, mac
+from fmu.fem.modes.full_block import FullBlock, full_model
+from fmu.fem.modes.modal import fix_sign, frequency_gradient, frequency_hz, mac
 from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, weighted_sum
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
@@ -128,6 +128,28 @@ def test_mac_lies_in_0_1_and_ignores_scale_and_sign(phi, psi, factor, flip):
     assert np.all((value >= 0.0) & (value <= 1.0 + 1e-12))
     assert_allclose(mac(phi * (-factor if flip else factor), psi), value, rtol=1e-9, atol=1e-12)
     assert_allclose(mac(psi, phi), value.T, rtol=1e-12, atol=1e-15)
+
+
+def test_the_sign_of_a_shape_is_not_the_solvers():
+    shapes = np.array([[-1.0, 0.2, 0.0, np.nan], [0.5, -0.7, 0.0, 1.0], [1.0 + 1e-13, 0.1, 0.0, 2.0]])
+    expected = shapes * [-1.0, -1.0, 1.0, 1.0]
+    rng = np.random.default_rng(1)
+    for flipped in (np.ones(4), -np.ones(4)):
+        rounded = shapes * flipped * (1.0 + 1e-12 * rng.standard_normal(shapes.shape))
+        found = fix_sign(np.stack([rounded, -rounded]))
+        for one in found[:, :, :3]:
+            assert_allclose(one, expected[:, :3], rtol=1e-11)
+    assert_allclose(fix_sign(shapes)[:, 3], shapes[:, 3])
+
+
+def test_shapes_of_a_structure_are_the_same_from_a_solver_of_other_signs(monkeypatch):
+    model, point = full_model(random_model([(0,)], [(0,)])), np.ones((1, 1))
+    spectrum = model.spectrum(point, 6)
+    shapes = model.shapes(point, spectrum)
+    plain = FullBlock.modes
+    monkeypatch.setattr(FullBlock, "modes", lambda *of: (plain(*of)[0], -plain(*of)[1]))
+    np.testing.assert_array_equal(model.shapes(point, spectrum), shapes)
+    assert np.all(shapes.max(axis=0) >= -shapes.min(axis=0))
 
 
 def test_mac_of_known_shapes():

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import eigh
 
+from fmu.fem.modes.modal import fix_sign
 from fmu.formats.matrices.read import write_matrix
 from fmu.types import FloatArray
 
@@ -35,6 +36,8 @@ PATTERNS: dict[str, dict[str, float]] = {
     "pattern 1": {"west 1": 0.18},
     "pattern 2": {"west 1": 0.18, "x 3": 0.15},
 }
+SIGNS = {"reference 1": "+++-----", "reference 2": "+++-----", "one": "--+-++-+", "two": "-+--+-+-"}
+"""The sign of every shape that the noise was added to: that of its largest component."""
 TESTS = (("reference 1", "reference"), ("reference 2", "reference"), ("one", "pattern 1"), ("two", "pattern 2"))
 
 
@@ -93,7 +96,8 @@ def damaged() -> dict[str, tuple[FloatArray, FloatArray]]:
         K = sum(k * stiffness(group) for k, group in zip(left, GROUPS, strict=True))
         values, shapes = eigh(K, mass())
         f = np.sqrt(values[:MODES]) / (2 * np.pi) / (1.0 + SD_FREQUENCY * rng.standard_normal(MODES))
-        shapes = shapes[:, :MODES] / np.linalg.norm(shapes[:, :MODES], axis=0)
+        shapes = fix_sign(shapes[:, :MODES]) / np.linalg.norm(shapes[:, :MODES], axis=0)
+        shapes *= [float(f"{sign}1") for sign in SIGNS[name]]
         shapes = shapes + SD_SHAPE * rng.standard_normal(shapes.shape)
         found[name] = f, shapes / np.abs(shapes).max(axis=0)
     return found

@@ -19,6 +19,7 @@ RIGID = 1e-9
 # An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set is that of the
 # measured modes, far below the highest mode of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
+_EQUAL = 1e-6
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
@@ -70,6 +71,23 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     cross = np.swapaxes(reference, -1, -2) @ phi
     size = np.sum(reference**2, axis=-2)[..., :, None] * np.sum(phi**2, axis=-2)[..., None, :]
     return np.divide(cross**2, size, out=np.zeros_like(cross), where=size > 0.0)
+
+
+def fix_sign(shapes: FloatArray) -> FloatArray:
+    """Return shapes with signs that do not depend on the solver: the largest component of each is positive.
+
+    Of components that are equally large to a relative 1e-6, as in an antisymmetric mode, the first counts, so that
+    rounding decides nothing.
+
+    Parameters
+    ----------
+    shapes : ndarray, shape (..., n, m)
+        Columns are shapes. One with NaN is left as it is.
+    """
+    size = np.abs(shapes)
+    first = np.argmax(size >= (1.0 - _EQUAL) * np.max(size, axis=-2, keepdims=True), axis=-2)
+    leading = np.take_along_axis(shapes, first[..., None, :], axis=-2)
+    return np.where(leading < 0.0, -shapes, shapes)
 
 
 class CoefficientMap:
@@ -352,8 +370,9 @@ class BlockModel:
     ) -> FloatArray:
         """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
 
-        For full blocks only. A shape is zero in every block but its own. `counts` says how many modes of a block
-        were solved for to find these, if they were: they are then not solved for again.
+        For full blocks only. A shape is zero in every block but its own; its sign is that of `fix_sign`. `counts`
+        says how many modes of a block were solved for to find these, if they were: they are then not solved for
+        again.
         """
         block, rank = modes.block[0], modes.rank[0]
         shapes = np.zeros((sum(len(of.dofs) for of in self.blocks), len(block)))
@@ -361,7 +380,7 @@ class BlockModel:
             columns = np.flatnonzero(block == b)
             _, phi = self.blocks[b].modes(theta, (counts or {}).get(int(b), int(rank[columns].max()) + 1))
             shapes[np.ix_(self.blocks[b].dofs, columns)] = phi[0][:, rank[columns]]
-        return shapes
+        return fix_sign(shapes)
 
 
 class FixedModes:
