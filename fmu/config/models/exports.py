@@ -42,6 +42,8 @@ class ExportsTable(TomlTable):
     exports: Annotated[list[ExportedTable], Field(min_length=2, max_length=MOST_EXPORTS)]
     mesh: FileName | None = None
     """Nodes and elements, for pictures."""
+    tied_modes: FileName | None = None
+    """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
@@ -71,7 +73,8 @@ class ExportsTable(TomlTable):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
             try:
                 mass = None if one.mass is None else folder / one.mass
-                read = read_model(folder / one.stiffness, mass, mesh)
+                tied = folder / self.tied_modes if self.tied_modes and not i else None
+                read = read_model(folder / one.stiffness, mass, mesh, tied_modes=tied)
                 exports.append(Export(values, read, one.check, one.stiffness))
             except ValueError as error:
                 argument, _, rule = str(error).partition(": ")

@@ -22,7 +22,7 @@ from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
 from fmu.formats.models.assembly import Assembled, assembled
 from fmu.formats.models.exported import NO_MESH, Mesh
-from fmu.formats.models.read import read_mesh, require_nodes
+from fmu.formats.models.read import read_mesh, read_ties, require_nodes
 from fmu.formats.shown import names_shown
 from fmu.numbers import typed
 from fmu.types import DIRECTIONS
@@ -75,6 +75,8 @@ class MatricesTable(TomlTable):
     dofs: list[SensorTable] | None = None
     mesh: FileName | None = None
     """Nodes and elements for the pictures, in a file of CalculiX, Abaqus, Ansys or Nastran."""
+    tied_modes: FileName | None = None
+    """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
@@ -118,6 +120,12 @@ class MatricesTable(TomlTable):
             for matrix, (_, table) in zip(joined.matrices, self._terms(), strict=True)
         ]
         n = len(self.stiffness)
+        if self.tied_modes is not None:
+            try:
+                ties, notes = read_ties(folder / self.tied_modes, mesh, joined.dofs)
+            except ValueError as error:
+                raise BrokenError([Mistake("model.tied_modes", str(error))]) from error
+            joined = joined._replace(motions={**joined.motions, **ties}, notes=[*joined.notes, *notes])
         try:
             model = SeparableModel(
                 terms[:n], terms[n:], joined.dofs, Geometry.of_mesh(mesh), motions=joined.motions

@@ -22,9 +22,10 @@ from fmu.durable_files import digest
 from fmu.engines.program import TOO_LONG, last_lines, run_program
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, checked
 from fmu.fem.programs.store import Solve, SolveStore
+from fmu.formats.calculix_dat import DIRECTIONS
 from fmu.formats.decks import filled, filled_name, placeholders, read_deck, write_deck
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.modes.calculix import DIRECTIONS, read_calculix
+from fmu.formats.modes.calculix import read_calculix
 from fmu.formats.shown import in_words, one_line, shown
 from fmu.types import FloatArray
 

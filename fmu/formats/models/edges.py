@@ -12,7 +12,7 @@ MOST_EDGES = 1000
 _BOXES = (10, 5, 2, 1)
 """Along the longest side of a mesh: the first number that gives at most twice as many lines."""
 _ANGLE = np.cos(np.radians(30.0))
-_FACES = {
+FACES = {
     "triangle": ((0, 1, 2, 2),),
     "quad": ((0, 1, 2, 3),),
     "tetra": ((0, 1, 2, 2), (0, 1, 3, 3), (1, 2, 3, 3), (0, 2, 3, 3)),
@@ -21,7 +21,7 @@ _FACES = {
     "hexahedron": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
 """Corners around each face, the last one twice in a triangle."""
-_SOLIDS = {
+SOLID_EDGES = {
     "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
     "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
     "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
@@ -49,7 +49,7 @@ def inside(mesh: Mesh | ExportedModel) -> IntArray:
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     outer, inner = {*lines.ravel().tolist(), *faces.ravel().tolist()}, set[int]()
     for kind, element in zip(mesh.kinds, mesh.elements, strict=True):
-        sides = _SOLIDS.get(kind.rstrip("0123456789"), ())
+        sides = SOLID_EDGES.get(kind.rstrip("0123456789"), ())
         if sides:
             rows = [row[node] for node in element]
             corners = 1 + max(max(side) for side in sides)
@@ -70,8 +70,8 @@ def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
         if base == "line":
             lines.append((row[element[0]], row[element[1]]))
         else:
-            into = inner if base in _SOLIDS else skin
-            into += [tuple(row[element[k]] for k in face) for face in _FACES.get(base, ())]
+            into = inner if base in SOLID_EDGES else skin
+            into += [tuple(row[element[k]] for k in face) for face in FACES.get(base, ())]
     faces = np.array(skin, dtype=np.int64).reshape(-1, 4)
     if inner:
         faces = np.concatenate([faces, _outer(np.array(inner, dtype=np.int64))])

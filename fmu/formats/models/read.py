@@ -24,6 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
 from fmu.formats.matrices.read import read_labelled
@@ -31,6 +32,7 @@ from fmu.formats.models import FORMATS
 from fmu.formats.models.assembly import assembled
 from fmu.formats.models.exported import NO_MESH, DofName, ExportedModel, Mesh
 from fmu.formats.models.inp import TRANSFORMED
+from fmu.formats.models.ties import tied_motions
 from fmu.formats.shown import names_shown, one_line, shown
 from fmu.types import DIRECTIONS
 
@@ -45,6 +47,7 @@ def read_model(
     mesh: str | Path | Mesh | None = None,
     dofs: str | Path | None = None,
     variables: tuple[str, str] | None = None,
+    tied_modes: str | Path | None = None,
 ) -> ExportedModel:
     """Read stiffness, mass, names of the degrees of freedom and mesh of a model that another program exported.
 
@@ -63,6 +66,9 @@ def read_model(
     variables : tuple of str, optional
         Names of stiffness and mass in files that hold several matrices. By default ``K…`` and ``M…`` with the same
         rest, or ``stiffness`` and ``mass``.
+    tied_modes : path, optional
+        ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U): it shows how
+        the nodes move that ``*TIE`` leaves without rows, so that sensors can be there. Needs `mesh`.
 
     Returns
     -------
@@ -73,7 +79,7 @@ def read_model(
     ------
     ValueError
         If a file does not exist, is broken, of another kind or of another model. The text begins with the argument
-        at fault: ``path:``, ``mass:``, ``mesh:`` or ``dofs:``.
+        at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
     """
     path = Path(path)
     found = NO_MESH if mesh is None else mesh
@@ -101,6 +107,9 @@ def read_model(
     model = assembled(read, 1, where, found)
     if mesh is not None:
         require_nodes(model.dofs, model.motions, found, [path])
+    ties, notes = {}, list[str]()
+    if tied_modes is not None:
+        ties, notes = _told("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
     return ExportedModel(
         model.matrices[0],
         model.matrices[1],
@@ -109,9 +118,25 @@ def read_model(
         found.coordinates,
         found.elements,
         found.kinds,
-        (*model.notes, *found.notes),
-        model.motions,
+        (*model.notes, *found.notes, *notes),
+        {**model.motions, **ties},
     )
+
+
+def read_ties(
+    path: Path, mesh: Mesh, dofs: Collection[DofName]
+) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
+    """Return the motions of tied nodes, and notes, from the modes that CalculiX printed; see `tied_motions`.
+
+    Raises
+    ------
+    ValueError
+        If there is no mesh, the file does not have modes, or it has no tied nodes.
+    """
+    if mesh is NO_MESH:
+        raise ValueError("needs a mesh: the weights of tied nodes come from the elements' faces")
+    _require_file(path)
+    return tied_motions(mesh, frozenset(dofs), read_displacements(path, len(read_frequencies(path))))
 
 
 def read_mesh(path: str | Path) -> Mesh:

@@ -1,0 +1,128 @@
+"""Frequencies and displacements of modes that CalculiX prints into ``job.dat``.
+
+The step of the input deck, with the nodes of the sensors in a set::
+
+    *FREQUENCY
+    10
+    *NODE PRINT, NSET=SENSORS
+    U
+
+Shells and beams are expanded into solids, but this file has the motion of their own nodes. Frequencies have seven
+figures.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fmu.formats.files import too_large, why_no_file
+from fmu.formats.shown import shown
+from fmu.types import FloatArray
+
+DIRECTIONS = ("x", "y", "z")
+"""Of the displacements that ``*NODE PRINT`` gives."""
+LARGEST_FILE = 2**29
+_TABLE = "E I G E N V A L U E   O U T P U T"
+_MODE = re.compile(r"^\s*E I G E N V A L U E    N U M B E R\s+(\d+)\s*$", re.MULTILINE)
+_SHAPE = "displacements (vx,vy,vz)"
+_NO_LETTER = re.compile(r"(?<=\d)([+-]\d{3})$")
+_COLUMNS, _FREQUENCY = 5, 3
+
+
+def read_frequencies(path: Path) -> FloatArray:
+    """Return the frequencies in Hz (n,) of the last step.
+
+    Raises
+    ------
+    ValueError
+        If the file does not exist, has no eigenvalues, or a word is not a number.
+    """
+    text = _last_step(path)
+    first = _MODE.search(text)
+    return _frequencies(text[: first.start() if first else None], path.name)
+
+
+def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None = None) -> dict[int, FloatArray]:
+    """Return the displacements (n_modes, 3) of nodes in the modes of the last step, along global axes.
+
+    Parameters
+    ----------
+    path : Path
+    n_modes : int
+        How many modes the step has, see `read_frequencies`.
+    nodes : collection of int, optional
+        By default all that are printed.
+
+    Raises
+    ------
+    ValueError
+        If the file lacks a node or a mode, or a word is not a number.
+    """
+    text = _last_step(path)
+    begins = [match.start() for match in _MODE.finditer(text)]
+    blocks = [text[begin:end] for begin, end in zip(begins, [*begins[1:], len(text)], strict=False)]
+    modes = _displacements(blocks, n_modes, path.name)
+    wanted = sorted(set.intersection(*map(set, modes))) if nodes is None else nodes
+    missing = next((node for node in wanted for rows in modes if node not in rows), None)
+    if missing is not None:
+        raise ValueError(f"{path.name} has no displacement of node {missing}: it must be in a *NODE PRINT with U")
+    return {
+        node: np.array([[_number(word, path.name) for word in rows[node]] for rows in modes]) for node in wanted
+    }
+
+
+def _last_step(path: Path) -> str:
+    wrong = why_no_file(path) or too_large(path, LARGEST_FILE)
+    if wrong:
+        raise ValueError(wrong)
+    _, title, last = path.read_bytes().decode("latin-1").rpartition(_TABLE)
+    if not title:
+        raise ValueError(f"{path.name} has no table of eigenvalues: the deck needs *FREQUENCY")
+    return last
+
+
+def _frequencies(text: str, name: str) -> FloatArray:
+    """Return column 4 of the first table: number, eigenvalue, ω, f, imaginary part of ω."""
+    found: list[float] = []
+    for line in text.splitlines():
+        words = line.split()
+        if words and words[0].isdecimal():
+            if len(words) != _COLUMNS or int(words[0]) != len(found) + 1:
+                raise ValueError(f"{name}: its table of eigenvalues is cut off (got {shown(line.strip())})")
+            found.append(_number(words[_FREQUENCY], name))
+        elif found:
+            break
+    if not found:
+        raise ValueError(f"{name} has no eigenvalues in its table")
+    return np.array(found)
+
+
+def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
+    """Return the three displacements of each node, as words, in each mode, from all tables of displacements."""
+    if len(blocks) != n_modes:
+        rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
+        raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")
+    modes = []
+    for block in blocks:
+        rows: dict[int, list[str]] = {}
+        reading = False
+        for line in block.splitlines():
+            words = line.split()
+            if words and not words[0].isdecimal():
+                reading = line.strip().startswith(_SHAPE)
+            elif reading and len(words) == 1 + len(DIRECTIONS):
+                rows[int(words[0][:10])] = words[1:]
+        modes.append(rows)
+    return modes
+
+
+def _number(word: str, name: str) -> float:
+    """Return a number as Fortran writes it, without the letter before an exponent of three digits."""
+    try:
+        return float(_NO_LETTER.sub(r"E\1", word))
+    except ValueError:
+        raise ValueError(f"{name}: must have numbers (got {shown(word)})") from None

@@ -1,0 +1,182 @@
+"""Nodes that CalculiX ties to the face of an element (``*TIE``), which have no rows in its matrices.
+
+The program does not write its equations. It prints the modes, at tied nodes too. Here a node that moves without a
+row is projected onto the nearest faces; the shape functions there are its weights if they give the printed motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from fmu.formats.models.edges import FACES, SOLID_EDGES
+from fmu.formats.models.exported import DofName, Mesh
+from fmu.formats.shown import names_shown
+from fmu.types import FloatArray
+
+_AXES = ("x", "y", "z")
+_NEAREST = 16
+"""Faces that are tried for a node."""
+_PRINTED = 1e-6
+"""Allowed error of a motion, relative to the largest of its mode: ten times the rounding of seven figures."""
+_STEPS = 30
+
+
+class _Face(NamedTuple):
+    """Rows of the mesh at the corners of a face, and at its midside nodes in the same order, if it has them."""
+
+    corners: list[int]
+    midsides: list[int]
+
+    @property
+    def rows(self) -> list[int]:
+        return self.corners + self.midsides
+
+
+def tied_motions(
+    mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray]
+) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
+    """Return the motions of tied nodes as weighted sums of degrees of freedom.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of the whole model.
+    dofs : collection of (node id, direction)
+        The rows of the matrices.
+    modes : mapping of int to ndarray, shape (n_modes, 3)
+        Displacements that the program printed, of the tied nodes and of those that they are tied to; global axes.
+
+    Returns
+    -------
+    motions : dict of (node id, direction) to dict of (node id, direction) to float
+    notes : list of str
+        The nodes that move without rows, and of which no face gives the printed motion.
+
+    Raises
+    ------
+    ValueError
+        If no node is printed that moves and has no rows.
+    """
+    with_rows = {node for node, _ in dofs}
+    row_of = {node: i for i, node in enumerate(mesh.nodes.tolist())}
+    largest = np.max([np.abs(u).max(axis=1) for u in modes.values()], axis=0)[:, None]
+    moving = [
+        n
+        for n, u in modes.items()
+        if n in row_of and n not in with_rows and np.any(np.abs(u) > _PRINTED * largest)
+    ]
+    if not moving:
+        raise ValueError("has no node that moves and has no rows in the matrices: nothing is tied")
+    faces = list(_faces(mesh, row_of))
+    centres = np.array([mesh.coordinates[face.corners].mean(axis=0) for face in faces])
+    _, near = KDTree(centres).query(mesh.coordinates[[row_of[n] for n in moving]], k=min(_NEAREST, len(faces)))
+    motions: dict[DofName, dict[DofName, float]] = {}
+    unknown = []
+    for node, nearest in zip(moving, np.atleast_2d(near), strict=True):
+        weights = _weights(node, row_of[node], [faces[k] for k in nearest], mesh, modes, largest)
+        if weights is None:
+            unknown.append(str(node))
+            continue
+        for d in _AXES:
+            seen = {(other, d): w for other, w in weights.items() if w and (other, d) in dofs}
+            motions |= {(node, d): seen} if seen else {}
+    notes = (
+        [f"No sensors can be at tied nodes whose face is not known: {names_shown(unknown)}."] if unknown else []
+    )
+    return motions, notes
+
+
+def _faces(mesh: Mesh, row_of: Mapping[int, int]) -> Iterator[_Face]:
+    """Yield the faces of all elements, with their midside nodes."""
+    for kind, element in zip(mesh.kinds, mesh.elements, strict=True):
+        base = kind.rstrip("0123456789")
+        around = FACES.get(base, ())
+        sides = SOLID_EDGES.get(base) or tuple(zip(*_ring(around[0]), strict=True)) if around else ()
+        n_corners = 1 + max((max(face) for face in around), default=-1)
+        rows = [row_of[node] for node in element]
+        midside = {frozenset(side): row for side, row in zip(sides, rows[n_corners:], strict=False)}
+        for face in around:
+            first, second = _ring(face)
+            found = [midside.get(frozenset(side)) for side in zip(first, second, strict=True)]
+            yield _Face([rows[k] for k in first], [row for row in found if row is not None])
+
+
+def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the corners of a face, and the next corner of each."""
+    corners = tuple(dict.fromkeys(face))
+    return corners, (*corners[1:], corners[0])
+
+
+def _weights(
+    node: int, row: int, faces: list[_Face], mesh: Mesh, modes: Mapping[int, FloatArray], largest: FloatArray
+) -> dict[int, float] | None:
+    """Return the weights of nodes, of the nearest face that gives the printed motion of a node."""
+    found: list[tuple[float, dict[int, float]]] = []
+    for face in faces:
+        ids = mesh.nodes[face.rows].tolist()
+        if row in face.rows or any(one not in modes for one in ids):
+            continue
+        weights = _projection(mesh.coordinates[row], mesh.coordinates[face.rows], len(face.corners))
+        expected = sum(w * modes[one] for w, one in zip(weights, ids, strict=True))
+        if np.all(np.abs(expected - modes[node]) <= _PRINTED * largest):
+            gap = float(np.linalg.norm(weights @ mesh.coordinates[face.rows] - mesh.coordinates[row]))
+            found.append((gap, dict(zip(ids, weights.tolist(), strict=True))))
+    return min(found, key=lambda one: one[0])[1] if found else None
+
+
+def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> FloatArray:
+    """Return the shape functions of a face (n, 3) where it is closest to a point (3,), by Gauss–Newton steps."""
+    at = np.full(2, 1.0 / 3.0) if n_corners == 3 else np.zeros(2)
+    for _ in range(_STEPS):
+        N, dN = _shape_functions(at, len(corners), n_corners)
+        step = np.linalg.lstsq((dN @ corners).T, point - N @ corners, rcond=None)[0]
+        to = _inside(at + step, n_corners)
+        if np.max(np.abs(to - at)) < 1e-14:
+            break
+        at = to
+    return _shape_functions(at, len(corners), n_corners)[0]
+
+
+def _inside(at: FloatArray, n_corners: int) -> FloatArray:
+    """Return the point of the reference triangle or square nearest to one."""
+    if n_corners == 4:
+        return np.clip(at, -1.0, 1.0)
+    beyond = max(float(np.maximum(at, 0.0).sum()) - 1.0, 0.0)
+    return np.clip(at - 0.5 * beyond, 0.0, 1.0)
+
+
+def _shape_functions(at: FloatArray, n: int, n_corners: int) -> tuple[FloatArray, FloatArray]:
+    """Return shape functions (n,) and their derivatives (2, n) of a face of 3, 4, 6 or 8 nodes.
+
+    Corners come first, then midside nodes; the serendipity functions of Zienkiewicz & Taylor, chapter 8.
+    """
+    r, s = at
+    if n_corners == 3:
+        L = np.array([1.0 - r - s, r, s])
+        dL = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
+        if n == 3:
+            return L, dL
+        following = np.array([1, 2, 0])
+        sides, dsides = 4.0 * L * L[following], 4.0 * (dL * L[following] + L * dL[:, following])
+        return np.concatenate([L * (2.0 * L - 1.0), sides]), np.hstack([dL * (4.0 * L - 1.0), dsides])
+    R, S = np.array([-1.0, 1.0, 1.0, -1.0]), np.array([-1.0, -1.0, 1.0, 1.0])
+    a, b = 1.0 + r * R, 1.0 + s * S
+    if n == 4:
+        return 0.25 * a * b, 0.25 * np.array([R * b, S * a])
+    c = r * R + s * S - 1.0
+    corner = 0.25 * a * b * c
+    dcorner = 0.25 * np.array([R * b * (c + a), S * a * (c + b)])
+    side = 0.5 * np.array(
+        [(1 - r * r) * (1 - s), (1 - s * s) * (1 + r), (1 - r * r) * (1 + s), (1 - s * s) * (1 - r)]
+    )
+    dside = 0.5 * np.array(
+        [
+            [-2 * r * (1 - s), 1 - s * s, -2 * r * (1 + s), -(1 - s * s)],
+            [-(1 - r * r), -2 * s * (1 + r), 1 - r * r, -2 * s * (1 - r)],
+        ]
+    )
+    return np.concatenate([corner, side]), np.hstack([dcorner, dside])
