@@ -88,13 +88,12 @@ class Rounding:
 def rounding(problem: Problem) -> Rounding | None:
     """Return the rounding errors of a problem's frequencies at the start.
 
-    None if the model has no matrices, its likelihood is not one of computed modes, or the solve at the start
-    fails.
+    None if the model has no matrices, or its likelihood is not one of computed modes.
 
     Raises
     ------
     ValueError
-        If the stiffness of a soft part is lost in rounding beside a stiff one.
+        If the solve at the start fails, or the stiffness of a soft part is lost in rounding beside a stiff one.
     """
     model, likelihood = problem.model.as_structure(), problem.likelihood
     if model is None or not likelihood.of_modes:
@@ -104,7 +103,7 @@ def rounding(problem: Problem) -> Rounding | None:
         shapes = model.full_shapes(theta)
         modes = model.full_modes(theta[None])
         if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(modes.eigenvalues))):
-            return None
+            raise ValueError(_without_density(problem))
         _require_no_term_lost(problem, model, theta, max(float(modes.eigenvalues.max()), 0.0))
         _SOLVED[model] = theta, shapes, modes
     _, shapes, modes = _SOLVED[model]
@@ -134,14 +133,24 @@ def bounded_rounding(problem: Problem) -> Rounding | None:
 def require_digits(problem: Problem) -> None:
     """Raise ValueError if rounding errors exceed the errors of the measurement; warn if they are not negligible.
 
+    Also raises where the start of a structure has no finite log-probability.
+
     Warns
     -----
     RoundingWarning
     """
+    if problem.model.structures() and not np.isfinite(problem.log_prob(problem.start)):
+        raise ValueError(_without_density(problem))
     found = bounded_rounding(problem)
     if found is None or np.max(found.of_sd) <= WARN:
         return
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
+
+
+def _without_density(problem: Problem) -> str:
+    """Say why the start has no finite log-probability."""
+    why = problem.likelihood.why_not_finite(problem.start) or "the modes at the start cannot be computed"
+    return f"start: must have a finite log-probability (got -inf: {why}); correct the model, or the start"
 
 
 def _require_no_term_lost(problem: Problem, model: PairedStructure, theta: FloatArray, top: float) -> None:

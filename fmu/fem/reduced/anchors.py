@@ -35,10 +35,11 @@ _MOST = 8
 # Modes of the anchors beyond those that are asked for.
 _GUARDS = 3
 _HALVED = 20  # times, the way out of a region
+NO_MODES = "the eigenproblem of K and M has no solution"
 
 
 class SingularAnchorError(ValueError):
-    """A motion of the structure has neither stiffness nor mass somewhere in the box.
+    """A motion of the structure has neither stiffness nor mass somewhere in the box, or negative mass.
 
     Attributes
     ----------
@@ -108,7 +109,7 @@ class Anchors:
         if not self._is_definite_at_anchors():
             lam = block.eigenvalues(self.theta[:1], min(12, block.n_modes))[0]
             if not np.all(np.isfinite(lam)):
-                raise SingularAnchorError("K, M: the eigenproblem in the middle of the bounds has no solution")
+                raise SingularAnchorError(NO_MODES)
             elastic = lam[~is_rigid(lam)]
             self.shift = float(elastic[0]) if len(elastic) else 1.0
             self.shift = max(self.shift, -2.0 * float(lam[0]))
@@ -170,6 +171,8 @@ class Anchors:
                 _, shapes = self.block.modes(at[None], min(count + _GUARDS, self.block.n_modes))
                 if np.isfinite(shapes).all():
                     space = space.grown(shapes[0], self.first)
+            if not space.size:
+                raise SingularAnchorError(NO_MODES)
             self._modes = space
         return self._modes
 

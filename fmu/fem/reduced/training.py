@@ -22,7 +22,7 @@ from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import coefficients, weighted_sum
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
-from fmu.fem.reduced.anchors import Anchors, Far
+from fmu.fem.reduced.anchors import Anchors, Far, SingularAnchorError
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.learning import SHARE, Learner, apart
@@ -433,12 +433,16 @@ def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> Flo
     """Return a basis of the space of V (size, r), orthonormal in the block's mass matrix at `centre`.
 
     Where degrees of freedom have no mass, in M + K/λ with the mean λ = tr Vᵀ K V / tr Vᵀ M V, as M does not see
-    how they follow.
+    how they follow. SingularAnchorError if M is negative for a motion of the space.
     """
     K, M = (weighted_sum(terms, coefficients(terms, centre[None])[0]) for terms in (block.K_terms, block.M_terms))
     if block.n_modes < block.size:
         M = M + K * (np.sum(V * (M @ V)) / np.sum(V * (K @ V)))
     for _ in range(2):  # Cholesky–QR, twice against rounding
-        V = V / np.sqrt(np.sum(V * (M @ V), axis=0))
-        V = np.linalg.solve(np.linalg.cholesky(V.T @ (M @ V)), V.T).T
+        size = np.sum(V * (M @ V), axis=0)
+        try:
+            V = V / np.sqrt(np.where(size > 0.0, size, 1.0))
+            V = np.linalg.solve(np.linalg.cholesky(V.T @ (M @ V)), V.T).T
+        except np.linalg.LinAlgError:
+            raise SingularAnchorError("M is not positive for every motion") from None
     return V
