@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -76,6 +76,7 @@ def sample(
     workers: int | str | Engine = 1,
     max_failure_rate: float = 0.5,
     progress: Report | bool | None = None,
+    on_draws: Callable[[xr.DataTree], None] | None = None,
 ) -> xr.DataTree:
     """Draw from the posterior of a problem, or from any log-density.
 
@@ -138,6 +139,9 @@ def sample(
         called after every step as ``progress(phase, done, total, info)`` instead, see `fmu.samplers.Run`; and in
         the phases before and after the draws that take long, such as ``"search"`` and ``"predictions"``, with the
         number of solves in the phase in ``info["solves"]``.
+    on_draws : callable, optional
+        Called with the trace once all draws are there, before what takes further solves: the certificate, the
+        modes' shapes and the modes left out. Convergence can be judged by then (`fmu.diagnose`).
 
     Returns
     -------
@@ -271,11 +275,14 @@ def sample(
             trace.attrs["gradient_cost"] = gradient_cost(problem, last)
         if maxima is not None:
             trace = with_maxima(trace, maxima)
-        if of_model is not None:
-            trace = _with_structure(trace, of_model, maxima, full_solves)
-        trace.attrs |= {"complete": 1, "after_n_solves": solves() - solved_before}
         if limit:
             trace.attrs["limit"] = limit
+        trace.attrs["complete"] = 1
+        if on_draws is not None:
+            on_draws(trace)
+        if of_model is not None:
+            trace = _with_structure(trace, of_model, maxima, full_solves)
+        trace.attrs["after_n_solves"] = solves() - solved_before
     return trace
 
 

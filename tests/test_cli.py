@@ -59,6 +59,7 @@ def invoke(young, monkeypatch, tmp_path):
     return commands_in(tmp_path, monkeypatch, young)
 
 
+MAXIMA = "Posterior maxima\n"
 SHORT = ("--draws", 6, "--warmup", 3, "--chains", 2, "--sampler", "mh", "--no-report")
 
 
@@ -83,10 +84,11 @@ def converged(young, tmp_path_factory):
     return folder / "here", result
 
 
-def assert_one_line(result, *parts):
-    """The whole output is one line on standard error that holds `parts`, and the exit code is 2."""
+def assert_one_line(result, *parts, begins=""):
+    """One line on standard error holds `parts`, the exit code is 2, and other output begins as said, if any."""
     assert result.exit_code == 2
-    assert result.stdout == ""
+    assert result.stdout.startswith(begins)
+    assert bool(result.stdout) == bool(begins)
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith("Error: ")
     for part in parts:
@@ -246,7 +248,7 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, 
     assert said == f"mh  {verdict}"
     again = CliRunner().invoke(cli.main, ["compare", "here"])
     assert again.exit_code == 0
-    assert again.stdout.strip() in run.stdout
+    assert set(again.stdout.splitlines()) <= set(lines)
     assert lines[at] in again.stdout
     assert max(map(len, lines)) <= 100
 
@@ -268,13 +270,10 @@ def test_sampling_ends_at_the_limit_and_says_so(invoke, monkeypatch):
     result = invoke("run", "cantilever-young", *arguments, "--until-ess", 1e6, "--max-solves", 300)
     assert result.exit_code == 1
     assert result.stderr == ""
-    assert result.stdout.splitlines()[-5:] == [
-        "",
-        "--max-solves 300 reached before --until-ess 1e+06: mh",
-        "To go on: fmu run --resume here --max-solves 3000",
-        "",
-        "Written to here",
-    ]
+    lines = result.stdout.splitlines()
+    at = lines.index("--max-solves 300 reached before --until-ess 1e+06: mh")
+    assert lines[at + 1] == "To go on: fmu run --resume here --max-solves 3000"
+    assert lines[-2:] == ["", "Written to here"]
     assert "- the run ended at its limit of 300 solves" in result.stdout
     trace = fmu.load_trace("here/mh.nc")
     assert trace.attrs["limit"] == "300 solves"
@@ -350,7 +349,7 @@ def test_start_outside_the_bounds(invoke, young, monkeypatch, tmp_path):
     problem = copy.copy(young)
     problem.start = young.upper * 1.1
     loading(monkeypatch, problem)
-    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--init", "start"), "2.75e+11")
+    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--init", "start"), "2.75e+11", begins=MAXIMA)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -386,7 +385,8 @@ def test_failed_run_does_not_touch_an_earlier_one(invoke, ran, young, monkeypatc
     problem = copy.copy(young)
     problem.start = young.lower * 0.9
     loading(monkeypatch, problem)
-    assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite", "--init", "start"))
+    result = invoke("run", "cantilever-young", *SHORT, "--out", out, "--overwrite", "--init", "start")
+    assert_one_line(result, begins=MAXIMA)
     assert files_in(out) == before
 
 
@@ -402,7 +402,8 @@ def test_what_was_drawn_is_kept_when_a_later_sampler_fails(invoke, monkeypatch, 
 
     monkeypatch.setattr(fmu.sampling, "sample", failing)
     result = invoke("run", "cantilever-young", *SHORT, "--sampler", "slice", "--out", "mine")
-    assert_one_line(result, "width: must be positive (got 0)")
+    assert_one_line(result, "width: must be positive (got 0)", begins=MAXIMA)
+    assert "mh  not converged" in result.stdout
     assert {p.name for p in (tmp_path / "mine").iterdir()} == {
         "mh.nc",
         "summary-mh.csv",

@@ -124,6 +124,9 @@ def run(
         else:
             asked, directory = _resumed(context, resume, orders), resume
             make_writable(directory)
+        speaks = progress != "json"  # JSON lines on standard error are for programs
+        if speaks and sys.stderr.isatty():  # what follows is silent for a second or more
+            click.echo(f"{asked.file.stem}, paired by {asked.pairing}: results go to {directory}", err=True)
         import arviz_base  # noqa: F401  # it looks at the source of all functions being called: here they are few
 
         from fmu.engines import engine
@@ -132,7 +135,6 @@ def run(
         stack.enter_context(warnings_as_notes())
         at_work = stack.enter_context(engine(workers, cluster))
         running = stack.enter_context(RunDirectory(directory))
-        speaks = progress != "json"  # JSON lines on standard error are for programs
         try:
             with _reporting(progress, running) as report:
                 problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)

@@ -15,11 +15,11 @@ import click
 from fmu import sampling
 from fmu.cli.messages import FAILED
 from fmu.cli.surrogate import MAX_SOLVES, exact_draws, may_learn_more
-from fmu.cli.tables import echo_comparison, echo_evidences, echo_summary
+from fmu.cli.tables import echo_comparison, echo_evidences, echo_summary, echo_verdict
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.numbers import typed
-from fmu.progress import Report, labelled
+from fmu.progress import Report, end_bars, labelled
 from fmu.runs import Checkpoint
 
 if TYPE_CHECKING:
@@ -56,13 +56,15 @@ def sampled(
 ) -> Sampled:
     """Sample a problem with every sampler asked for that has not finished yet, and write the results of each.
 
+    The maxima are printed once they are found, and table and verdict of a sampler once its draws are there:
+    certificates and modes left out take further solves and come after that.
+
     Raises
     ------
     StoppedRun
         If Ctrl-C or SIGTERM stopped a sampler; what it had drawn is written too.
     """
     from fmu.analysis.convergence.diagnosis import maxima_of
-    from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
     from fmu.analysis.trace.conversion import load_trace
     from fmu.runs.maxima import keep_maxima, kept_maxima
@@ -76,6 +78,9 @@ def sampled(
                 click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
             maxima = find_map(problem, starts)
             keep_maxima(running.folder, maxima, problem)
+        if maxima is not None and not asked.orders.get("exact"):  # those of the model are not known yet
+            end_bars(report)
+            click.echo(f"Posterior maxima\n{maxima}\n")
         outcome = Sampled(maxima, {}, {})
         arguments = _until(asked.orders) | {"maxima": maxima, "workers": workers}
         every = asked.orders["keep_draws"], asked.orders["keep_seconds"]
@@ -84,27 +89,71 @@ def sampled(
             most = asked.orders["max_solves"]
             draw = partial(exact_draws, most=None if most == MAX_SOLVES else most)
         for name in dict.fromkeys(asked.orders["samplers"]):
+            tell_draws = partial(_tell_draws, name, outcome, problem, running, asked.orders, report)
             if name in asked.finished:
                 trace = load_trace(running.path / f"{name}.nc")
+                tell_draws(trace)
             else:
                 checkpoint = Checkpoint(running.of_sampler(name), *every)
                 progress = report and labelled(report, name)
                 warmup, draws = planned(name, asked.orders["warmup"], asked.orders["draws"])
                 arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
-                trace = _drawn(draw, name, problem, running, **arguments)
-            outcome.traces[name], outcome.summaries[name] = trace, summary(trace)
-            _write_csv(outcome.summaries[name], running.path / f"summary-{name}.csv")
+                trace = _drawn(draw, name, problem, running, on_draws=tell_draws, **arguments)
+            outcome.traces[name] = trace
             if name in outcome.limited:
                 asked.save(running.path)
             elif name not in asked.finished:
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
                     running.finished(name, asked)
+    end_bars(report)
     if asked.orders.get("exact"):  # those of the model, and not of its surrogate
         outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))
+        if outcome.maxima is not None:
+            click.echo(f"Posterior maxima\n{outcome.maxima}\n")
     if outcome.maxima is not None:
         _write_csv(outcome.maxima.table(), running.path / "map.csv")
     return outcome
+
+
+def _tell_draws(
+    name: str,
+    outcome: Sampled,
+    problem: UpdatingProblem,
+    running: RunDirectory,
+    orders: Mapping[str, Any],
+    report: Report | None,
+    trace: xr.DataTree,
+) -> None:
+    """Print and write the summary of a sampler's draws, its verdict, and how to go on if it ended at its limit.
+
+    The verdict is not yet compared with samplers that are still to draw.
+    """
+    from fmu.analysis.convergence.diagnosis import diagnose_all
+    from fmu.analysis.convergence.diagnostics import summary
+
+    table = outcome.summaries[name] = summary(trace)
+    _write_csv(table, running.path / f"summary-{name}.csv")
+    end_bars(report)
+    echo_summary(name, trace, table)
+    _echo_failed_points(name, trace, running.path, problem)
+    echo_verdict(name, diagnose_all({**outcome.traces, name: trace}, summaries=outcome.summaries)[name])
+    if "limit" in trace.attrs and (_is_certified(problem, orders) or not may_learn_more(problem, orders)):
+        most, until = _until(orders)["max_solves"], orders["until_ess"]
+        if orders.get("exact"):
+            most = int(trace.attrs["warmup_n_solves"]) + int(trace.attrs["n_solves"])
+        aim = f"--until-ess {typed(until)}" if until else "convergence"
+        click.echo(f"\n--max-solves {most} reached before {aim}: {name}")
+        click.echo(f"To go on: fmu run --resume {running.path} --max-solves {10 * most}")
+    click.echo()
+
+
+def _is_certified(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
+    """Say whether no surrogate stands for the model, or one that keeps its tolerance, or draws are made exact."""
+    record = problem.model.record if problem.model.is_uncertain else {}
+    if not record or orders.get("exact"):
+        return True
+    return bool(record["certificate_shift"] <= record["certificate_shift_tolerance"])
 
 
 def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,36 +214,20 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
-    """Print the tables and verdicts of a run, and write the comparison; return the exit code."""
+    """Print what is known after the draws have been told, and write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words, surrogate_in_words
     from fmu.analysis.convergence.diagnosis import is_enough
     from fmu.analysis.evidence import found_evidences
 
     _, traces, summaries = outcome
-    if outcome.maxima is not None:
-        click.echo(f"Posterior maxima\n{outcome.maxima}\n")
-    for name, trace in traces.items():
-        echo_summary(name, trace, summaries[name])
-        _echo_failed_points(name, trace, directory, problem)
-    comparison, verdicts = echo_comparison(traces, summaries)
+    comparison, verdicts = echo_comparison(traces, summaries, with_verdicts=len(traces) > 1)
     _write_csv(comparison, directory / "comparison.csv")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
-    record = problem.model.record if problem.model.is_uncertain else {}
-    is_certified = (
-        not record or orders.get("exact") or record["certificate_shift"] <= record["certificate_shift_tolerance"]
-    )
-    can_learn_more = not is_certified and may_learn_more(problem, orders)
-    if outcome.limited and not can_learn_more:
-        most, until = _until(orders)["max_solves"], orders["until_ess"]
-        if orders.get("exact"):
-            attrs = [traces[name].attrs for name in outcome.limited]
-            most = max(int(one["warmup_n_solves"]) + int(one["n_solves"]) for one in attrs)
-        aim = f"--until-ess {typed(until)}" if until else "convergence"
-        click.echo(f"\n--max-solves {most} reached before {aim}: {', '.join(outcome.limited)}")
-        click.echo(f"To go on: fmu run --resume {directory} --max-solves {10 * most}")
-    if record:
+    is_certified = _is_certified(problem, orders)
+    if problem.model.is_uncertain and problem.model.record:
+        record = problem.model.record
         click.echo("\nCertificate of the surrogate\n" + "\n".join(surrogate_in_words(record)))
-        if can_learn_more:
+        if not is_certified and may_learn_more(problem, orders):
             more = 2 * record["surrogate_solves"]
             click.echo(f"To learn from more solves: fmu run --resume {directory} --max-solves {more}")
     for name, trace in traces.items() if orders.get("exact") else ():

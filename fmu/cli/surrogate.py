@@ -146,10 +146,13 @@ def exact_draws(
             f"{record['surrogate_solves']})"
         )
     enough = _THINNED * first
+    tell_draws = arguments.pop("on_draws", None)  # of the model's draws, not of the surrogate's
     while True:
         trace = sample(problem, name, until_ess=enough, workers=workers, **arguments)
         found = delayed_acceptance(problem, trace, until_ess=until_ess, max_solves=left, engine=workers)
         solved = found.attrs["second_stage_proposals"]
         if "limit" not in found.attrs or "limit" in trace.attrs or solved + chains > left:
+            if tell_draws is not None:
+                tell_draws(found)
             return found
         enough *= 2

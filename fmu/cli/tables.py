@@ -53,23 +53,35 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     click.echo("\n".join([name, *lines, ""]))
 
 
+def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
+    """Print the verdict on a sampler's run and its reasons; names take up at least `width` columns."""
+    width = max(width, len(name)) + 2
+    indent = " " * width
+    click.echo(wrapped(found.verdict, f"{name:{width}}", indent))
+    for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
+        click.echo(wrapped(remark, f"{indent}- ", f"{indent}  "))
+
+
 def echo_comparison(
-    traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]
+    traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], *, with_verdicts: bool = True
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
-    """Print a table with one column per sampler, the verdicts, and the warnings about the model; return both."""
+    """Print a table with one column per sampler, the verdicts if wanted, and the warnings about the model.
+
+    Returns
+    -------
+    tuple of pandas.DataFrame and dict
+        The table and the verdicts.
+    """
     from fmu.analysis.convergence.diagnosis import judged
 
     _, verdicts, table = judged(traces, summaries=summaries)
     columns = table.drop(columns="verdict")
     rows = [[str(name), *(_cell(str(name), value) for value in columns[name])] for name in columns]
     click.echo(text_table(["", *map(str, table.index)], rows))
-    click.echo()
-    width = max(map(len, table.index)) + 2
-    indent = " " * width
-    for name, found in verdicts.items():
-        click.echo(wrapped(found.verdict, f"{name:{width}}", indent))
-        for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
-            click.echo(wrapped(remark, f"{indent}- ", f"{indent}  "))
+    if with_verdicts:
+        click.echo()
+        for name, found in verdicts.items():
+            echo_verdict(name, found, max(map(len, verdicts)))
     told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
     fit, warnings = verdicts[told].fit, verdicts[told].warnings
     if fit.checks or warnings:

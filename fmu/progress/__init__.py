@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
     """Give a callback that draws one bar per phase; None where there is neither a notebook nor a terminal."""
-    from fmu.progress.displays import NotebookBars, terminal_bars
+    from fmu.progress.displays import NotebookBars, SuccessiveBars
 
     if in_notebook():
         yield NotebookBars().report
     elif on_terminal():
-        with terminal_bars() as report:
+        with SuccessiveBars() as report:
             yield report
     else:
         yield None
@@ -54,6 +54,11 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
             yield report and labelled(report, label)
     else:
         yield None
+
+
+def end_bars(report: Report | None) -> None:
+    """End the bars of a callback, if it draws some that can, so that text is printed below them."""
+    getattr(report, "end", lambda: None)()
 
 
 def labelled(report: Report, label: str) -> Report:

@@ -6,7 +6,7 @@ import html
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
@@ -60,6 +60,31 @@ def terminal_bars(console: Console | None = None) -> Iterator[Report]:
                 bars.update(tasks[name], completed=done, total=total, words=in_words(info, brief))
 
         yield report
+
+
+class SuccessiveBars:
+    """Bars on the terminal that end where text is printed, and begin anew below it."""
+
+    def __init__(self) -> None:
+        self._stack = ExitStack()
+        self._report: Report | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.end()
+
+    def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
+        """Report steps done of a phase."""
+        if self._report is None:
+            self._report = self._stack.enter_context(terminal_bars())
+        self._report(phase, done, total, info)
+
+    def end(self) -> None:
+        """Leave the bars as they are; the next report begins others."""
+        self._stack.close()
+        self._report = None
 
 
 def _make_room(bars: Any) -> None:
