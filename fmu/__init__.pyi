@@ -15,6 +15,7 @@ from .analysis.prediction import expectation as expectation
 from .analysis.trace.conversion import load_trace as load_trace
 from .analysis.trace.conversion import save_trace as save_trace
 from .analysis.trace.damage import damage as damage
+from .analysis.trace.from_emcee import from_emcee as from_emcee
 from .config import load as load
 from .engines import engine as engine
 from .fem.black_box import BlackBoxModel as BlackBoxModel

@@ -14,6 +14,7 @@ from fmu.analysis.convergence.candidates import growth_for_candidates
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
+    few_ensembles,
     summary,
 )
 from fmu.analysis.convergence.remedies import (
@@ -73,6 +74,8 @@ class Diagnosis:
         If the run was stopped early, after how many draws or at which limit, in words; else empty.
     fit : ModelFit
         Whether the data contradict the model, and what could have; provisional where the run has not converged.
+    few : str
+        What fewer than four ensembles of plain emcee cannot exclude, and the remedy; else empty.
     """
 
     converged: bool
@@ -81,6 +84,7 @@ class Diagnosis:
     searched: bool = False
     stopped: str = ""
     fit: ModelFit = field(default_factory=lambda: ModelFit((), 0, 0), repr=False)
+    few: str = ""
 
     @property
     def verdict(self) -> str:
@@ -90,8 +94,8 @@ class Diagnosis:
     @property
     def remarks(self) -> tuple[str, ...]:
         """The reasons; for a converged run, what its verdict does not cover."""
-        said = (UNSEARCHED,) if self.converged and not self.searched else self.reasons
-        return (*said, self.stopped) if self.stopped else said
+        said = (UNSEARCHED,) if self.converged and not self.searched and not self.few else self.reasons
+        return (*said, *(more for more in (self.few, self.stopped) if more))
 
     def __str__(self) -> str:
         lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
@@ -189,7 +193,13 @@ def judge(
     if "limit" in trace.attrs:
         stopped = f"the run ended at its limit of {trace.attrs['limit']}"
     return Diagnosis(
-        not reasons, tuple(reasons), tuple(warnings), searched=best is not None, stopped=stopped, fit=fit
+        not reasons,
+        tuple(reasons),
+        tuple(warnings),
+        searched=best is not None,
+        stopped=stopped,
+        fit=fit,
+        few=few_ensembles(trace),
     )
 
 

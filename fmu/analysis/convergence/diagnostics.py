@@ -26,6 +26,7 @@ from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
     has,
+    is_imported,
     parameter_draws,
     parameter_names,
     parameter_units,
@@ -63,7 +64,10 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its
         probability in per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler),
         ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile) and ``mcse_mean``. NaN if a quantity is
-        undefined: R-hat of one chain, everything for a constant. ``attrs["units"]`` maps parameters to units.
+        undefined: R-hat of one chain, everything for a constant. Of plain emcee (`fmu.from_emcee`) also
+        ``ess_emcee``, the draws over emcee's own autocorrelation time, which is shorter by about 10 times its
+        square over the steps (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more where
+        walkers stay in separate places. ``attrs["units"]`` maps parameters to units.
 
     Raises
     ------
@@ -90,6 +94,9 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
             }
         )
     table = data_frame(rows, "parameter", names)
+    if has(trace, "emcee"):
+        times = trace["emcee"]["autocorrelation_time"].to_numpy()
+        table["ess_emcee"] = np.sum(draws.shape[1] / times, axis=0)
     table.attrs["units"] = dict(zip(names, parameter_units(trace), strict=True))
     return table
 
@@ -156,7 +163,9 @@ def convergence_failures(
     components (`fmu.analysis.convergence.candidates`). For an ensemble sampler, whose ensembles are
     the chains: at least four ensembles; a run of at least 50 autocorrelation times; and R-hat over walkers below
     1.05. In so long a run it is above only if walkers stay in separate places (`rhat_over_walkers`); of a shorter
-    one it is reported only then. A quantity that is NaN fails its test.
+    one it is reported only then. A quantity that is NaN fails its test. Ensembles of plain emcee
+    (`fmu.from_emcee`) may be fewer, even one, which has no R-hat: the verdict then rests on autocorrelation times
+    and on R-hat over walkers, and `few_ensembles` says what it cannot exclude.
 
     Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
@@ -182,12 +191,14 @@ def convergence_failures(
     chains = trace["posterior"].sizes["chain"]
     failures = []
     kind, needed = ("ensemble", MIN_ENSEMBLES) if is_ensemble else ("chain", MIN_CHAINS)
-    if chains < needed:
+    if chains < needed and not few_ensembles(trace):
         failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}; at least {needed} are needed: --chains 4")
     standing = _standing(trace)
     failures += standing
     required, names = required_ess(chains), table.index
-    short = _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat is {}; it must be below {}")
+    short = []
+    if chains > 1 or not few_ensembles(trace):
+        short += _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat is {}; it must be below {}")
     for column, label in (("ess_bulk", "bulk ESS"), ("ess_tail", "tail ESS")):
         short += _below(table[column].to_numpy(), required, names, label + " is {}; at least {} are needed")
     mcse = (table["mcse_mean"] / table["sd"]).to_numpy()
@@ -210,6 +221,18 @@ def convergence_failures(
     if short and not standing and places != "missed":
         short[0] += for_too_few_draws(trace, table, required, lengths, are_apart, places)
     return failures + short + _trajectories(trace)
+
+
+def few_ensembles(trace: xr.DataTree) -> str:
+    """Return what fewer ensembles of plain emcee than four cannot exclude, and the remedy; else empty."""
+    n = trace["posterior"].sizes["chain"]
+    if not is_imported(trace) or n >= MIN_ENSEMBLES:
+        return ""
+    return (
+        f"{'one ensemble' if n == 1 else f'{n} ensembles'}: separate modes cannot be excluded; run "
+        f"{MIN_ENSEMBLES} ensembles from spread starts, such as problem.walkers(n, seed), and give fmu.from_emcee "
+        "the list of them"
+    )
 
 
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from fmu.analysis.convergence.candidates import growth_for_candidates
-from fmu.analysis.trace.reading import has
+from fmu.analysis.trace.reading import has, is_imported
 from fmu.numbers import typed
 from fmu.types import FloatArray
 
@@ -113,6 +114,10 @@ def for_chains_apart(trace: xr.DataTree) -> str:
     """Return the remedy for chains that do not move, or are in a region of negligible probability."""
     if "second_stage_proposals" in trace.attrs:
         return "; the surrogate is too far from the model there: learn it from more solves"
+    if is_imported(trace):
+        return (
+            "; start the walkers around the maxima, in proportion to their probability: problem.walkers(n, seed)"
+        )
     if has(trace, "observed_data") and trace.attrs["init"] != "maxima":
         return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))
@@ -121,8 +126,10 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 
 def for_missed_maximum(trace: xr.DataTree) -> str:
     """Return the remedy for a maximum that no chain visited, or that chains cannot enter and leave."""
-    if trace.attrs["sampler"] != "tempering" and (
-        trace.attrs["init"] == "maxima" or not has(trace, "observed_data")
+    if (
+        trace.attrs["sampler"] != "tempering"
+        and not is_imported(trace)
+        and (trace.attrs["init"] == "maxima" or not has(trace, "observed_data"))
     ):
         return "; use parallel tempering, which moves between maxima: --sampler tempering"
     return for_chains_apart(trace)
@@ -154,7 +161,7 @@ def for_too_few_draws(
     places : {"unknown", "one", "missed"}
         As for `fmu.analysis.convergence.diagnostics.convergence_failures`.
     """
-    if len(trace["posterior"]["chain"]) < 2:
+    if len(trace["posterior"]["chain"]) < 2 and not is_imported(trace):
         return ""  # another message already asks for more chains
     if are_apart or (places != "one" and np.max(table["rhat"].to_numpy()) > APART):
         return for_missed_maximum(trace)
@@ -168,6 +175,9 @@ def for_too_few_draws(
     needed = f"; {about} {number} {what} are needed"
     if "limit" in trace.attrs:
         return needed
+    if is_imported(trace):
+        missing = in_two_digits((number - int(trace.attrs["draws"])) * json.loads(trace.attrs["settings"])["thin"])
+        return f"{needed}: continue with sampler.run_mcmc(None, {missing})"
     python = f"Python: until_ess={typed(required)} or draws={number}"
     return f"{needed}: leave out --draws, or --draws {number} ({python})"
 

@@ -45,7 +45,12 @@ _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see genera
 
 
 def to_trace(
-    result: RunResult, density: LogDensity, start: Any = None, *, predictions: bool = True
+    result: RunResult,
+    density: LogDensity,
+    start: Any = None,
+    *,
+    predictions: bool = True,
+    frequency: FloatArray | None = None,
 ) -> xr.DataTree:
     """Convert a run to an ArviZ trace.
 
@@ -61,6 +66,8 @@ def to_trace(
         maxima. It is part of the configuration and its hash.
     predictions : bool
         Whether to solve the model at the draws for the groups that need frequencies.
+    frequency : ndarray, shape (chains, draws, n_modes), Hz, optional
+        The model's frequencies at the draws, if they are known.
 
     Returns
     -------
@@ -98,7 +105,7 @@ def to_trace(
     if hasattr(density, "tests"):
         groups |= _groups_of_tests(result, density, predictions)
     if predictions and hasattr(density, "frequencies"):
-        groups |= _frequency_groups(result, density)
+        groups |= _frequency_groups(result, density, frequency)
     trace = xr.DataTree.from_dict(groups)
     trace.attrs = attributes(result, density, start)
     return trace
@@ -230,13 +237,16 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
     return xr.Dataset(variables, coords=coordinates)
 
 
-def _frequency_groups(result: RunResult, problem: Any) -> dict[str, xr.Dataset]:
+def _frequency_groups(
+    result: RunResult, problem: Any, frequency: FloatArray | None = None
+) -> dict[str, xr.Dataset]:
     """Return the groups that need the model's frequencies at the draws; each distinct draw is solved once."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
     distinct = DistinctDraws.of(result.posterior.position, result.walkers)
-    frequency = distinct.evaluate(problem.frequencies)
+    if frequency is None:
+        frequency = distinct.evaluate(problem.frequencies)
     dims = ("chain", "draw", "mode")
     hertz = {"units": "Hz"}
     predicted = {"model_frequency": (dims, frequency, hertz)}

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MANY = 30
 """Parameters of which a table or a figure can show no more."""
+IMPORTED = "imported"
+"""Attribute of a trace that another library drew: which."""
 
 
 def check_trace(trace: Any, origin: str = "trace") -> None:
@@ -128,3 +130,8 @@ def mode_names(trace: xr.DataTree) -> list[str]:
 def walkers_of(trace: xr.DataTree) -> int:
     """Return the number of walkers of an ensemble; 1 if each chain is a single point."""
     return int(trace.attrs["walkers"])
+
+
+def is_imported(trace: xr.DataTree) -> bool:
+    """Say whether another library drew a trace, so that fmu's commands and options do not apply to it."""
+    return IMPORTED in trace.attrs

@@ -1,0 +1,367 @@
+"""Runs of plain emcee as traces like any other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.certificate import certify
+from fmu.analysis.convergence.diagnosis import with_maxima
+from fmu.analysis.identifiability import with_identifiability
+from fmu.analysis.maxima.search import is_updating
+from fmu.analysis.pairing_changes import with_pairing
+from fmu.analysis.trace.conversion import names_of, to_trace
+from fmu.analysis.trace.emcee_runs import StoredEnsemble, check_alike
+from fmu.analysis.trace.modal_states import with_modes
+from fmu.analysis.trace.reading import IMPORTED, parameter_names, with_group
+from fmu.numbers import typed
+from fmu.posterior.parameters import require_name
+from fmu.samplers.loop.record import Draws, RunResult
+from fmu.samplers.settings import whole_number
+from fmu.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.analysis.maxima.results import Maxima
+
+GROUP, BLOBS = "emcee", "blobs"
+"""Groups of a trace: what emcee counted, and its blobs."""
+_CHECKED = 5
+"""Draws at which what is stored is compared with the problem."""
+_SLACK = 1e-6
+"""By how much it may differ, relative to its size, or to 1: rounding, on another processor."""
+
+
+def from_emcee(
+    source: Any,
+    problem: Any = None,
+    *,
+    names: Sequence[str] | None = None,
+    discard: int | Sequence[int] = 0,
+    thin: int = 1,
+    thin_by: int = 1,
+    hdf_name: str = "mcmc",
+    blob_names: Sequence[str] | None = None,
+    maxima: Maxima | None = None,
+) -> xr.DataTree:
+    """Convert runs of plain emcee to a trace, which `fmu.summary`, `fmu.diagnose` and others take like any other.
+
+    Every ensemble is a chain of the trace. Of fewer than four, the verdict rests on autocorrelation times and on
+    the mixing of the walkers, and says that separate modes cannot be excluded.
+
+    Parameters
+    ----------
+    source : emcee.EnsembleSampler, emcee.backends.Backend, path-like, or a list of these
+        A path is that of an HDF file. The steps stored so far are read, also of a run that was interrupted, is
+        still running, or was resumed.
+    problem : UpdatingProblem or LogDensity, optional
+        The density that was sampled. It gives the parameters' names, units and bounds, and the groups for model,
+        data and predictions. Leave it out where the log-probability was another, with a prior of your own.
+    names : sequence of str, optional
+        The parameters' names; by default those of the problem, else ``parameter_names`` of the sampler, else
+        ``x0``, ``x1``, ...
+    discard : int or sequence of int
+        Stored steps at the beginning that are warm-up, as for ``sampler.get_chain``; one number, or one for each
+        ensemble. Ensembles of which unequal numbers are left are aligned at their ends: the longer ones have more
+        warm-up.
+    thin : int
+        Only every so many stored steps are kept, as for ``sampler.get_chain``.
+    thin_by : int
+        The number with which ``run_mcmc`` was called. Backends do not store it; evaluations are counted with it.
+    hdf_name : str
+        Name of the run within an HDF file.
+    blob_names : sequence of str, optional
+        Names of blobs that have none: one for all, or one for each column. By default ``blobs``.
+    maxima : Maxima, optional
+        The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it.
+
+    Returns
+    -------
+    xarray.DataTree
+        The groups of `fmu.analysis.trace.conversion.to_trace`; of an updating problem also ``modes``, ``pairing``
+        and ``identifiability``, as of `fmu.sample`. A blob with the problem's frequencies becomes
+        ``model_frequency`` of ``posterior_predictive``, so that none is solved again; others are in ``blobs``. The
+        group ``emcee`` has ``acceptance_fraction`` (chain, walker) of all stored steps; ``autocorrelation_time``
+        (chain, parameter) by emcee's own function, in draws kept; ``stored`` and ``discard`` (chain).
+        ``n_solves`` counts one evaluation a walker and step, and the start. ``accepted`` says whether a stored
+        step moved a walker; where steps between were not stored, it is the walker's acceptance fraction. Times are
+        not known: NaN.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If nothing is stored, a file cannot be read, ensembles differ in size, too few steps are left, names or
+        blobs cannot be stored, or the stored log-probabilities are not those of `problem`, at five draws.
+    TypeError
+        If `source` is something else.
+
+    Warns
+    -----
+    UserWarning
+        If walkers moved more often than emcee accepted proposals: then steps between were not stored.
+    """
+    sources = list(source) if isinstance(source, list | tuple) else [source]
+    if not sources:
+        raise ValueError("source: must hold at least one ensemble (got none)")
+    whole_number("thin_by", thin_by, 1)
+    ensembles = [StoredEnsemble.read(one, hdf_name) for one in sources]
+    check_alike(ensembles)
+    kept = Kept.of(ensembles, _numbers(discard, len(ensembles)), whole_number("thin", thin, 1))
+    named = _names(names, problem, ensembles)
+    result = _result(ensembles, kept, thin_by)
+    blobs = _blobs(ensembles, kept, blob_names)
+    # numbers of a float32 backend are rounded
+    precision = max(_SLACK, float(np.sqrt(np.finfo(ensembles[0].chain.dtype).eps)))
+    frequency = None if problem is None else _checked(result.posterior, blobs, problem, precision)
+    density: Any = _Unknown(named) if problem is None else problem
+    trace = to_trace(result, density, frequency=frequency)
+    trace.attrs |= {IMPORTED: "emcee", "complete": 1}
+    trace = with_group(trace, GROUP, _counted(ensembles, kept, trace))
+    if blobs:
+        trace = with_group(trace, BLOBS, _dataset(blobs, trace))
+    if maxima is not None:
+        trace = with_maxima(trace, maxima)
+    return _with_structure(trace, problem, maxima) if is_updating(problem) else trace
+
+
+class _Unknown:
+    """A density of which only the parameters' names are known."""
+
+    name = "emcee"
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names, self.ndim = names, len(names)
+        self.lower, self.upper = np.full(self.ndim, -np.inf), np.full(self.ndim, np.inf)
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what is known of the density."""
+        return {"density": "emcee", "names": list(self.names)}
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Which stored steps of every ensemble are draws, and which warm-up: equally many in all.
+
+    Attributes
+    ----------
+    draws, warmup : tuple of ndarray of int, shape (n,)
+        Numbers of stored steps, from 0.
+    discard : tuple of int
+        Stored steps before the draws.
+    thin : int
+    """
+
+    draws: tuple[IntArray, ...]
+    warmup: tuple[IntArray, ...]
+    discard: tuple[int, ...]
+    thin: int
+
+    @classmethod
+    def of(cls, ensembles: list[StoredEnsemble], discard: list[int], thin: int) -> Kept:
+        """Return the last steps of every ensemble, as many as the shortest has; ValueError if it has none."""
+        each = []
+        for ensemble, skipped in zip(ensembles, discard, strict=True):
+            stored = len(ensemble.chain)
+            each.append(np.arange(skipped + thin - 1, stored, thin))
+            if not len(each[-1]):
+                raise ValueError(
+                    f"discard: must leave at least {thin} of {stored} stored steps for one draw (got {skipped})"
+                )
+        n = min(len(at) for at in each)
+        draws = tuple(at[len(at) - n :] for at in each)
+        first = tuple(int(at[0]) - thin + 1 for at in draws)
+        return cls(draws, tuple(np.arange(stop - min(first), stop) for stop in first), first, thin)
+
+    def evaluations(self, k: int, stored: int, thin_by: int) -> tuple[IntArray, IntArray]:
+        """Return the evaluations of each walker of ensemble `k` up to every step of warm-up, and draw.
+
+        They add up to all that were made: one a step, and one at the start.
+        """
+        at = np.concatenate([self.warmup[k], self.draws[k]])
+        until = thin_by * (at + 1) + 1
+        until[-1] = thin_by * stored + 1
+        each = np.diff(until, prepend=0)
+        return each[: len(self.warmup[k])], each[len(self.warmup[k]) :]
+
+
+def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnsemble]) -> tuple[str, ...]:
+    """Return the parameters' names; ValueError if they do not suit what is stored, or contradict each other."""
+    ndim, of_sampler = ensembles[0].shape[1], ensembles[0].names
+    of_problem = () if problem is None else names_of(problem)
+    found = (() if names is None else tuple(names)) or of_problem or of_sampler
+    found = found or tuple(f"x{i}" for i in range(ndim))
+    if len(found) != ndim:
+        whose = "problem" if found == of_problem else "names"
+        raise ValueError(f"{whose}: must have {ndim} parameters, as the stored chain (got {len(found)}: {found})")
+    for what, other in (("names", found), ("parameter_names of the sampler", of_sampler)):
+        if of_problem and other and other != of_problem:
+            raise ValueError(f"{what}: must be those of the problem, {list(of_problem)} (got {list(other)})")
+    if len(set(found)) < ndim:
+        raise ValueError(f"names: must differ from each other (got {list(found)})")
+    for name in found:
+        require_name(name)
+    return found
+
+
+def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
+    """Return the discarded steps of each ensemble."""
+    each = list(discard) if isinstance(discard, Sequence | np.ndarray) else [discard] * n
+    if len(each) != n:
+        raise ValueError(f"discard: must be one number, or one for each of {n} ensembles (got {len(each)})")
+    return [whole_number("discard", one, 0) for one in each]
+
+
+def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunResult:
+    """Return the ensembles as a run of fmu: draws step-major, costs that add up to all evaluations."""
+    walkers = ensembles[0].shape[0]
+    accepted: list[NDArray[Any]] = []
+    for ensemble in ensembles:
+        moved = ensemble.moved(thin_by)
+        share = np.broadcast_to(ensemble.accepted / len(ensemble.chain), ensemble.log_prob.shape)
+        accepted.append(share if moved is None else moved)
+    costs = [kept.evaluations(k, len(e.chain), thin_by) for k, e in enumerate(ensembles)]
+
+    def draws(at: tuple[IntArray, ...], phase: int) -> Draws:
+        def of(stored: Sequence[NDArray[Any]]) -> NDArray[Any]:
+            return _flat([one[i] for one, i in zip(stored, at, strict=True)])
+
+        n_solves = _flat([np.repeat(cost[phase][:, None], walkers, axis=1) for cost in costs])
+        lp = of([e.log_prob for e in ensembles]).astype(float)
+        stats = {"lp": lp, "accepted": of(accepted), "n_solves": n_solves, "n_gradients": np.zeros_like(n_solves)}
+        return Draws(of([e.chain for e in ensembles]).astype(float), stats)
+
+    settings = {
+        "moves": [list(move) for move in ensembles[0].moves] or None,
+        "stored": [len(e.chain) for e in ensembles],
+        "discard": list(kept.discard),
+        "thin": kept.thin,
+        "thin_by": thin_by,
+    }
+    return RunResult(
+        warmup=draws(kept.warmup, 0),
+        posterior=draws(kept.draws, 1),
+        sampler="emcee",
+        settings=settings,
+        seed=0,  # of the noise of predictions; that of emcee is not known
+        walkers=walkers,
+        draws=len(kept.draws[0]),
+        warmup_draws=len(kept.warmup[0]),
+        chains=len(ensembles),
+        init="array",
+        wall_s=np.nan,
+        warmup_wall_s=np.nan,
+    )
+
+
+def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays (steps, walkers, ...) of ensembles as one, (ensembles, steps * walkers, ...), step-major."""
+    stacked = np.stack(each)
+    return stacked.reshape(len(stacked), -1, *stacked.shape[3:])
+
+
+def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | None) -> dict[str, NDArray[Any]]:
+    """Return the blobs of the draws by name, each (ensembles, draws, ...)."""
+    if ensembles[0].blobs is None:
+        if names is not None:
+            raise ValueError(f"blob_names: need blobs (got {list(names)}, and none are stored)")
+        return {}
+    stored = _flat([e.blobs[at] for e, at in zip(ensembles, kept.draws, strict=True) if e.blobs is not None])
+    if stored.dtype.names:
+        found = {name: stored[name] for name in stored.dtype.names}
+    elif names is None or len(names) == 1:
+        found = {"blobs" if names is None else names[0]: stored}
+    else:
+        columns = stored.shape[2] if stored.ndim > 2 else 1
+        if len(names) != columns:
+            raise ValueError(f"blob_names: must be one, or one for each of {columns} columns (got {len(names)})")
+        found = {name: stored[:, :, k] for k, name in enumerate(names)}
+    for name, values in found.items():
+        if values.dtype == object:  # as emcee stores what it does not know the type of
+            try:
+                found[name] = np.array(values.tolist(), dtype=float)
+            except (TypeError, ValueError):
+                raise ValueError(
+                    f"blobs: must be numbers, equally many at every draw (got {type(values.flat[0]).__name__} in "
+                    f"{name!r}); set blobs_dtype of emcee.EnsembleSampler"
+                ) from None
+        require_name(name)
+    return found
+
+
+def _checked(draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float) -> FloatArray | None:
+    """Compare five draws with the problem; return its frequencies at all draws, if they are among the blobs.
+
+    They are taken from `blobs`. ValueError if a log-probability is not that of the problem.
+    """
+    theta = draws.position.reshape(-1, draws.position.shape[2])
+    stored = draws.stats["lp"].ravel()
+    finite = np.flatnonzero(np.isfinite(stored))
+    if not len(finite):
+        raise ValueError("source: must have draws with finite log-probabilities (got none)")
+    at = finite[np.unique(np.linspace(0, len(finite) - 1, _CHECKED).astype(int))]
+    computed = np.asarray(problem.log_prob(theta[at]), dtype=float)
+    off = np.abs(stored[at] - computed)
+    allowed = precision * np.maximum(1.0, np.abs(computed))
+    tolerance = getattr(problem, "tolerance", None)
+    if tolerance is not None:  # the run may have been of the full model
+        allowed = allowed + tolerance.log_prob
+    if not np.all(off <= allowed):
+        worst = int(np.argmax(np.where(np.isnan(off), np.inf, off)))
+        raise ValueError(
+            f"problem: must have the stored log-probabilities; at draw {typed(at[worst])} "
+            f"{typed(stored[at[worst]])} is stored (got {typed(computed[worst])} of the problem); "
+            "leave the problem out and give names if the run had another prior"
+        )
+    if not hasattr(problem, "frequencies"):
+        return None
+    hz = np.asarray(problem.frequencies(theta[at]))
+    for name, values in blobs.items():
+        is_like = values.shape[2:] == hz.shape[1:]
+        if is_like and np.allclose(values.reshape(-1, *hz.shape[1:])[at], hz, rtol=precision, atol=0.0):
+            return np.asarray(blobs.pop(name), dtype=float)
+    return None
+
+
+def _counted(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.DataTree) -> xr.Dataset:
+    """Return what emcee says of its ensembles."""
+    import xarray as xr
+    from emcee.autocorr import integrated_time
+
+    times = []
+    for ensemble, at in zip(ensembles, kept.draws, strict=True):
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN where a walker does not move
+            times.append(integrated_time(ensemble.chain[at], tol=0))
+    variables = {
+        "acceptance_fraction": (("chain", "walker"), np.array([e.accepted / len(e.chain) for e in ensembles])),
+        "autocorrelation_time": (("chain", "parameter"), np.array(times)),
+        "stored": ("chain", np.array([len(e.chain) for e in ensembles])),
+        "discard": ("chain", np.array(kept.discard)),
+    }
+    return xr.Dataset(variables, coords={"parameter": list(parameter_names(trace))})
+
+
+def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Dataset:
+    """Return the blobs as variables."""
+    import xarray as xr
+
+    variables = {
+        name: (("chain", "draw", *(f"{name}_dim_{k}" for k in range(values.ndim - 2))), values)
+        for name, values in blobs.items()
+    }
+    return xr.Dataset(variables, coords={name: trace["posterior"][name] for name in ("chain", "draw")})
+
+
+def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
+    """Add to a trace what the model says at the draws."""
+    trace.attrs |= certify(trace, problem, full_solves=problem.model.full_solves)
+    trace = with_pairing(with_modes(trace, problem, maxima), problem)
+    if problem.is_hierarchical or not problem.likelihood.of_modes:
+        return trace
+    return with_identifiability(trace, problem, maxima)
