@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
+from fmu.cli import damage
 from fmu.cli.tables import echo_comparison
 from fmu.progress import progress_bars
-from fmu.tables import text_table
 
 _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
 
@@ -39,36 +39,6 @@ def report(directory: Path) -> None:
     from fmu.report.pages import write_report
 
     click.echo(f"Written to {write_report(directory)}")
-
-
-@click.command()
-@_DIRECTORY
-@click.option("--beyond", type=click.FloatRange(0.0, 1.0, max_open=True), multiple=True, default=(0.05, 0.1),
-              show_default=True, help="Loss whose probability of being exceeded is wanted.")  # fmt: skip
-@click.option("--sampler", help="Sampler whose draws are used.  [default: the first that converged]")
-def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> None:
-    """Print the losses of the run in DIRECTORY between states of the structure, and draw them (damage.png).
-
-    For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
-    """
-    from fmu.analysis.trace.damage import damage, probably
-    from fmu.numbers import fixed
-    from fmu.report.export import chosen
-    from fmu.report.plots import DPI, plot_losses
-
-    trace = chosen(directory, sampler)[1]
-    table = damage(trace, beyond)
-    rows = []
-    for (state, name), (mean, _, low, high, *exceeded) in zip(
-        table.index.tolist(), table.to_numpy().tolist(), strict=True
-    ):
-        loss = (f"{fixed(100.0 * x, 1)} %" for x in (mean, low, high))
-        rows.append([state, name, *loss, *map(probably, exceeded)])
-    header = ["state", "parameter", "loss", "5 %", "95 %", *map(str, table.columns[4:])]
-    click.echo(text_table(header, rows, words=[0, 1]))
-    path = directory / "damage.png"
-    plot_losses(trace, beyond[0])[0].figure.savefig(path, dpi=DPI)
-    click.echo(f"Written to {path}")
 
 
 @click.command()
@@ -105,4 +75,4 @@ def paper(out: Path) -> None:
     click.echo(f"Written to {out}")
 
 
-COMMANDS = (compare, report, damage, export, paper)
+COMMANDS = (compare, report, *damage.COMMANDS, export, paper)

@@ -15,7 +15,7 @@ import click
 from fmu import sampling
 from fmu.cli.messages import FAILED
 from fmu.cli.surrogate import MAX_SOLVES, exact_draws, may_learn_more
-from fmu.cli.tables import echo_comparison, echo_evidences, echo_summary, echo_verdict
+from fmu.cli.tables import echo_comparison, echo_evidences, echo_maxima, echo_summary, echo_verdict
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.numbers import typed
@@ -80,7 +80,7 @@ def sampled(
             keep_maxima(running.folder, maxima, problem)
         if maxima is not None and not asked.orders.get("exact"):  # those of the model are not known yet
             end_bars(report)
-            click.echo(f"Posterior maxima\n{maxima}\n")
+            echo_maxima(maxima)
         outcome = Sampled(maxima, {}, {})
         arguments = _until(asked.orders) | {"maxima": maxima, "workers": workers}
         every = asked.orders["keep_draws"], asked.orders["keep_seconds"]
@@ -110,7 +110,7 @@ def sampled(
     if asked.orders.get("exact"):  # those of the model, and not of its surrogate
         outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))
         if outcome.maxima is not None:
-            click.echo(f"Posterior maxima\n{outcome.maxima}\n")
+            echo_maxima(outcome.maxima)
     if outcome.maxima is not None:
         _write_csv(outcome.maxima.table(), running.path / "map.csv")
     return outcome
@@ -218,10 +218,18 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     from fmu.analysis.certificate import exact_in_words, surrogate_in_words
     from fmu.analysis.convergence.diagnosis import is_enough
     from fmu.analysis.evidence import found_evidences
+    from fmu.analysis.trace.damage import GROUP as LOSSES
+    from fmu.analysis.trace.reading import has
+    from fmu.cli.damage import echo_losses
 
     _, traces, summaries = outcome
     comparison, verdicts = echo_comparison(traces, summaries, with_verdicts=len(traces) > 1)
     _write_csv(comparison, directory / "comparison.csv")
+    told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
+    if has(traces[told], LOSSES):
+        click.echo()
+        echo_losses(traces[told], verdicts[told])
+        click.echo(f"A picture, and other limits: fmu damage {directory}")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
     is_certified = _is_certified(problem, orders)
     if problem.model.is_uncertain and problem.model.record:

@@ -16,23 +16,37 @@ if TYPE_CHECKING:
 
     from fmu.analysis.convergence.diagnosis import Diagnosis
     from fmu.analysis.evidence import FoundEvidence
+    from fmu.analysis.maxima.results import Maxima
 
 _DECIMALS = {
     "rhat": 4, "rhat_max": 4, "ess_bulk": 0, "ess_tail": 0, "ess_bulk_min": 0, "ess_tail_min": 0, "wall_s": 1,
 }  # fmt: skip
 _WORDS = ("", "unit", "from")
+_MOST_ROWS = 40
+"""Of the table of maxima."""
+
+
+def echo_maxima(maxima: Maxima) -> None:
+    """Print the maxima of the posterior; of many parameters and modes only how probable they are."""
+    click.echo(f"Posterior maxima\n{maxima.as_text(_MOST_ROWS)}")
+    if len(maxima.side_by_side()) > _MOST_ROWS:
+        click.echo("Parameters and frequencies at the maxima are in map.csv.")
+    click.echo()
 
 
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     """Print the summary of a sampler's trace; the sd decides how many digits of means and intervals are shown.
 
     A last column says what each value comes from, if that is known; those that the data did not inform are dim.
+    Losses between groups of tests have a table of their own (`fmu.cli.damage.echo_losses`).
     """
     from fmu.analysis.information import information
+    from fmu.analysis.trace.damage import is_loss
     from fmu.analysis.trace.reading import told_names
 
-    n_all, attributes = len(table), table.attrs
-    table = table.loc[list(told_names(trace))]
+    told, attributes = told_names(trace), table.attrs
+    n_scores = len(table) - len(told)
+    table = table.loc[[name for name in told if not is_loss(trace, name)]]
     table.attrs = attributes
     columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
     for column in map(str, table.columns):
@@ -48,8 +62,8 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     text = text_table(list(columns), rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
     width = max(map(len, table.index))
     lines = [click.style(line, dim=True) if line[:width].strip() in dim else line for line in text.splitlines()]
-    if len(table) < n_all:
-        lines.append(f"and {n_all - len(table)} scores of single tests, in summary-{name}.csv")
+    if n_scores:
+        lines.append(f"and {n_scores} scores of single tests, in summary-{name}.csv")
     click.echo("\n".join([name, *lines, ""]))
 
 

@@ -9,22 +9,12 @@ import pytest
 import fmu
 from fmu.fem.frame.drawing import UNCHANGED, changed_elements
 from fmu.report.sections.tests import losses
-
-HEIGHT, STOREYS = 3.0, 2
-NAMES = tuple(f"columns {k + 1}" for k in range(STOREYS))
-SENSORS = [(1, "x"), (2, "x")]
+from tests.mast import NAMES, damaged, mast
 
 
-@pytest.fixture(scope="module")
-def mast():
-    """A clamped mast of two storeys, one element each, and a beam that no parameter changes."""
-    section = fmu.Section(A=5e-3, Iy=5e-5, Iz=3e-5, J=1e-6)
-    steel = fmu.Material(E=2.1e11, nu=0.3, rho=7850.0)
-    elements = {"columns 1": (0, 1), "columns 2": (1, 2), "arm": (2, 3)}
-    groups = [fmu.ElementGroup(name, [ends], section, steel) for name, ends in elements.items()]
-    nodes = [(0.0, 0.0, 0.0), (0.0, 0.0, HEIGHT), (0.0, 0.0, 2 * HEIGHT), (1.0, 0.0, 2 * HEIGHT)]
-    held = {0: ("x", "y", "z", "rx", "ry", "rz")} | dict.fromkeys((1, 2, 3), ("y", "rx", "rz"))
-    return fmu.Frame(np.array(nodes), groups, held).separable({name: fmu.Factor([("E", name)]) for name in NAMES})
+@pytest.fixture(scope="module", name="mast")
+def _mast():
+    return mast()
 
 
 def test_a_held_element_is_not_changed_by_what_stands_on_it(mast):
@@ -40,18 +30,8 @@ def test_what_has_mass_alone_changes_a_held_element(mast):
 
 
 @pytest.fixture(scope="module")
-def run(mast):
-    """A short run: the lower storey loses a third, the upper one nothing."""
-    tests = []
-    for name, loss in (("before", 0.0), ("after", 0.3)):
-        theta = np.array([1.0 - loss, 1.0])
-        values = np.linalg.eigvals(np.linalg.solve(mast.M(theta).toarray(), mast.K(theta).toarray()))
-        f = np.sqrt(np.sort(values.real)[:2]) / (2 * np.pi)
-        tests.append(fmu.Test(name, fmu.ModalData(f, numbers=[1, 2], sd_hz=0.005 * f), group=name))
-    parameters = [fmu.Parameter(name, 1.0, 0.4, 1.6) for name in NAMES]
-    varies = dict.fromkeys(NAMES, fmu.Damage())
-    problem = fmu.JointProblem(mast, tests, parameters, varies=varies, pairing="index")
-    return SimpleNamespace(trace=fmu.sample(problem, "hmc", draws=100, warmup=150, seed=1), name="hmc")
+def run():
+    return SimpleNamespace(trace=damaged(), name="hmc")
 
 
 def test_elements_have_the_colours_of_their_losses(run):

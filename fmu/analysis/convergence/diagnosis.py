@@ -97,6 +97,12 @@ class Diagnosis:
         said = (UNSEARCHED,) if self.converged and not self.searched and not self.few else self.reasons
         return (*said, *(more for more in (self.few, self.stopped) if more))
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What probabilities from the draws do not allow for: no convergence, a model that is contradicted."""
+        unfinished = () if self.converged else ("the draws have not converged",)
+        return (*unfinished, f"the model is {self.fit.answer}") if self.fit.against else unfinished
+
     def __str__(self) -> str:
         lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
         if self.warnings or self.fit.checks:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 6
 """Maxima shown side by side."""
+_PROBABLE = ("log-probability", "share of probability", "starts")
 NEGLIGIBLE = 0.01
 """Share of the probability that a run may leave out."""
 RELIABLE = 20.0
@@ -210,7 +211,7 @@ class Maxima:
         for k in range(len(self.labels)):
             hz = (float(f[k]) for f in (self.before, *(m.frequencies for m in best)))
             rows.append(["Hz", *hertz(*hz, measured=self.measured[k]), given(self.measured[k])])
-        index = ["log-probability", "share of probability", "starts", *self.names]
+        index = [*_PROBABLE, *self.names]
         index += [f"mode {label}" for label in self.labels]
         header = ["unit", "before", *(f"maximum {k}" for k in range(1, len(best) + 1)), "measured"]
         return pd.DataFrame(rows, index=index, columns=header)
@@ -220,12 +221,19 @@ class Maxima:
         words = [self.words_at_bounds(m) for m in self.maxima[:most]]
         return [f"Maximum {k} lies at bounds: {said}." for k, said in enumerate(words, 1) if said]
 
-    def __str__(self) -> str:
+    def as_text(self, most_rows: int | None = None) -> str:
+        """Return the table as text; of one with more rows only how probable the maxima are."""
         table = self.side_by_side()
+        if most_rows is not None and len(table) > most_rows:
+            table = table.iloc[: len(_PROBABLE), 2:-1]
         header = ["", *(str(name).removeprefix("maximum ") for name in table.columns)]
         rows = [[str(name), *row] for name, row in zip(table.index, table.to_numpy().tolist(), strict=True)]
-        lines = [text_table(["maximum", *header[1:]], rows, words=(0, 1))]
+        words = [i for i, name in enumerate(header) if name in ("", "unit")]
+        lines = [text_table(["maximum", *header[1:]], rows, words=words)]
         return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.at_bounds())])
+
+    def __str__(self) -> str:
+        return self.as_text()
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.at_bounds())

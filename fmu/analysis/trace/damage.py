@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmu.analysis.trace.reading import has
-from fmu.numbers import share, whole
+from fmu.numbers import names_in_words, share, whole
 from fmu.tables import data_frame
 
 if TYPE_CHECKING:
@@ -68,3 +69,51 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
 
     found.index = pandas.MultiIndex.from_tuples(index, names=["state", "parameter"])
     return found
+
+
+def is_loss(trace: xr.DataTree, name: str) -> bool:
+    """Return whether a parameter belongs to a later state: its loss, or its value there."""
+    return has(trace, GROUP) and name.endswith(tuple(f" [{state}]" for state in _later(trace)))
+
+
+def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
+    """Return the means of each parameter with losses in the reference state and in each later one, SI units.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row for each state and parameter, as in `damage`. Columns ``before`` and ``after``.
+    """
+    import pandas
+
+    losses, tests = trace[GROUP].to_dataset(), trace["tests"].to_dataset()
+    first = tests_in(trace, str(trace[GROUP].attrs["reference"]))[0]
+    rows: dict[tuple[str, str], tuple[float, float]] = {}
+    for state in _later(trace):
+        for name in map(str, losses.data_vars):
+            before = tests[name].sel(test=first)
+            after = before * (1.0 - losses[name].sel(state=state))
+            rows[state, name] = float(before.mean()), float(after.mean())
+    index = pandas.MultiIndex.from_tuples(list(rows), names=["state", "parameter"])
+    return pandas.DataFrame(list(rows.values()), index, ["before", "after"])
+
+
+def tests_in(trace: xr.DataTree, state: str) -> list[str]:
+    """Return the names of the tests of a state."""
+    tests = json.loads(str(trace.attrs["configuration"]))["problem"]["tests"]
+    return [str(test["name"]) for test in tests if test["group"] == state]
+
+
+def before_in_words(trace: xr.DataTree) -> str:
+    """Return the reference state and its tests: ``"reference (tests reference 1 and reference 2)"``."""
+    return state_in_words(trace, str(trace[GROUP].attrs["reference"]))
+
+
+def state_in_words(trace: xr.DataTree, state: str) -> str:
+    """Return a state and its tests: ``"pattern 1 (test one)"``."""
+    tests = tests_in(trace, state)
+    return state if tests == [state] else f"{state} (test{'s' * (len(tests) > 1)} {names_in_words(tests)})"
+
+
+def _later(trace: xr.DataTree) -> list[str]:
+    return [str(state) for state in trace[GROUP]["state"].to_numpy().tolist()]

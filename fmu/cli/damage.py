@@ -1,0 +1,74 @@
+"""Losses between states of a structure, as tables on a terminal; and ``fmu damage``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fmu.numbers import decimals, fixed, interval, share, shown
+from fmu.tables import text_table, wrapped
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.analysis.convergence.diagnosis import Diagnosis
+
+_WIDTH = 80
+BEYOND = (0.05, 0.1)
+"""Losses whose probability of being exceeded is printed."""
+
+
+def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
+    """Print losses and values before and after of each later state, and what their probabilities rest on."""
+    from fmu.analysis.trace.damage import ANY, before_and_after, before_in_words, damage, probably, state_in_words
+
+    table, values = damage(trace, beyond), before_and_after(trace)
+    header = ["", "before", "after", "loss", "90 % interval", *(f"P > {share(x)}" for x in beyond)]
+    click.echo(wrapped(f"Losses since {before_in_words(trace)}", width=_WIDTH))
+    for state in table.index.unique("state"):
+        rows = []
+        for name, (mean, sd, low, high, *exceeded) in table.loc[state].iterrows():
+            n = decimals(100.0 * sd)
+            cells = [f"{fixed(100.0 * mean, n)} %", f"{interval(100.0 * low, 100.0 * high, n)} %"]
+            cells += map(probably, exceeded)
+            if name == ANY:
+                rows.append(["the largest", "", "", *cells])
+                continue
+            unit = shown(trace["tests"][name].attrs.get("units", ""))
+            before, after = (values.loc[(state, name), when] / unit.factor for when in ("before", "after"))
+            places = decimals(abs(before) * sd)
+            label = f"{name} ({unit.name})" if unit.name else str(name)
+            rows.append([label, fixed(before, places), fixed(after, places), *cells])
+        click.echo("\n" + wrapped(f"After: {state_in_words(trace, state)}", width=_WIDTH))
+        click.echo(text_table(header, rows, width=_WIDTH))
+    answer = f"The model: {diagnosis.fit.answer}. " if diagnosis.fit.checks else ""
+    rests = "P is the probability of a loss beyond that limit, given the model, its errors and its priors."
+    click.echo("\n" + wrapped(answer + rests, width=_WIDTH))
+    if diagnosis.doubts:
+        click.echo(wrapped(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
+
+
+@click.command()
+@click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--beyond", type=click.FloatRange(0.0, 1.0, max_open=True), multiple=True, default=BEYOND,
+              show_default=True, help="Loss whose probability of being exceeded is wanted.")  # fmt: skip
+@click.option("--sampler", help="Sampler whose draws are used.  [default: the first that converged]")
+def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> None:
+    """Print the losses of the run in DIRECTORY between states of the structure, and draw them (damage.png).
+
+    For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
+    """
+    from fmu.report.export import chosen
+    from fmu.report.plots import DPI, plot_losses
+
+    name, trace, diagnosis = chosen(directory, sampler)
+    echo_losses(trace, diagnosis, beyond)
+    path = directory / "damage.png"
+    plot_losses(trace, beyond[0])[0].figure.savefig(path, dpi=DPI)
+    click.echo(f"\nDraws of {name}. Picture: {path}")
+
+
+COMMANDS = (damage,)
