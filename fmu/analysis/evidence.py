@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.effective import GOOD_K, pareto_k
+from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.numbers import apart, given, significant, with_sd

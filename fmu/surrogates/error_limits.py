@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, t
+from scipy.special import gammaincinv, stdtrit
 
 from fmu.types import FloatArray
 
@@ -120,7 +120,7 @@ def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int
 
 def _quantile(n: int, ndim: int) -> float:
     """Return how many standard errors ndim means of n values are off at most."""
-    return float(t.ppf(1.0 - (1.0 - LEVEL) / (2 * ndim), n - 1))
+    return float(stdtrit(n - 1, 1.0 - (1.0 - LEVEL) / (2 * ndim)))
 
 
 def _upper_sd(values: FloatArray) -> float:
@@ -136,4 +136,4 @@ def _upper_sd(values: FloatArray) -> float:
 def _factor(n: int, kurtosis: float) -> float:
     """Return the upper limit of a standard deviation over that of n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
-    return float(np.sqrt(freedom / chi2.ppf(1.0 - LEVEL, freedom)))
+    return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

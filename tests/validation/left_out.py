@@ -21,7 +21,7 @@ from scipy.stats import kstest, multivariate_t
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.convergence.effective import pareto_k
+from fmu.analysis.convergence.pareto import pareto_k
 from fmu.analysis.evidence import by_bridge, by_importance
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.numbers import significant

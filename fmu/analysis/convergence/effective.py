@@ -1,9 +1,8 @@
-"""R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity; the tail of weights.
+"""R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity.
 
-All but `pareto_k` take draws of shape (chains, draws). Chains of a single point are measured with ArviZ (Vehtari,
-Gelman, Simpson, Carpenter & Bürkner 2021, doi:10.1214/20-BA1221). An ensemble's walkers depend on one another, so
-that its draws are measured by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5;
-Sokal's window).
+All take draws of shape (chains, draws). Chains of a single point are measured as ArviZ does
+(`fmu.analysis.convergence.rank_statistics`). An ensemble's walkers depend on one another, so that its draws are
+measured by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5; Sokal's window).
 
 What cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN fails every test of
 the verdict.
@@ -12,11 +11,12 @@ the verdict.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.convergence.rank_statistics import chain_ess, quantile_ess, rank_ess, rank_rhat, split_chains
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.types import FloatArray, IntArray
 
@@ -28,8 +28,6 @@ TAIL = (0.05, 0.95)
 """Quantiles of the tail ESS (Vehtari et al. 2021, section 4.3)."""
 WINDOW = 5
 """Autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
-GOOD_K = 0.7
-"""Importance weights with a Pareto k above this have no reliable mean (Vehtari et al. 2024, JMLR 25, 72)."""
 _MIN_DRAWS = 4
 
 
@@ -42,7 +40,7 @@ def rhat(x: FloatArray) -> float:
         return np.nan
     # Chains that stand still at different places have no variance within: the division gives inf, as it should.
     with np.errstate(divide="ignore", invalid="ignore"):
-        return float(_arviz("rhat", x, method="rank"))
+        return rank_rhat(x)
 
 
 def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
@@ -51,7 +49,7 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
-    return float(_arviz("ess", x, method="bulk"))
+    return rank_ess(x)
 
 
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
@@ -60,11 +58,11 @@ def ess_tail(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     below = [x <= quantile for quantile in np.quantile(x, TAIL)]
     if any(indicator.all() for indicator in below):
-        # More than 5 % of the draws repeat the largest value. ArviZ counts every draw of a constant as
+        # more than 5 % of the draws repeat the largest value, and `chain_ess` counts every draw of a constant
         return np.nan
     if walkers > 1:
         return float(np.min([_ensemble_ess(indicator, walkers) for indicator in below]))
-    return float(_arviz("ess", x, method="tail", prob=TAIL))
+    return min(quantile_ess(x, probability) for probability in TAIL)
 
 
 def ess_mean(x: FloatArray, walkers: int = 1) -> float:
@@ -73,9 +71,8 @@ def ess_mean(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
-    # ArviZ takes a range below 1e-15 for a constant, whatever the unit: second moments of area are 1e-9 m⁴.
-    standardised = (x - x.mean()) / x.std()
-    return float(_arviz("ess", standardised, method="mean"))
+    # a range below 1e-15 passes for a constant, whatever the unit: second moments of area are 1e-9 m⁴
+    return chain_ess(split_chains((x - x.mean()) / x.std()))
 
 
 def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
@@ -127,13 +124,6 @@ def apart(draws: int, most: int, walkers: int = 1) -> int:
     while math.gcd(distance, walkers) > 1:
         distance += 1
     return distance
-
-
-def _arviz(statistic: str, x: FloatArray, **options: Any) -> Any:
-    """Return a statistic of ArviZ of draws (chains, draws)."""
-    from arviz_stats.base.array import array_stats
-
-    return getattr(array_stats, statistic)(x, chain_axis=0, draw_axis=1, **options)
 
 
 def _autocorrelation(paths: FloatArray) -> FloatArray:
@@ -188,7 +178,7 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
     if energy.shape[1] < 2:
         return np.full(len(energy), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(_arviz("bfmi", energy))
+        return np.mean(np.diff(energy, axis=1) ** 2, axis=1) / np.var(energy, axis=1, ddof=1)
 
 
 MOST_RANKED = 2000
@@ -331,17 +321,3 @@ def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
         first = draws[:, : steps * walkers : distance]
         row[:] = [rhat(x) for x in np.moveaxis(first, -1, 0)]
     return at, values
-
-
-def pareto_k(log_w: FloatArray) -> float:
-    """Return the shape of the tail of importance weights, from their logarithms (n,).
-
-    The largest weights may all be the same, as in a chain that has not moved: then it is infinite, or minus
-    infinity if all weights are the same.
-    """
-    from arviz_stats.base.array import array_stats
-
-    try:
-        return float(array_stats.psislw(-log_w)[1])
-    except ValueError:  # ArviZ: all tail values are the same
-        return np.inf if np.ptp(log_w) > 0 else -np.inf

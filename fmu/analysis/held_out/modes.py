@@ -12,7 +12,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fmu.analysis.convergence.effective import ess_bulk, mcse_mean, pareto_k
+from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
+from fmu.analysis.convergence.pareto import pareto_k, smoothed_weights
 from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, approximation, left_out
 from fmu.analysis.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.conversion import GIVEN_OTHERS
@@ -205,26 +206,23 @@ class _Smoothed(NamedTuple):
 
 def _smoothed(trace: xr.DataTree) -> dict[str, _Smoothed]:
     """Return the importance weights of each used mode; none if there are too few draws, or they do not move."""
-    from arviz_stats.base.array import array_stats
-
     kept = list(map(str, trace["log_likelihood"].data_vars))
     # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
     terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])
     n, walkers = terms.shape[0] * terms.shape[1], walkers_of(trace)
     efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
     found: dict[str, _Smoothed] = {}
-    # ArviZ raises if so many draws are equal that the weights have no tail
-    with suppress(ValueError):
-        if n >= FEWEST and np.isfinite(efficiency):
-            most = min(SMOOTHED_K, 1.0 - 1.0 / np.log10(n))
-            log_p = terms.reshape(n, -1).T
-            weights, shapes = array_stats.psislw(log_p, r_eff=efficiency)
-            labels = trace["log_likelihood"]["mode"].to_numpy()
-            for label, log_w, k, of_mode in zip(labels, weights, shapes, log_p, strict=True):
-                elpd = float(logsumexp(log_w + of_mode))
-                spread = np.exp(log_w + of_mode - elpd) - np.exp(log_w)
-                mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
-                found[str(label)] = _Smoothed(log_w, float(k), bool(k <= most), elpd, mcse)
+    if n < FEWEST or not np.isfinite(efficiency):
+        return found
+    most = min(SMOOTHED_K, 1.0 - 1.0 / np.log10(n))
+    labels = trace["log_likelihood"]["mode"].to_numpy()
+    for label, log_p in zip(labels, terms.reshape(n, -1).T, strict=True):
+        with suppress(ValueError):  # so many draws may be equal that the weights have no tail
+            log_w, k = smoothed_weights(-log_p, efficiency)
+            elpd = float(logsumexp(log_w + log_p))
+            spread = np.exp(log_w + log_p - elpd) - np.exp(log_w)
+            mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
+            found[str(label)] = _Smoothed(log_w, k, k <= most, elpd, mcse)
     return found
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import logsumexp
 
-from fmu.analysis.convergence.effective import GOOD_K, pareto_k
+from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.maxima.mode_weights import (
     TEMPERATURES,
     Proposal,
