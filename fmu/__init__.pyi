@@ -45,6 +45,8 @@ from .formats.models.read import read_model as read_model
 from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
 from .posterior.errors.mac import MACErrors as MACErrors
+from .posterior.errors.quantities import MassErrors as MassErrors
+from .posterior.errors.quantities import StaticErrors as StaticErrors
 from .posterior.errors.shape import ShapeErrors as ShapeErrors
 from .posterior.errors.student import StudentErrors as StudentErrors
 from .posterior.joint.damage import Damage as Damage

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.config.mistakes import Mistake, got
-from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind
+from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, listed
 from fmu.formats.shown import names_shown
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.parameters import Parameter
 
 Rows = Annotated[list[list[Positive]], Tag("<rows>")]
@@ -32,7 +33,7 @@ def _in_a_file(annotation: Any) -> Any:
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
     if not is_array and Parameter not in parts:
-        return annotation
+        return listed(annotation)
     found: Any = (Deviation if Parameter in parts else list[Positive]) if is_array else Name
     return found | None if optional else found
 
@@ -63,6 +64,16 @@ def built_errors(
     rule = "must be used as sd or discrepancy of an [[error]]"
     found += [Mistake(f"noise.{i}.name", got(rule, name)) for i, name in enumerate(known) if name not in used]
     return models, found
+
+
+def with_places(models: Sequence[ErrorModel], places: Mapping[str, Any]) -> list[ErrorModel]:
+    """Return error models at nodes of the model, in place of the names that the file has for them."""
+    return [one.at_places(places) if isinstance(one, QuantityErrors) else one for one in models]
+
+
+def is_of_modes(model: ErrorModel) -> bool:
+    """Say whether errors are of modes, and not of a mass or a displacement."""
+    return not isinstance(model, QuantityErrors)
 
 
 def _noises(table: Declared) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
-from fmu.config.errors import ErrorTable, beside_tests, built_errors, vanishing
+from fmu.config.errors import ErrorTable, beside_tests, built_errors, is_of_modes, vanishing, with_places
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
 from fmu.config.models.command import CommandTable
@@ -25,6 +25,7 @@ from fmu.engines.base import Engine
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.formats.decks import EXPORTED, filled, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.joint.joint_problem import JointProblem, TestsError
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
@@ -137,7 +138,7 @@ class ProblemFile(TomlTable):
         noise, wrong = built("noise", self.noise, [table.name for table in self.parameters])
         tables = [] if isinstance(self.error, str) else self.error
         errors, unnamed = built_errors(tables, noise, [table.name for table in self.noise])
-        found += wrong + unnamed + self._of_measurements(needs_trust=not errors)
+        found += wrong + unnamed + self._of_measurements(needs_trust=not any(map(is_of_modes, errors)))
         if self.export is not None:
             found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])
         if found:
@@ -146,7 +147,8 @@ class ProblemFile(TomlTable):
             structure = self.model.build(folder, self.parameters)
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
-            data = self._data(folder, structure, beta)
+            data = self._data(folder, structure, beta, errors)
+            errors = with_places(errors, structure.places)
             wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(wrong)
@@ -158,7 +160,7 @@ class ProblemFile(TomlTable):
                 pairing=pairing or self.pairing,
                 softness=self.softness,
                 reduction=self.reduction,
-                beta=None if errors else trust,
+                beta=None if any(map(is_of_modes, errors)) else trust,
                 error=errors or self.error,
                 name=f"{self.name}, by {pairing or self.pairing}",
                 engine=engine,
@@ -230,9 +232,9 @@ class ProblemFile(TomlTable):
         except TestsError as error:
             raise BrokenError(in_the_file(error, self.parameters)) from None
 
-    def _data(self, folder: Path, built: Built, beta: Any) -> ModalData:
+    def _data(self, folder: Path, built: Built, beta: Any, errors: Sequence[ErrorModel]) -> ModalData:
         """Return the measured data, without their own uncertainty where `beta` replaces it."""
-        data = self.measured.build(folder, built, needs_trust=isinstance(self.error, str))
+        data = self.measured.build(folder, built, needs_trust=not any(map(is_of_modes, errors)))
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)
         if self.error == "modal-residual" and self.measured.beta is None:

@@ -185,7 +185,7 @@ def declared(
             is_required = all(argument in required(make) for make in makes)
             if not is_required and default is inspect.Parameter.empty:
                 annotation, default = annotation | None, None
-            annotation = Name if argument in key_of else (in_a_file or _listed)(annotation)
+            annotation = Name if argument in key_of else (in_a_file or listed)(annotation)
             if annotation is not None:
                 field = Field(... if is_required else default, description=described.get(argument))
                 fields[key_of.get(argument, argument)] = (annotation, field)
@@ -293,9 +293,12 @@ def _descriptions(make: Maker) -> dict[str, str]:
     return {key: " ".join(about.split()) for keys, about in entries for key in keys.split(", ") if about.strip()}
 
 
-def _listed(annotation: Any) -> Any:
-    """Return a list of as many items where an annotation is a tuple, which TOML has not."""
+def listed(annotation: Any) -> Any:
+    """Return a list of as many items where an annotation is a tuple, which TOML has not, or a tuple or None."""
+    parts = get_args(annotation)
+    if type(None) in parts and any(get_origin(part) is tuple for part in parts):
+        return listed(next(part for part in parts if get_origin(part) is tuple)) | None
     if get_origin(annotation) is not tuple:
         return annotation
-    item, n = get_args(annotation)[0], len(get_args(annotation))
+    item, n = Union[tuple(dict.fromkeys(parts))], len(parts)  # noqa: UP007
     return Annotated[list[item], Field(min_length=n, max_length=n), AfterValidator(tuple)]  # type: ignore[valid-type]

@@ -155,6 +155,10 @@ def _errors(
         parts = [] if not np.any(fixed) else [f"a known σ of {_known(kind, fixed, data)}"]
         parts += [_inferred(p, inferred) for p in sizes]
         said.append(f"{what}: {shape} and independent, with {' and '.join(parts) or 'a σ of its own'}.")
+    for one in likelihood.get("quantities", ()):
+        rows = zip(one["labels"], one["measured"], one["sd"], one["units"], strict=True)
+        values = [f"{label} {with_sd(value, sd)} {unit}" for label, value, sd, unit in rows]
+        said.append(f"Measured besides, with Gaussian errors: {', '.join(values)}.")
     said.append("These errors stand for all that measurement and model differ by.")
     if data.get("tests") is not None:
         said.append("A measured frequency is the mean of repeated tests, and its σ is the error of that mean.")

@@ -18,6 +18,7 @@ from fmu.posterior.errors.base import ErrorModel, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.mixture import MixtureLikelihood
+from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.errors.residual import ModalResidual
 from fmu.posterior.parameters import Parameter
 
@@ -125,6 +126,11 @@ def likelihood_of(
     ------
     ValueError
         If the error model is unknown or does not fit the data or the model, or `beta` does not apply.
+
+    Notes
+    -----
+    Errors of a mass or a displacement are added to those of the modes; where only such are given, the frequencies
+    have errors as by default.
     """
     if isinstance(error, str) and error not in ERRORS:
         raise ValueError(f"error: must be one of {ERRORS}, or error models (got {error!r})")
@@ -133,11 +139,18 @@ def likelihood_of(
             raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
         start = np.array([p.start for p in parameters], dtype=float)
         return ModalResidual(model, data, start, 1.0 if beta is None else beta)
-    errors: Any = error if isinstance(error, Sequence) else [error]
-    if error == "frequency":
+    given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
+    others = [one for one in given if isinstance(one, QuantityErrors)]
+    errors = [one for one in given if one not in others and one != "frequency"]
+    if not errors:
         errors = [BetaFrequencyErrors(beta)]
     elif beta is not None:
         raise ValueError(f"beta: must not be given together with error models, which have sd (got {beta})")
-    make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
-    likelihood: Likelihood = make(paired, data, errors)
-    return likelihood
+    if not others:
+        make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
+        likelihood: Likelihood = make(paired, data, errors)
+        return likelihood
+    if paired.is_soft or not isinstance(model, SeparableModel):
+        got = "soft pairing" if paired.is_soft else type(model).__name__
+        raise ValueError(f"error: a mass or a displacement needs a SeparableModel, paired one to one (got {got})")
+    return ModalLikelihood(paired, data, errors, [one.bind_structure(model, parameters) for one in others])

@@ -52,7 +52,8 @@ class UpdatingProblem:
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ``"frequency"``: ε = f − f^m in Hz. ``"modal-residual"``: the residual of eq. (2) at the sensors, a
         pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`). Or the
-        error models to be summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`.
+        error models to be summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`; and for data beside
+        the modes `fmu.MassErrors` and `fmu.StaticErrors`, with which frequencies keep their default errors.
     name : str
 
     Attributes
@@ -268,13 +269,16 @@ class UpdatingProblem:
         return float(value[0]) if single else value
 
     def log_likelihood_terms(self, theta: ArrayLike) -> FloatArray:
-        """Return the log-likelihood of each mode used in updating, shape (n_used,) or (n, n_used)."""
+        """Return the log-likelihood of each datum, shape (n_terms,) or (n, n_terms).
+
+        The modes used in updating come first, then masses and displacements.
+        """
         points, single = self._points(theta)
         terms = self._terms(points)
         return terms[0] if single else terms
 
     def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `log_likelihood_terms` and the squared residuals of each mode, from the same solves.
+        """Return the log-likelihood and the squared residuals of each used mode, from the same solves.
 
         Parameters
         ----------

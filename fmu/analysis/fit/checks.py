@@ -19,6 +19,7 @@ however they depend on each other.
 - Inferred standard deviations: by the same argument the probability that the prior gives to larger values is
   uniform at one posterior draw, and its mean is compared with α/2. Noise that had to grow to absorb what the model
   does not explain fails, if the prior says what was expected of it; with a wide prior it cannot.
+- A weighed mass or a static displacement: P(χ²₁ ≥ r²) of its own residual, as above.
 - A shape that is not the measured one: MAC below `ALIKE` after updating. This has no level, as nothing is said of
   the errors of the shapes; where their errors are in the likelihood, they are among the residuals instead.
 """
@@ -31,12 +32,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc, stdtrit
+from scipy.special import chdtrc, chdtri, stdtrit
 
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
 from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
-from fmu.analysis.trace.misfit import GROUP
+from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
 from fmu.fem.pairing.correlation import ALIKE
@@ -51,8 +52,9 @@ if TYPE_CHECKING:
 
 LEVEL = 0.01
 """The probability that a right model fails any check, at most."""
-PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE = (
+PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
+    "mass or displacement",
 )  # fmt: skip
 _FEW = 500
 """Draws that are enough to see how much larger residuals would have failed."""
@@ -66,7 +68,7 @@ class Check:
     Attributes
     ----------
     kind : str
-        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE` or `SHAPE`.
+        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE` or `QUANTITY`.
     of : str
         What is checked.
     found, limit : str
@@ -116,6 +118,8 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
         kinds.append(partial(_residuals, trace))
     if has(trace, GROUP, "noise_isf"):
         kinds.append(partial(_noise, trace, table))
+    if has(trace, QUANTITIES):
+        kinds.append(partial(_quantities, trace))
     found = [check for kind in kinds for check in kind(LEVEL / len(kinds))]
     return [check for check in found if np.isfinite(check.p)] + _shapes(trace)
 
@@ -334,6 +338,33 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
     return float((predicted["frequency"] - predicted["model_frequency"]).std())
+
+
+def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
+    """Return a check of each datum that is not of modes: whether the updated model gives it."""
+    group = trace[QUANTITIES].to_dataset()
+    found, limit = [], level / (2 * group.sizes["datum"])
+    for label in map(str, group["datum"].to_numpy()):
+        datum = group.sel(datum=label)
+        measured, sd, unit = float(datum["measured"]), float(datum["sd"]), str(datum["unit"].to_numpy())
+        computed = datum["computed"].to_numpy().ravel()
+        p = float(chdtrc(1.0, ((computed - measured) / sd) ** 2).mean())
+        most = sd * float(np.sqrt(chdtri(1.0, limit)))
+        given_by_model = with_sd(float(computed.mean()), float(computed.std()))
+        values = f"{with_sd(measured, sd)} {unit}, computed {given_by_model} {unit}"
+        found.append(
+            Check(
+                QUANTITY,
+                label,
+                values,
+                f"p {significant(limit, 2)}",
+                p,
+                bool(p < limit),
+                f"{significant(most, 2)} {unit}",
+                f"{label}: the updated model does not give what was measured, {values} ({probability(p)})",
+            )
+        )
+    return found
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.trace.misfit import misfit_group
+from fmu.analysis.trace.misfit import misfit_group, quantities_group
 from fmu.analysis.trace.modal_states import drawn_structure
 from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
 from fmu.analysis.trace.provenance import attributes
@@ -284,11 +284,15 @@ def _frequency_groups(
     if likelihood.used is not None:
         observed["used"] = ("mode", np.array(problem.data.use))
     used = {"mode": likelihood.of_used(np.array(coordinates["mode"]))}
-    return {
-        "log_likelihood": xr.Dataset(terms, coords=coordinates | used),
-        "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
-        "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
-    } | misfit_group(problem, squares, coordinates | used)
+    return (
+        {
+            "log_likelihood": xr.Dataset(terms, coords=coordinates | used),
+            "posterior_predictive": xr.Dataset(predicted, coords=coordinates),
+            "observed_data": xr.Dataset(observed, coords={"mode": coordinates["mode"]}),
+        }
+        | misfit_group(problem, squares, coordinates | used)
+        | quantities_group(problem, result.posterior.position, _sample_coordinates(result.posterior.position))
+    )
 
 
 def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict[str, xr.Dataset]:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 GROUP = "misfit"
 """Group of a trace that stores them."""
+QUANTITIES = "quantities"
+"""Group of a trace with the data that are not of modes, such as a weighed mass."""
 TAILS = np.logspace(-6.0, 0.0, 121)
 """Probabilities beyond which quantiles of the prior of an inferred standard deviation are stored."""
 
@@ -59,6 +61,40 @@ def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, An
         variables["noise_of"] = ("noise", np.array([", ".join(quantities) for quantities in of]))
         names |= {"noise": np.array([p.name for p in noise]), "tail": TAILS}
     n_data = sum(term.n_data for term in likelihood.terms_of) * squares.shape[-1]
+    n_data += sum(len(term.labels) for term in likelihood.quantities)
     other = ", ".join(term.quantity for term in likelihood.terms_of if term not in judged)
     found = xr.Dataset(variables, coords={**coordinates, **names}, attrs={"n_data": n_data, "other": other})
     return {GROUP: found}
+
+
+def quantities_group(problem: Any, position: FloatArray, coordinates: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+    """Return the group ``quantities`` of a trace; none where all data are of modes.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    position : ndarray, shape (chains, draws, ndim)
+    coordinates : mapping
+        Those of chain and draw.
+
+    Returns
+    -------
+    mapping of str to xarray.Dataset
+        ``computed`` (chain, draw, datum), ``measured``, ``sd`` and ``unit`` (datum).
+    """
+    import xarray as xr
+
+    terms = problem.likelihood.quantities
+    if not terms:
+        return {}
+    theta = position.reshape(-1, position.shape[-1])[:, : problem.n_structural]
+    computed = np.concatenate([term.computed(theta)[0] for term in terms], axis=1)
+    of_datum = {key: np.concatenate([getattr(term, key) for term in terms]) for key in ("measured", "sd", "units")}
+    variables = {
+        "computed": (("chain", "draw", "datum"), computed.reshape(*position.shape[:2], -1)),
+        "measured": ("datum", of_datum["measured"]),
+        "sd": ("datum", of_datum["sd"]),
+        "unit": ("datum", of_datum["units"]),
+    }
+    labels = [label for term in terms for label in term.labels]
+    return {QUANTITIES: xr.Dataset(variables, coords={**coordinates, "datum": labels})}

@@ -228,6 +228,8 @@ class Likelihood:
         The error models; none if the errors are not those of measured quantities.
     chi_square : tuple of ErrorTerm
         Those whose squared residuals tell whether the model fits, see `ErrorTerm.is_chi_square`.
+    quantities : tuple of QuantityTerm
+        Measured quantities that are not of modes (`fmu.posterior.errors.quantities`).
     used : ndarray of int, shape (n_used,), or None
         The modes whose terms make the likelihood, numbered from 0 among the measured ones; None for all of them.
     """
@@ -242,6 +244,7 @@ class Likelihood:
     terms_name: str
     terms_of: tuple[ErrorTerm, ...] = ()
     chi_square: tuple[ErrorTerm, ...] = ()
+    quantities: tuple[Any, ...] = ()
     used: IntArray | None = None
 
     def using(self, used: IntArray | None) -> Self:

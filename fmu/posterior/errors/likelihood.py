@@ -11,9 +11,11 @@ import numpy as np
 from fmu.fem.pairing.failed_solves import why_no_frequencies
 from fmu.fem.pairing.paired_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
+from fmu.posterior.errors.quantities import QuantityTerm
 from fmu.posterior.errors.surrogate_variance import (
     evaluated_with_variance,
     residuals_with_variance,
@@ -32,6 +34,8 @@ class ModalLikelihood(Likelihood):
         Takes the leading parameters. It must give shapes where errors are of shapes.
     data : ModalData
     errors : sequence of ErrorModel
+    quantities : sequence of QuantityTerm
+        Measured quantities that are not of modes. Their terms follow those of the modes.
 
     Raises
     ------
@@ -42,7 +46,13 @@ class ModalLikelihood(Likelihood):
 
     of_modes = True
 
-    def __init__(self, model: ModalModel, data: ModalData, errors: Sequence[ErrorModel]) -> None:
+    def __init__(
+        self,
+        model: ModalModel,
+        data: ModalData,
+        errors: Sequence[ErrorModel],
+        quantities: Sequence[QuantityTerm] = (),
+    ) -> None:
         if not errors:
             raise ValueError("error: at least one error model is needed (got none)")
         self.model, self.n_structural = model, model.n_parameters
@@ -57,6 +67,7 @@ class ModalLikelihood(Likelihood):
 
         self.terms_of = tuple(error.bind(data, index).among(data.used) for error in errors)
         self.chi_square = tuple(term for term in self.terms_of if term.is_chi_square)
+        self.quantities = tuple(quantities)
         self.used = data.used
         self.noise = tuple(noise)
         self.needs_shapes = any(term.needs_shapes for term in self.terms_of)
@@ -97,20 +108,22 @@ class ModalLikelihood(Likelihood):
         return next((term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm)), None)
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
+        """Return the log-likelihood of each used mode and each quantity, (n, n_terms), at theta (n, ndim)."""
         if self.error is not None and not self.model.is_uncertain:  # a few µs less at a single theta
-            return np.asarray(self.of_used(self.error.log_prob_terms(self.model.frequencies(theta))))
+            terms = self.of_used(self.error.log_prob_terms(self.model.frequencies(theta)))
+            return np.asarray(terms if not self.quantities else self._with_quantities(terms, theta))
         return self.terms_of_observed(self.observed(theta), theta)
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode, shape (n, n_used), for a prediction made already."""
+        """Return the terms, see `terms`, for a prediction of the modes made already."""
         parts = self._parts(seen, theta, gradient=False)[1]
-        return self.of_used(np.asarray(sum(part.terms for part in parts)))
+        return self._with_quantities(self.of_used(np.asarray(sum(part.terms for part in parts))), theta)
 
     def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return `terms`, and from the same solves the `misfit`, see `Likelihood`."""
+        """Return the `terms` of the modes, and from the same solves the `misfit`, see `Likelihood`."""
         seen = self.observed(theta)
-        return self.terms_of_observed(seen, theta), self.misfit(seen, theta)
+        squares = self.misfit(seen, theta)
+        return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the sum of squared residuals of each used mode, by each of `chi_square`, (n, n_kinds, n_used)."""
@@ -134,7 +147,7 @@ class ModalLikelihood(Likelihood):
         with np.errstate(invalid="ignore", over="ignore"):
             part = self.error.evaluate(view, theta[:, self.n_structural :], gradient=True)
             slopes = part.by_frequency[..., None] * view.frequency_slopes
-        return self.of_used(part.terms), self.of_used(slopes, 1)
+        return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
 
     def full_terms(self, theta: FloatArray) -> FloatArray:
         """Return `terms` by the full model, where a reduced one would be used otherwise."""
@@ -167,7 +180,7 @@ class ModalLikelihood(Likelihood):
         Shapes (n, n_residuals) and (n, n_residuals, n_structural): what Gauss–Newton steps and the linearised
         information of the data are made of. Inferred standard deviations are held fixed.
         """
-        return self._residuals_and_slopes(self.observed(theta, True), theta[:, self.n_structural :])
+        return self._all_residuals_and_slopes(self.observed(theta, True), theta)
 
     def sensitivity(self, theta: FloatArray) -> FloatArray:
         """Return the derivatives of the residuals, shape (n, n_residuals, n_structural)."""
@@ -176,9 +189,10 @@ class ModalLikelihood(Likelihood):
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return a name for each row of `sensitivity`."""
         modes = tuple(map(str, self.of_used(np.array(modes))))
+        others = tuple(label for term in self.quantities for label in term.labels)
         if self.error is not None:
-            return modes
-        return tuple(label for term in self.terms_of for label in term.labels(modes))
+            return modes + others
+        return tuple(label for term in self.terms_of for label in term.labels(modes)) + others
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
         """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement.
@@ -230,7 +244,7 @@ class ModalLikelihood(Likelihood):
         JᵀJ of the residuals for the model's parameters, Fisher's information for the standard deviations.
         """
         seen = self.observed(theta, True)
-        r, J = self._residuals_and_slopes(seen, theta[:, self.n_structural :])
+        r, J = self._all_residuals_and_slopes(seen, theta)
         is_plain = not (self.noise or self.model.is_uncertain)
         if is_plain and all(term.is_least_squares for term in self.terms_of):
             value, gradient = self.terms_of_observed(seen, theta).sum(axis=1), -np.einsum("nr,nrk->nk", r, J)
@@ -251,10 +265,17 @@ class ModalLikelihood(Likelihood):
                     what = "has no value (NaN)" if np.isnan(terms[0, bad[0]]) else "overflows"
                     mode = bad[0] if self.used is None else self.used[bad[0]]
                     return f"the log-likelihood is not finite: {name} error of mode {mode + 1} {what}"
+            for term in self.quantities:
+                if not np.all(np.isfinite(term.terms(theta[None, : self.n_structural]))):
+                    return f"the log-likelihood is not finite: {names_in_words(term.labels)} has no value"
         return None
 
     def as_dict(self) -> dict[str, Any]:
         """Return names and settings in plain Python types."""
+        found = self._of_modes_as_dict()
+        return found | ({"quantities": [term.as_dict() for term in self.quantities]} if self.quantities else {})
+
+    def _of_modes_as_dict(self) -> dict[str, Any]:
         if self.error is not None and self._is_of_beta:
             if self.error.covariance_hz2 is not None:
                 return self.error.as_dict()
@@ -306,7 +327,36 @@ class ModalLikelihood(Likelihood):
         finite = np.isfinite(slopes)
         if np.count_nonzero(finite) < finite.size:
             slopes[~finite] = np.nan
-        return self.of_used(np.asarray(sum(part.terms for part in parts))), self.of_used(slopes, 1)
+        terms = self.of_used(np.asarray(sum(part.terms for part in parts)))
+        return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta)
+
+    def _with_quantities(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return terms of modes (n, n_used), followed by those of the quantities."""
+        if not self.quantities:
+            return terms
+        structural = theta[:, : self.n_structural]
+        return np.concatenate([terms, *(term.terms(structural) for term in self.quantities)], axis=1)
+
+    def _with_quantities_and_slopes(
+        self, terms: FloatArray, slopes: FloatArray, theta: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return terms of modes and their gradients (n, n_used, ndim), followed by those of the quantities."""
+        if not self.quantities:
+            return terms, slopes
+        parts = [slopes]
+        for term in self.quantities:
+            r, J = term.residuals_and_slopes(theta[:, : self.n_structural])
+            part = np.zeros((*r.shape, slopes.shape[-1]))
+            part[..., : self.n_structural] = -r[..., None] * J
+            parts.append(part)
+        return self._with_quantities(terms, theta), np.concatenate(parts, axis=1)
+
+    def _all_residuals_and_slopes(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals of modes and quantities, and their derivatives by the model's parameters."""
+        found = [self._residuals_and_slopes(seen, theta[:, self.n_structural :])]
+        found += [term.residuals_and_slopes(theta[:, : self.n_structural]) for term in self.quantities]
+        r, J = zip(*found, strict=True)
+        return np.concatenate(r, axis=1), np.concatenate(J, axis=1)
 
     def _chained(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
         """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim).

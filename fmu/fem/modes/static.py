@@ -1,0 +1,201 @@
+"""Static and mass quantities of a structure as functions of theta: no eigenproblem, exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.modes.modal import CoefficientMap, single_thread
+from fmu.fem.modes.separable import SeparableModel, coefficients, weighted_sum
+from fmu.fem.modes.solver import factorised
+from fmu.types import FloatArray
+
+TRANSLATIONS = ("x", "y", "z")
+_FIRST, _CHECKS, _MOST = 32, 8, 1024
+"""Points at which the full stiffness is solved: at first, to check, and at most."""
+_CONVERGED = 1e-9
+"""Relative error of a displacement at the points of the check."""
+_DEPENDENT = 1e-13
+"""Singular value, relative to the largest, below which a vector adds nothing to the basis."""
+
+
+def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
+    """Return the motion of all free degrees of freedom by 1 m along x, y or z, shape (n_dof,)."""
+    names = np.array([d for _, d in model.dofs])
+    if model.geometry is not None and model.geometry.ids is not None:
+        known = {i: d for _, d, seen in model.located() for i in seen}
+        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, none inside elements
+    return (names == direction).astype(float)
+
+
+class MassMoments:
+    """Mass, and centre of gravity, of the parts that are free to move along one direction.
+
+    m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r) / m(θ), with r the translation along the direction and x the
+    coordinates of the nodes. The sums over nodes are made once, a term of M each.
+
+    Parameters
+    ----------
+    model : SeparableModel
+    start : ndarray, shape (n_parameters,)
+        The direction is the one of x, y, z along which most mass moves here.
+    with_centre : bool
+        Whether the centre of gravity is wanted too, which needs the model's geometry.
+
+    Attributes
+    ----------
+    direction : str
+
+    Raises
+    ------
+    ValueError
+        If no degree of freedom is a translation, or the centre is wanted and the nodes have no coordinates.
+    """
+
+    def __init__(self, model: SeparableModel, start: FloatArray, with_centre: bool) -> None:
+        motions = {d: rigid_translation(model, d) for d in TRANSLATIONS}
+        M = model.M(start)
+        masses = {d: float(r @ (M @ r)) for d, r in motions.items() if r.any()}
+        if not masses:
+            raise ValueError("mass: needs degrees of freedom that are translations, named x, y or z")
+        self.direction = max(masses, key=masses.__getitem__)
+        r = motions[self.direction]
+        arms = [np.ones(model.n_dof)]
+        if with_centre:
+            arms += list(_coordinates(model).T)
+        self._map = CoefficientMap(model.M_terms)
+        self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
+        """Return mass in kg and centre in m, (n, 1 or 4), at theta (n, n_parameters), and their derivatives."""
+        moments = np.einsum("nk,kq->nq", self._map(theta), self._sums)
+        mass = moments[:, :1]
+        values = np.concatenate([mass, moments[:, 1:] / mass], axis=1)
+        if not gradient:
+            return values, None
+        forms = np.broadcast_to(self._sums, (len(theta), *self._sums.shape))
+        slopes = self._map.contract(theta, forms)
+        of_centre = (slopes[:, 1:] - values[:, 1:, None] * slopes[:, :1]) / mass[..., None]
+        return values, np.concatenate([slopes[:, :1], of_centre], axis=1)
+
+
+class StaticDisplacement:
+    """The displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
+
+    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. As the basis holds the primal and the dual solution,
+    the error of u is the product of both errors (Quarteroni, Manzoni & Negri 2016, chapter 3).
+
+    Parameters
+    ----------
+    model : SeparableModel
+    force : tuple of (place, direction)
+        Where the load acts; a place and a direction as a sensor has them.
+    load : float, N or N·m
+    at : tuple of (place, direction)
+        Where the displacement (or rotation) is measured.
+    points : callable
+        Returns as many points as it is asked for, shape (n, n_parameters), of those for which u is wanted.
+
+    Attributes
+    ----------
+    error : float
+        Largest relative error at points that the basis was not made of.
+    n_solves : int
+        Solves of the full stiffness that the basis took.
+
+    Raises
+    ------
+    ValueError
+        If a place sees no free degree of freedom, K is singular, or the error does not converge.
+    """
+
+    def __init__(
+        self,
+        model: SeparableModel,
+        force: tuple[Any, str],
+        load: float,
+        at: tuple[Any, str],
+        points: Callable[[int], FloatArray],
+    ) -> None:
+        rows = model.observation([force, at]).toarray()
+        loads = np.stack([load * rows[0], rows[1]], axis=1)
+        solved: list[FloatArray] = []
+        self.n_solves, n = 0, _FIRST
+        with single_thread():
+            theta = points(_CHECKS)
+            exact = np.array([loads[:, 1] @ _solved(model, one, loads)[:, 0] for one in theta])
+            while True:
+                solved += [_solved(model, one, loads) for one in points(n)]
+                self.n_solves += n
+                self._project(model, np.concatenate(solved, axis=1), loads)
+                self.error = float(np.max(np.abs(self(theta)[0][:, 0] / exact - 1.0))) if np.all(exact) else 0.0
+                if self.error <= _CONVERGED or self._K.shape[1] == model.n_dof:
+                    break
+                if self.n_solves + n > _MOST:
+                    raise ValueError(
+                        f"static: the displacement by a reduced stiffness must agree with the full one to "
+                        f"{_CONVERGED:.0e} (got {self.error:.1e} after {self.n_solves} solves); narrow the bounds"
+                    )
+                n *= 2
+
+    def _project(self, model: SeparableModel, vectors: FloatArray, loads: FloatArray) -> None:
+        """Set the terms of K and the loads on an orthonormal basis of vectors, the largest first."""
+        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # rotations beside metres
+        weighted = weight[:, None] * vectors
+        U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
+        V = U[:, s > _DEPENDENT * s[0]] / weight[:, None]
+        self._map = CoefficientMap(model.K_terms)
+        self._K = np.array([_symmetric(V.T @ (term.matrix @ V)) for term in model.K_terms])
+        self._loads = V.T @ loads
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
+        """Return u in m or rad, (n, 1), at theta (n, n_parameters), and its derivatives (n, 1, n_parameters)."""
+        # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
+        K = np.einsum("nk,kij->nij", self._map(theta), self._K)
+        x = np.full((len(K), *self._loads.shape), np.nan)
+        for i, one in enumerate(K):  # a singular matrix at one point is no failure of the others
+            try:
+                x[i] = np.linalg.solve(one, self._loads)
+            except np.linalg.LinAlgError:
+                continue
+        u = np.einsum("r,nr->n", self._loads[:, 1], x[:, :, 0])[:, None]
+        if not gradient:
+            return u, None
+        forms = -np.einsum("nir,krs,nsi->nki", np.swapaxes(x[:, :, 1:], 1, 2), self._K, x[:, :, :1])
+        return u, self._map.contract(theta, forms)
+
+
+def _coordinates(model: SeparableModel) -> FloatArray:
+    """Return the coordinates of each degree of freedom's node, (n_dof, 3)."""
+    geometry = model.geometry
+    if geometry is None or not all(node in geometry.row_of for node, _ in model.dofs):
+        raise ValueError("centre: needs the coordinates of all nodes; give the model a mesh or a geometry")
+    return np.asarray(geometry.nodes)[[geometry.row_of[node] for node, _ in model.dofs]]
+
+
+def _solved(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
+    """Return K(θ)⁻¹ of loads (n_dof, 2), with each row and column scaled to a unit diagonal."""
+    K = weighted_sum(model.K_terms, coefficients(model.K_terms, theta[None])[0])
+    scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
+    scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()
+    try:
+        factor = factorised(scaled)
+        x = scale[:, None] * np.asarray(factor.solve(scale[:, None] * loads))
+    except np.linalg.LinAlgError:
+        raise ValueError(_SINGULAR) from None
+    off = np.linalg.norm(K @ x - loads, axis=0)
+    if factor.negative or not np.all(off <= 1e-6 * np.linalg.norm(loads, axis=0)):
+        raise ValueError(_SINGULAR)
+    return x
+
+
+_SINGULAR = (
+    "static: the stiffness must be positive definite within the bounds (it is singular: the structure, or a part "
+    "of it, is free to move, and a static load has no displacement)"
+)
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (matrix + matrix.T))
