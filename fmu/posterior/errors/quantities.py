@@ -110,6 +110,12 @@ class MassErrors(QuantityErrors):
     at_supports : float, kg
         Mass that the model leaves out because supports hold it still, such as half of the lowest columns. It was
         weighed too. 0 for a free structure. A centre of gravity must be of the rest.
+
+    Raises
+    ------
+    ValueError
+        If `at_supports` is negative or not below the mass, the centre is not three finite numbers, or only one of
+        `centre` and `centre_sd` is given.
     """
 
     mass: Positive
@@ -157,6 +163,11 @@ class StaticErrors(QuantityErrors):
         Its standard deviation.
     at : tuple of (place, direction), optional
         Where it was measured; where the load acts if not given.
+
+    Raises
+    ------
+    ValueError
+        If the load or the displacement is not finite, or the load is zero.
     """
 
     force: tuple[int | str, str]
