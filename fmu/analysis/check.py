@@ -41,6 +41,7 @@ _MOST_ELEMENTS = 5000
 _MOST_BLOCKS = 6
 _MOST_SENSORS = 8
 _TRANSLATIONS = ("x", "y", "z")
+_SAME_MASS = 1.1
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
@@ -104,8 +105,8 @@ def _is_drawable(structure: SeparableModel) -> bool:
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     """Return the mass moved if all free degrees of freedom translate together: a check on units and densities.
 
-    The smallest of the masses in x, y and z is given. Next to a support this motion bends the elements, and their
-    rotary inertia adds to the masses in the other directions. Degrees of freedom without named directions are not
+    Next to a support this motion bends the elements, whose rotary inertia adds to the mass across them: masses that
+    are equal but for a tenth are given as one, the smallest. Degrees of freedom without named directions are not
     summed.
     """
     M = structure.M(problem.start[: structure.n_parameters])
@@ -120,11 +121,15 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     if structure.geometry is not None and structure.geometry.ids is not None:
         known = {i: direction for _, direction, seen in structure.located() for i in seen}
         directions = np.array([known.get(i, "") for i in range(structure.n_dof)])  # of nodes, none inside elements
-    rigid = [(directions == name).astype(float) for name in _TRANSLATIONS if name in directions]
-    if not rigid:
+    rigid = {name: (directions == name).astype(float) for name in _TRANSLATIONS if name in directions}
+    masses = {name: float(motion @ (M @ motion)) for name, motion in rigid.items()}
+    if not masses:
         return []
-    mass = min(float(motion @ (M @ motion)) for motion in rigid)
-    return [f"At the start the free degrees of freedom move a mass of about {significant(mass)} kg."]
+    if max(masses.values()) <= _SAME_MASS * min(masses.values()):
+        carried = f"{significant(min(masses.values()))} kg in {names_in_words(list(masses))}"
+    else:
+        carried = ", ".join(f"{significant(mass)} kg in {name}" for name, mass in masses.items())
+    return [f"At the start the free degrees of freedom carry {carried}."]
 
 
 def _changes(structure: SeparableModel, j: int) -> str:

@@ -312,15 +312,15 @@ class FoundEvidence:
     ----------
     log_evidence, error : float
         Natural logarithm, and its standard error; NaN if unknown.
-    basis : str
-        Its source, in words.
+    method : str
+        How it was estimated, in words: ``"importance sampling at the maximum"``.
     doubts : tuple of str
         Why it is not reliable, half a sentence each; empty if it is.
     """
 
     log_evidence: float
     error: float
-    basis: str
+    method: str
     doubts: tuple[str, ...]
 
     @property
@@ -334,7 +334,7 @@ class FoundEvidence:
         return f"not reliable: {'; '.join(self.doubts)}" if self.doubts else "reliable"
 
     def __str__(self) -> str:
-        return f"log-evidence {self.value}, from {self.basis}: {self.is_reliable}"
+        return f"log evidence {self.value} ({self.method}, {self.is_reliable})"
 
 
 def found_evidences(
@@ -373,43 +373,40 @@ def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvi
     doubts = list(found.warnings)
     if not verdict.converged:
         doubts.append("the run has not converged")
-    basis = f"parallel tempering over {len(found.table)} rungs" + ("" if name == "tempering" else f" ({name})")
-    return FoundEvidence(found.log_evidence, found.error, basis, tuple(doubts))
+    method = f"parallel tempering over {len(found.table)} rungs" + ("" if name == "tempering" else f" of {name}")
+    return FoundEvidence(found.log_evidence, found.error, method, tuple(doubts))
 
 
 def _of_candidates(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> FoundEvidence:
     found = evidence(trace, method)
-    words = {"importance": "the weights of the candidates of", "bridge": "a bridge from candidates to draws of"}
+    words = {"importance": "importance sampling", "bridge": "bridge sampling"}
     doubts = list(found.warnings)
     if method == "bridge" and not verdict.converged:
         doubts.append("the run has not converged")
-    return FoundEvidence(found.log_evidence, found.error, f"{words[method]} {name}", tuple(doubts))
+    return FoundEvidence(
+        found.log_evidence, found.error, f"{words[method]} with the proposal of {name}", tuple(doubts)
+    )
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
     """Return the sum of the masses of the maxima, and why it may be unreliable."""
     matter = [m for m in maxima if m.share > NEGLIGIBLE]
     fewest = min(m.effective_draws for m in matter)
-    count = "one maximum" if len(maxima) == 1 else f"{len(maxima)} maxima"
+    at = "at the maximum" if len(maxima) == 1 else f"at {len(maxima)} maxima"
     doubts = []
     if fewest == 0.0:
-        basis = f"the Laplace approximation at {count}"
+        method = f"Laplace approximation {at}"
         doubts.append("the posterior may not be Gaussian around them, and no draws have checked it")
     else:
-        basis = f"importance sampling around {count}, worth {significant(_worth(maxima))} independent draws"
+        method = f"importance sampling {at}"
         if fewest < RELIABLE:
             doubts.append(
-                f"around one of them it is worth {significant(fewest, 2)} draws; {significant(RELIABLE)} are "
+                f"at one of them it has {significant(fewest, 2)} effective draws; {significant(RELIABLE)} are "
                 f"needed"
             )
     if reached > max(m.log_prob for m in maxima) + 1e-3:
         doubts.append("a draw lies above all maxima, so one was missed")
-    return FoundEvidence(maxima.log_evidence, maxima.log_evidence_error, basis, tuple(doubts))
-
-
-def _worth(maxima: Maxima) -> float:
-    """Return the effective sample size of the sum of the masses."""
-    return 1.0 / maxima.log_evidence_error**2
+    return FoundEvidence(maxima.log_evidence, maxima.log_evidence_error, method, tuple(doubts))
 
 
 def _compared(found: list[FoundEvidence]) -> list[FoundEvidence]:
@@ -418,10 +415,10 @@ def _compared(found: list[FoundEvidence]) -> list[FoundEvidence]:
     compared = []
     for one in found:
         doubts = [
-            f"it disagrees with {other.value} from {other.basis}"
+            f"it disagrees with {other.value} from {other.method}"
             for other in reliable
             if other is not one
             and not abs(one.log_evidence - other.log_evidence) <= _APART * np.hypot(one.error, other.error)
         ]
-        compared.append(FoundEvidence(one.log_evidence, one.error, one.basis, (*one.doubts, *doubts)))
+        compared.append(FoundEvidence(one.log_evidence, one.error, one.method, (*one.doubts, *doubts)))
     return compared

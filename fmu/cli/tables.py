@@ -110,9 +110,9 @@ def echo_comparison(
 def echo_evidences(found: Sequence[FoundEvidence]) -> None:
     """Print the log-evidences, if there are any, each with the method and how reliable it is."""
     if found:
-        click.echo("\nEvidence (natural logarithm)")
+        click.echo()
     for one in found:
-        click.echo(wrapped(f"{one.value}, from {one.basis}: {one.is_reliable}", "  ", "    "))
+        click.echo(wrapped(str(one), others="  "))
 
 
 def _summary_cell(name: str, value: float, sd: float) -> str:

@@ -1,4 +1,4 @@
-"""Files to start from: each kind of model with a commented problem that runs as it stands."""
+"""Files to start from: each kind of model with a commented problem that runs without changes."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def _errors(
         rows = zip(one["labels"], one["measured"], one["sd"], one["units"], strict=True)
         values = [f"{label} {with_sd(value, sd)} {unit}" for label, value, sd, unit in rows]
         said.append(f"Measured besides, with Gaussian errors: {', '.join(values)}.")
-    said.append("These errors stand for all that measurement and model differ by.")
+    said.append("These errors must cover both measurement error and model error.")
     if data.get("tests") is not None:
         said.append("A measured frequency is the mean of repeated tests, and its σ is the error of that mean.")
     return said

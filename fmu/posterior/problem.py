@@ -42,8 +42,8 @@ class UpdatingProblem:
     pairing : {"shape", "index", "soft"}
         How the modes of a SeparableModel are paired with the measured ones (`fmu.fem.pairing.rules`): by MAC with
         the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
-        weights exp(MAC/τ), so that the log-probability does not jump where modes veer; its price is in
-        `fmu.posterior.errors.mixture`.
+        weights exp(MAC/τ), so that the log-probability does not jump where modes veer; see
+        `fmu.posterior.errors.mixture` for its cost.
     softness : float
         τ, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional

@@ -198,7 +198,7 @@ def test_all_of_it_in_words():
     text = str(found)
     assert "300 free degrees of freedom, in 4 decoupled blocks of 50, 100, 100 and 50." in text
     assert (
-        "the free degrees of freedom move a mass of about 2.44 kg"
+        "the free degrees of freedom carry 2.44 kg in x, y and z"
     ) in text  # 0.5 × 0.06 × 0.01 × 7850 + 0.12, less what the clamp carries
     assert list(found.parameters["changes"]) == ["stiffness of 10 of 50 elements"] * 5
     assert "moves no sensor" in text
@@ -298,11 +298,15 @@ def test_what_is_no_problem():
         (None, "the diagonal of the mass matrix is 47 kg"),
         (
             [["block", "x"], ["block", "y"], ["block", "z"]],
-            "the free degrees of freedom move a mass of about 47 kg",
+            "the free degrees of freedom carry 47 kg in x, y and z",
         ),
-        ([["low", "x"], ["middle", "x"], ["top", "x"]], "the free degrees of freedom move a mass of about 141 kg"),
+        ([["low", "x"], ["middle", "x"], ["top", "x"]], "the free degrees of freedom carry 141 kg in x"),
+        (
+            [["low", "x"], ["low", "y"], ["top", "y"]],
+            "the free degrees of freedom carry 47 kg in x, 94 kg in y",
+        ),
     ],
-    ids=["without names", "one block", "three floors"],
+    ids=["without names", "one block", "three floors", "guided in x"],
 )
 def test_masses_of_different_directions_are_not_summed(dofs, said):
     """A block of 47 kg on three springs; three storeys of as much move together in their one direction."""

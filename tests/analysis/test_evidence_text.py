@@ -29,14 +29,14 @@ def test_both_ways_come_to_the_quadrature_within_their_errors(building):
     traces, maxima = building
     exact = two_storeys.quadrature().log_evidence
     found = found_evidences(traces, diagnose_all(traces), maxima)
-    assert [one.basis.split(" over")[0].split(" around")[0] for one in found] == [
+    assert [one.method.split(" over")[0].split(" at ")[0] for one in found] == [
         "parallel tempering",
         "importance sampling",
     ]
     for one in found:
         assert abs(one.log_evidence - exact) < 5 * one.error
     assert found[1].doubts == ()
-    assert str(found[1]).endswith(": reliable")
+    assert str(found[1]).endswith("(importance sampling at 2 maxima, reliable)")
     assert found[1].error == pytest.approx(1 / np.sqrt(sum(m.effective_draws for m in maxima)), rel=0.1)
 
 
@@ -57,9 +57,9 @@ def test_few_weights_or_none_are_no_evidence(building):
         (found,) = found_evidences(run, diagnose_all(run), with_lowest_effective(maxima, effective))
         return str(found)
 
-    assert told(20.0).endswith("reliable")
-    assert "not reliable: around one of them it is worth 19 draws; 20 are needed" in told(19.0)
-    assert "± –, from the Laplace approximation at 2 maxima: not reliable" in told(0.0)
+    assert told(20.0).endswith("reliable)")
+    assert "not reliable: at one of them it has 19 effective draws; 20 are needed" in told(19.0)
+    assert "± – (Laplace approximation at 2 maxima, not reliable" in told(0.0)
 
 
 def test_a_draw_above_the_maxima_and_another_evidence_cast_doubt(building):

@@ -1,4 +1,4 @@
-"""Files to start from: each is what it says, with every optional key, and runs as it stands."""
+"""Files to start from: each is what it says, with every optional key, and runs without changes."""
 
 import importlib.util
 import shutil

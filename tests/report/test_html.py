@@ -110,7 +110,7 @@ def test_verdicts_come_first(beam_report):
     page = Parsed((beam_report / "hmc.html").read_text())
     titles = [title for _, title in page.headings]
     assert titles[:5] == [
-        "cantilever-young, by shape", "Verdict", "Assumptions", "Why the parameters count as updated",
+        "cantilever-young, by shape", "Verdict", "Assumptions", "Why we say the data determine the parameters",
         "What contradicts the model",
     ]  # fmt: skip
     assert page.text.index("✗ Not converged") < page.text.index("Contents") < page.text.index("Updated parameters")

@@ -140,10 +140,7 @@ class ModelFit:
     @property
     def _level(self) -> str:
         left_out = f" No check is of the {self.left_out}." if self.left_out else ""
-        return (
-            "A model that is right, with the priors and errors as stated, is contradicted with a probability of "
-            f"at most {share(LEVEL)}.{left_out}"
-        )
+        return f"A correct model would fail at least one of these checks less than {share(LEVEL)} of the time.{left_out}"
 
 
 def model_fit(trace: xr.DataTree) -> ModelFit:

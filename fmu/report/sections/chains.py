@@ -1,4 +1,4 @@
-"""The chains themselves: paths, ranks, autocorrelation, estimates while the run grew, pairs, energies."""
+"""The chains themselves: traces, ranks, autocorrelation, running means, pairs, energies."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def reliability(run: ReportedRun) -> PageSection:
 
 
 def paths(run: ReportedRun) -> PageSection:
-    """Return paths and ranks."""
+    """Return trace plots and rank plots."""
     ranges = []
     for name in run.names:
         unit, n = run.unit(name), decimals(run.value(name, "sd"))
@@ -86,7 +86,7 @@ def paths(run: ReportedRun) -> PageSection:
         alt = f"Rank plots. Largest distance from uniform ranks: {', '.join(far)}."
         caption = LOOK_AT_RANKS
         drawings.append(picture(axes, "ranks", alt, caption))
-    return PageSection("paths", "Paths and ranks", (Text(_agreement(run)), Pictures(tuple(drawings))))
+    return PageSection("paths", "Trace plots and rank plots", (Text(_agreement(run)), Pictures(tuple(drawings))))
 
 
 def _agreement(run: ReportedRun) -> str:
@@ -123,13 +123,13 @@ def _furthest(axis: Any) -> float:
 
 
 def settling(run: ReportedRun) -> PageSection:
-    """Return autocorrelation, and the estimates while the run grew."""
+    """Return autocorrelation and running means."""
     drawings = [_autocorrelation(run), _running_means(run)]
     if _has_several_chains(run):
         drawings.append(_running_rhat(run))
     return PageSection(
         "settling",
-        "Autocorrelation, and estimates while the run grew",
+        "Autocorrelation and running means",
         (Text(_slowest(run)), Pictures(tuple(drawings))),
     )
 

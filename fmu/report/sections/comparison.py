@@ -41,10 +41,12 @@ def overview(runs: Mapping[str, ReportedRun], pages: Mapping[str, str]) -> PageS
 def _gradients(runs: Mapping[str, ReportedRun]) -> str:
     """Say how many solves an exact gradient counts as in ESS per solve; empty if none was taken."""
     costs = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
-    listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in costs.items() if not np.isnan(cost))
-    return f"ESS per solve counts an exact gradient as the solves that it takes the time of: {listed}. " * bool(
-        listed
+    listed = ", ".join(
+        f"{significant(cost, 2)} solves ({title})" for title, cost in costs.items() if not np.isnan(cost)
     )
+    if not listed:
+        return ""
+    return f"An exact gradient costs as much as {listed} and is counted so. "
 
 
 def efficiency(runs: Mapping[str, ReportedRun]) -> PageSection:

@@ -41,8 +41,8 @@ def _told(fit: ModelFit) -> str:
     """Return which check speaks most against the model, or how many could have."""
     against = failed(fit.checks)
     if against:
-        p = f", p = {significant(against[0].p, 2)}" if np.isfinite(against[0].p) else ""
-        return f"Most against it: {against[0].of}{p}."
+        p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
+        return f"Strongest evidence: {against[0].of}{p}."
     if fit.verdict != NOT_CONTRADICTED:
         return ""
     return (

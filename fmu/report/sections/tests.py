@@ -129,7 +129,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     columns = ("state", "parameter", "loss", "90 %", *(f"P(loss > {share(x)})" for x in _BEYOND))
     words = Text(
         f"The share of each parameter that was lost since the reference, {reference!r}, from all tests together. "
-        "Losses are told apart only where they change the modes in different ways."
+        "Two losses can be separated only if they change the modes differently."
     )
     worst = table.drop(index=ANY, level=1).iloc[:, 4]
     named = [f"{name} in {state}" for state, name in worst.index[worst > 0.5]]

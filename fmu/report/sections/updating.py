@@ -145,9 +145,7 @@ def _fitted(run: ReportedRun, before: FloatArray) -> str:
         said = "Mean error of the frequencies: {} before updating, {} after.".format(*means)
         worse = [name for name, is_worse in zip(mode_names(run.trace), after > was, strict=True) if is_worse]
         said += (
-            f" Farther off than before: mode{'s' if len(worse) > 1 else ''} {names_in_words(worse)}."
-            if worse
-            else ""
+            f" Worse after updating: mode{'s' if len(worse) > 1 else ''} {names_in_words(worse)}." if worse else ""
         )
     return said
 
@@ -159,7 +157,11 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, "the trace has none; fmu run searches for them before sampling")
     found = run.maxima
     count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
-    lead = f"{count} Share: part of the posterior probability. Starts: optimiser starts that ended there."
+    runs = sum(m.starts for m in found)
+    lead = (
+        f"{count} Share: part of the posterior probability. Starts: how many of the {runs} optimiser runs ended at "
+        "this maximum."
+    )
     seen = visits(run.trace, found)
     several = sum(m.share > NEGLIGIBLE for m in found) > 1
     said = [*([_crossings(run, seen)] if several else []), *found.at_bounds()]
@@ -233,7 +235,7 @@ def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
     if not found:
         nothing = "no maxima are known, and there is no run of parallel tempering"
         return Omitted(title, PSEUDO if is_pseudo(first.trace) else nothing)
-    rows = tuple((f"{one.basis[0].upper()}{one.basis[1:]}", one.value, one.is_reliable) for one in found)
+    rows = tuple((f"{one.method[0].upper()}{one.method[1:]}", one.value, one.is_reliable) for one in found)
     table = PageTable(
         "Natural logarithm, ± its standard error", ("from", "log-evidence", "reliable"), rows, words=(2,)
     )

@@ -101,21 +101,21 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 def updated(run: ReportedRun) -> Verdict:
     """Return the verdict on the data: what they left to the priors."""
-    question = "What could the data not tell?"
+    question = "Anything left undetermined?"
     found = information(run.trace)
     if found is None:
         nothing = "The trace has no draws from the prior to compare the posterior with."
         return Verdict(question, "Unknown", None, "Why this is unknown", (nothing,))
     if not found.uninformed:
-        narrowed = "In every direction of the parameter space the posterior is narrower than the prior."
+        narrowed = "The data narrowed every combination of the parameters."
         said = f"Along the least informed direction {share(float(found.remaining_sd[0]))} of the prior sd remains."
-        return Verdict(question, "Nothing", True, "Why the parameters count as updated", (narrowed,), said)
+        return Verdict(question, "No", True, "Why we say the data determine the parameters", (narrowed,), said)
     left = [name for name, basis in zip(found.names, found.basis, strict=True) if basis != DATA]
     few = ", ".join(left[:_FEW]) + (f" and {len(left) - _FEW} more" if len(left) > _FEW else "")
     said = f"The data updated {len(found.names) - len(left)} of {len(found.names)} parameters."
     if not left:
         few, said = "Not every combination", "The data updated each parameter, but not every combination of them."
-    return Verdict(question, few, False, "What the data did not update", tuple(found.warnings()), said)
+    return Verdict(question, few, False, "What is left undetermined", tuple(found.warnings()), said)
 
 
 def convergence(run: ReportedRun) -> Verdict:
