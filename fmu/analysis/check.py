@@ -105,9 +105,9 @@ def _is_drawable(structure: SeparableModel) -> bool:
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     """Return the mass moved if all free degrees of freedom translate together: a check on units and densities.
 
-    Next to a support this motion bends the elements, whose rotary inertia adds to the mass across them: masses that
-    are equal but for a tenth are given as one, the smallest. Degrees of freedom without named directions are not
-    summed.
+    Next to a support this motion bends the elements, whose rotary inertia adds to the mass across them. Masses
+    within 10 % of each other are therefore given as one, the smallest. Degrees of freedom without named
+    directions are not summed.
     """
     M = structure.M(problem.start[: structure.n_parameters])
     if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):

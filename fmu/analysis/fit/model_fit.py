@@ -139,8 +139,8 @@ class ModelFit:
 
     @property
     def _level(self) -> str:
-        left_out = f" No check is of the {self.left_out}." if self.left_out else ""
-        return f"A correct model would fail at least one of these checks less than {share(LEVEL)} of the time.{left_out}"
+        said = f"A correct model would fail at least one of these checks less than {share(LEVEL)} of the time."
+        return f"{said} No check tests the {self.left_out}." if self.left_out else said
 
 
 def model_fit(trace: xr.DataTree) -> ModelFit:

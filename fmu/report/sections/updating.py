@@ -159,8 +159,8 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
     count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
     runs = sum(m.starts for m in found)
     lead = (
-        f"{count} Share: part of the posterior probability. Starts: how many of the {runs} optimiser runs ended at "
-        "this maximum."
+        f"{count} Share: part of the posterior probability. Starts: how many of the {runs} optimiser runs ended "
+        "at this maximum."
     )
     seen = visits(run.trace, found)
     several = sum(m.share > NEGLIGIBLE for m in found) > 1
