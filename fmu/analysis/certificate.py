@@ -29,6 +29,8 @@ _EACH, _FEWEST_SOLVED, _FEWEST_OF_LARGE, _WORST = 12, 16, 8, 4
 large (`fmu.fem.reduced.confirming.LARGE`), and so many that have the largest bounds."""
 _SCATTER = 1e-5
 """Relative scatter of a solver\'s frequencies from which on it is told."""
+_MOST_BY_FULL = 0.03
+"""Share of the draws at which the full model may answer in place of the reduced one without a word."""
 _ROUNDING = 0.01
 """Part of the tolerance by which the full model's own rounding may exceed the bound."""
 
@@ -66,7 +68,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         likelihood is within e⁵⁰ of the highest: lower down, where a chain may have started, it is not bounded;
         ``certificate_pairing_changes``, draws at which the full model pairs a measured mode with another computed
         mode; ``certificate_full_solves``, how often the full model was solved during the run because a theta lay
-        outside the trained box; ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``
+        outside the trained box or the reduced solve failed; ``certificate_full_share``, the share of the draws at
+        which it lies outside; ``certificate_frequency_tolerance`` and ``certificate_log_prob_tolerance``
         (`fmu.posterior.train_reduced.Tolerance`); ``certificate_frequency_elsewhere``, the tolerance of the
         frequencies where the posterior has no mass, only where it is another one.
 
@@ -85,7 +88,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     -----
     CertificateWarning
         If an error is above its tolerance, 1e-6 (frequency, relative) and 1e-3 (log-probability) unless the
-        problem was given another one, or above its bound, or if a pairing changed.
+        problem was given another one, or above its bound, or if a pairing changed; or if the full model answered at
+        more than 3 % of the draws.
     """
     model: Any = getattr(problem, "model", None)
     if model is not None and model.is_uncertain:
@@ -99,6 +103,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     enough = _FEWEST_OF_LARGE if largest >= LARGE else _FEWEST_SOLVED
     fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (_FEWEST, enough, _WORST))
     most = int(np.clip(_WORK // (largest * model.n_tests), fewest, _MOST))
+    outside = float(np.mean(model.of_modes(draws, _is_outside)))
     theta = draws[rng.permutation(len(draws))[:most]]
     bound = np.concatenate(
         by_parts("certificate", lambda part: model.of_modes(part, _bound), theta, _AT_ONCE, _AT_ONCE)
@@ -140,6 +145,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         "certificate_log_prob_error": log_prob_error,
         "certificate_pairing_changes": int(np.sum(changed)),
         "certificate_full_solves": int(model.full_solves) - full_solves,
+        "certificate_full_share": outside,
         "certificate_frequency_tolerance": tolerance.frequency,
         "certificate_log_prob_tolerance": tolerance.log_prob,
     }
@@ -147,6 +153,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     if away is not None:
         certificate["certificate_frequency_elsewhere"] = away
     is_within = frequency_error <= tolerance.frequency and log_prob_error <= tolerance.log_prob
+    if outside > _MOST_BY_FULL:
+        warnings.warn(_by_full_too_often(outside), CertificateWarning, stacklevel=2)
     if not is_within or changed.any() or exceeded.any():
         warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
     return certificate
@@ -218,6 +226,20 @@ def _bound(structure: Any, points: FloatArray) -> FloatArray:
     bound = structure.frequency_bound(points)
     bound[~structure.within(points)] = 0.0
     return np.asarray(bound)
+
+
+def _is_outside(structure: Any, points: FloatArray) -> FloatArray:
+    """Return 1 where the full model answers because a point lies outside the trained box, (n, n_modes)."""
+    outside = ~structure.within(points[:, : structure.n_parameters])
+    return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
+
+
+def _by_full_too_often(outside: float) -> str:
+    return (
+        f"the full model answered at {share(outside)} of the draws, which lie outside the box of the reduced model "
+        f"(at most {share(_MOST_BY_FULL)} should); data and priors disagree: give the parameters wider priors, or "
+        "reduction = false"
+    )
 
 
 def _by_full(structure: Any, points: FloatArray) -> FloatArray:

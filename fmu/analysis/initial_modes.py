@@ -45,6 +45,8 @@ class ComputedMode:
         Whether it moves a sensor.
     moves : str
         The directions with most of its kinetic energy: ``"z 98 %"``; empty if unknown.
+    is_rigid : bool
+        Whether it is a motion without strain, at 0 Hz.
     """
 
     number: int | None
@@ -52,6 +54,7 @@ class ComputedMode:
     measured: int | None
     seen: bool = True
     moves: str = ""
+    is_rigid: bool = False
 
 
 def unlike(
@@ -115,14 +118,24 @@ def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray)
 
 
 def unmeasured(found: Sequence[ComputedMode]) -> list[str]:
-    """Return notes on unmeasured modes between the measured ones, with or without motion of a sensor."""
+    """Return notes on rigid-body modes, and on unmeasured modes between the measured ones, seen by a sensor or not."""
     last = max(i for i, mode in enumerate(found) if mode.measured is not None)
+    rigid = [mode.number for mode in found if mode.is_rigid]
     notes = []
+    if rigid:
+        subject = (
+            "mode 1 is a rigid-body motion" if len(rigid) == 1 else f"modes 1–{len(rigid)} are rigid-body motions"
+        )
+        notes.append(f"Computed {subject}; the first elastic mode is number {len(rigid) + 1}.")
     for seen, one, many in (
         (False, "moves no sensor", "move no sensor"),
         (True, "moves a sensor, but was not measured", "move a sensor, but were not measured"),
     ):
-        numbers = [mode.number for mode in found[:last] if mode.measured is None and mode.seen == seen]
+        numbers = [
+            mode.number
+            for mode in found[:last]
+            if mode.measured is None and mode.seen == seen and not mode.is_rigid
+        ]
         if numbers:
             subject, words = ("mode", one) if len(numbers) == 1 else ("modes", many)
             notes.append(f"Computed {subject} {ranges([n for n in numbers if n is not None])} {words}.")
@@ -265,9 +278,10 @@ def _of_structure(
     observation = model.structure.observation(problem.data.sensors) if problem.data.sensors else None
     seen = _seen(model, shapes, observation, spectrum.eigenvalues[0])
     moves = _moves(model, point, shapes)
+    rigid = is_rigid(spectrum.eigenvalues[0])
     answers = {number: k for k, number in enumerate(paired)}
     found = tuple(
-        ComputedMode(i + 1, float(frequencies[i]), answers.get(i), bool(seen[i]), moves[i])
+        ComputedMode(i + 1, float(frequencies[i]), answers.get(i), bool(seen[i]), moves[i], bool(rigid[i]))
         for i in range(len(frequencies))
     )
     alike = correlation = None
@@ -379,12 +393,14 @@ _OF_PAIRS = ("measured, Hz", "error", "MAC", "subspace MAC", "MPC")
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
     """Return a table of text, one row per computed mode, with dashes where nothing applies.
 
-    Three or more modes in a row that move no sensor share a row.
+    Three or more rigid-body modes share a row, and so do three or more in a row that move no sensor.
     """
     import pandas as pd
 
     rows = []
-    for is_idle, group in groupby(found.modes, key=lambda mode: not mode.seen and mode.measured is None):
+    for (is_idle, _), group in groupby(
+        found.modes, key=lambda mode: (not mode.seen and mode.measured is None, mode.is_rigid)
+    ):
         modes = list(group)
         rows += [_many(modes)] if is_idle and len(modes) >= _MANY else [_one(found, mode) for mode in modes]
     table = pd.DataFrame(rows, dtype=object).fillna(MISSING)
@@ -399,7 +415,9 @@ def modes_as_text(found: InitialModes) -> pd.DataFrame:
 def _one(found: InitialModes, mode: ComputedMode) -> dict[str, str]:
     row = {"number": str(mode.number), "computed, Hz": _hz(mode.frequency_hz)}
     if mode.measured is None:
-        row["measured mode"] = "not measured" if mode.seen else "moves no sensor"
+        row["measured mode"] = (
+            "rigid body" if mode.is_rigid else "not measured" if mode.seen else "moves no sensor"
+        )
         return row | dict.fromkeys(_OF_PAIRS, MISSING) | {"moves": mode.moves}
     k = mode.measured
     measured = found.measured_hz[k]
@@ -414,10 +432,11 @@ def _one(found: InitialModes, mode: ComputedMode) -> dict[str, str]:
 
 def _many(modes: Sequence[ComputedMode]) -> dict[str, str]:
     first, last = modes[0], modes[-1]
+    ends = f"{_hz(first.frequency_hz)} to {_hz(last.frequency_hz)}"
     return {
         "number": f"{first.number}–{last.number}",
-        "computed, Hz": f"{_hz(first.frequency_hz)} to {_hz(last.frequency_hz)}",
-        "measured mode": f"{len(modes)} move no sensor",
+        "computed, Hz": _hz(0.0) if first.is_rigid else ends,
+        "measured mode": f"{len(modes)} rigid-body modes" if first.is_rigid else f"{len(modes)} move no sensor",
         **dict.fromkeys((*_OF_PAIRS, "moves"), MISSING),
     }
 

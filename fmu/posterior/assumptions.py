@@ -236,6 +236,8 @@ def _pairing(problem: Mapping[str, Any]) -> str:
         return "The model itself pairs its modes with the measured ones."
     if model["pairing"] in ("IndexPairing", "index"):
         order = "in the sorted spectrum" if model["pairing"] == "IndexPairing" else "in the order of the function"
+        if "n_rigid" in model:
+            order = f"among the elastic modes, which follow {model['n_rigid']} rigid-body modes"
         numbers = dict.fromkeys(map(str, data["numbers"]))  # the same in several tests
         return f"Modes are paired by number {order}: {', '.join(numbers)}."
     softly = ""

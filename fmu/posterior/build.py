@@ -87,6 +87,7 @@ def paired_model(
             model,
             pairing=pairing,
             numbers=data.numbers,
+            counts_rigid=data.counts_rigid is not False,
             sensors=data.sensors,
             reference=start,
             shapes=shapes,

@@ -19,7 +19,7 @@ from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.maxima import local_maxima
+from fmu.posterior.maxima import GaussNewton, local_maxima
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.rounding import bounded_rounding
@@ -40,6 +40,8 @@ _TUNED = 0.7
 _SPARE, _TIMES = 2.0, (3.0, 30.0)
 _CHECKED, _CHECK_SEED = 32, 10_000
 _TRIED = 7  # steps along the way to a point
+# A box leaves out at most this share of the posterior, as draws at maxima this little below the highest tell.
+_OUTSIDE, _RELEVANT, _DRAWN = 0.02, 10.0, 512
 
 
 class ReductionWarning(UserWarning):
@@ -128,9 +130,25 @@ def reduce_model(
     likelihood = problem.likelihood
 
     differences: list[float] = []
+    trained = np.stack([lower, upper])
+
+    def some_points() -> FloatArray:
+        """Return plausible points; of a large structure within the trained box, where no full model is needed."""
+        if structure.solver == LAPACK:
+            return plausible_points(problem, 64, rng)
+        with structure.extrapolating(problem.lower[:n], problem.upper[:n]):
+            points = plausible_points(problem, 64, rng)
+        return np.concatenate([np.clip(points[:, :n], *trained), points[:, n:]], axis=1)
+
+    def wider_box() -> tuple[FloatArray, FloatArray] | None:
+        with structure.extrapolating(problem.lower[:n], problem.upper[:n]):
+            found = _box_of_the_posterior(problem, trained)
+        if found is not None:
+            trained[:] = found
+        return found
 
     def inaccurate_points() -> tuple[FloatArray, float] | None:
-        points = plausible_points(problem, 64, rng)
+        points = some_points()
         by_bound = structure.solver != LAPACK and not (structure.is_soft or likelihood.needs_shapes)
         if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and blind to jumps
             difference = _log_prob_bound(structure, likelihood, points)
@@ -155,11 +173,12 @@ def reduce_model(
             tolerance.frequency,
             inaccurate_points if likelihood.of_modes else None,
             engine,
-            (lambda: plausible_points(problem, 64, rng)[:, :n]) if likelihood.of_modes else None,
+            (lambda: some_points()[:, :n]) if likelihood.of_modes else None,
+            wider_box if likelihood.of_modes and _is_narrower(problem, trained) else None,
         )
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
-    error = 0.0 if structure.confirmed else _paired_error(structure, lower, upper, tolerance.frequency)
+    error = 0.0 if structure.confirmed else _paired_error(structure, *trained, tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
@@ -323,6 +342,34 @@ def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> Floa
             step = 0.5 * (near + far)
         points.append(_along(problem, maximum.theta, direction, near))
     return np.concatenate(points)
+
+
+def _is_narrower(problem: Problem, trained: FloatArray) -> bool:
+    """Say whether a box (2, n) is smaller than the bounds of its parameters."""
+    n = trained.shape[1]
+    return not (np.array_equal(trained[0], problem.lower[:n]) and np.array_equal(trained[1], problem.upper[:n]))
+
+
+def _box_of_the_posterior(problem: Problem, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return a box that holds the plausible points too, if more of the posterior than `_OUTSIDE` leaves `trained`.
+
+    How much leaves it is estimated by draws of the Laplace approximations at the maxima.
+    """
+    n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
+    maxima = local_maxima(problem, starts=8)
+    draws = []
+    for maximum in maxima:
+        if maximum.log_prob > maxima[0].log_prob - _RELEVANT:
+            hessian = quadratic((maximum.theta[None] - problem.offset) / problem.scale)[2][0]
+            root = np.linalg.cholesky(hessian + np.eye(problem.ndim))
+            z = np.linalg.solve(root.T, rng.standard_normal((problem.ndim, _DRAWN))).T * problem.scale
+            draws.append(np.clip(maximum.theta + z, problem.lower, problem.upper)[:, :n])
+    theta = np.concatenate(draws)
+    is_outside = np.any((theta < trained[0]) | (theta > trained[1]), axis=1)
+    if np.mean(is_outside) <= _OUTSIDE:
+        return None
+    theta = np.concatenate([theta, trained, plausible_points(problem, 64, rng)[:, :n]])
+    return theta.min(axis=0), theta.max(axis=0)
 
 
 def _along(problem: Problem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:

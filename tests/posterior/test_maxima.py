@@ -167,11 +167,13 @@ def test_modal_residual_is_climbed_too(chain):
 
 @pytest.mark.parametrize("pose", [fmu.UpdatingProblem, fmu.UpdatingProblem.reduced])
 def test_a_rigid_body_motion_taken_for_a_measured_mode(pose):
-    """By number the rigid-body motions of a free structure count: the first elastic mode has number 2 here."""
+    """Numbers that are given count the rigid-body motions; without any, mode 1 is the first elastic one."""
     K, M = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.diag([3.0, 2.0])
     model = fmu.SeparableModel.from_terms(["k"], [(K, "k")], [M])
     parameters = [fmu.Parameter("k", 2000.0, 500.0, 4000.0)]
     with pytest.raises(ValueError, match="mode 1 has no frequency above 0 Hz"):
-        fmu.find_map(pose(model, fmu.ModalData([6.5], sd_hz=0.1), parameters, pairing="index"))
-    found = fmu.find_map(pose(model, fmu.ModalData([6.5], sd_hz=0.1, numbers=[2]), parameters, pairing="index"))
-    assert_allclose(found[0].theta, (2 * np.pi * 6.5) ** 2 / (1 / 3 + 1 / 2), rtol=1e-3)
+        fmu.find_map(pose(model, fmu.ModalData([6.5], sd_hz=0.1, numbers=[1]), parameters, pairing="index"))
+    for numbers in ([2], []):
+        data = fmu.ModalData([6.5], sd_hz=0.1, numbers=numbers)
+        found = fmu.find_map(pose(model, data, parameters, pairing="index"))
+        assert_allclose(found[0].theta, (2 * np.pi * 6.5) ** 2 / (1 / 3 + 1 / 2), rtol=1e-3)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Protocol, Self
@@ -40,6 +41,8 @@ PAIRINGS = ("shape", "index")
 SOFT = "soft"
 # Numbers of an array in a batch of reduced solves: 128 MiB.
 _MOST_NUMBERS = 2**24
+# How often the box of training may become larger.
+_WIDENED = 3
 
 
 class FrequencyMap(Protocol):
@@ -286,6 +289,7 @@ class PairedStructure(ModalModel):
         *,
         pairing: str,
         numbers: tuple[int, ...],
+        counts_rigid: bool = True,
         sensors: tuple[tuple[Any, str], ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
@@ -304,6 +308,8 @@ class PairedStructure(ModalModel):
             gives all modes that might have answered.
         numbers : tuple of int
             Number (from 1) of each measured mode.
+        counts_rigid : bool
+            Whether they count the rigid-body modes of a free structure; if not, 1 is the first elastic mode.
         sensors : tuple of (node, direction)
             What was measured; all translations if empty.
         reference : ndarray, shape (n_parameters,)
@@ -332,7 +338,10 @@ class PairedStructure(ModalModel):
         seen = model.observation(sensors)
         rule: IndexPairing | ShapePairing
         if pairing == "index":
-            rule = IndexPairing(numbers)
+            with single_thread():
+                n_rigid = 0 if counts_rigid else count_rigid(full, reference, n_modes)
+            numbers = tuple(number + n_rigid for number in numbers)
+            rule = IndexPairing(numbers, n_rigid)
             if max(numbers) > full.n_modes:
                 raise ValueError(f"numbers: must lie in 1..{full.n_modes}, the modes of the model (got {numbers})")
             return cls(model, full, rule, n_modes, seen, shapes is not None)
@@ -397,6 +406,7 @@ class PairedStructure(ModalModel):
         inaccurate_points: Callable[[], tuple[FloatArray, float] | None] | None = None,
         engine: Engine | None = None,
         region: Callable[[], FloatArray] | None = None,
+        wider_box: Callable[[], tuple[FloatArray, FloatArray] | None] | None = None,
     ) -> dict[str, FloatArray]:
         """Train the reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
 
@@ -415,6 +425,9 @@ class PairedStructure(ModalModel):
             Returns fresh points (n, n_parameters) of the part of the box that matters, by the reduced model as
             trained so far. Where a basis for the whole box would not pay, the tolerance is kept in that part, and
             elsewhere 1e-3.
+        wider_box : callable, optional
+            Returns the limits of a larger box, if a reduced model trained for this one shows that much of what
+            matters lies outside; None if it does not.
 
         Returns
         -------
@@ -425,6 +438,14 @@ class PairedStructure(ModalModel):
         with single_thread():
             whole = training.run()
             self._install(whole)
+            for _ in range(_WIDENED if wider_box is not None else 0):
+                wider = wider_box()  # type: ignore[misc]
+                if wider is None:
+                    break
+                lower, upper = wider
+                training = Training(self.full, self.rule, lower, upper, tolerance, engine=engine)
+                whole = training.run()
+                self._install(whole)
             if training.is_cut() and region is not None and tolerance < LOOSE:
                 narrow = Training(self.full, self.rule, lower, upper, LOOSE, engine=engine)
                 self._install(narrow.run())
@@ -455,6 +476,16 @@ class PairedStructure(ModalModel):
         if self.reduced is None:
             return np.zeros(len(theta), dtype=bool)
         return np.asarray(np.all((theta >= self._lower) & (theta <= self._upper), axis=1))
+
+    @contextmanager
+    def extrapolating(self, lower: FloatArray, upper: FloatArray) -> Iterator[None]:
+        """Have the reduced model answer in a larger box for as long as a block lasts: for a first look there."""
+        trained = self._lower, self._upper
+        self._lower, self._upper = np.minimum(lower, trained[0]), np.maximum(upper, trained[1])
+        try:
+            yield
+        finally:
+            self._lower, self._upper = trained
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return all modes that might have answered to a measured one, and one more a block.
@@ -499,7 +530,7 @@ class PairedStructure(ModalModel):
             return self.full_modes(theta)
         if self._confirmed is None:
             self._confirmed = self.rule.bind(confirmed_model(self._bound))
-        found = self._by_full(self._confirmed, np.where(within[:, None], theta, self._lower))
+        found = self._by_full(self._confirmed, np.where(within[:, None], theta, self._corner))
         return found if within.all() else with_rows(found, ~within, self.full_modes(theta[~within]))
 
     def full_frequencies(self, theta: FloatArray) -> FloatArray:
@@ -589,17 +620,19 @@ class PairedStructure(ModalModel):
 
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model, in plain Python types."""
+        n_rigid = 0 if self.rule.by_shape else self.rule.n_rigid
         return {
             "structure": repr(self.structure),
             "pairing": type(self.rule).__name__,
             "sha256": self.fingerprint(),
-        }
+        } | ({"n_rigid": n_rigid} if n_rigid else {})
 
     def _install(self, trained: Trained) -> None:
         self.pairing, self.confirmed = trained.pairing, trained.confirmed
         self.elsewhere, self._confirmed = trained.elsewhere, None
         # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
+        self._corner = self._lower
         self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper, trained.anchors)
         self._answer_by(trained.model)
 
@@ -640,7 +673,7 @@ class PairedStructure(ModalModel):
             within = (theta >= self._lower) & (theta <= self._upper)
             everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
             # far outside its box the reduced model may overflow: a corner stands in for such points
-            inside = theta if everywhere else np.where(within.all(axis=1, keepdims=True), theta, self._lower)
+            inside = theta if everywhere else np.where(within.all(axis=1, keepdims=True), theta, self._corner)
             found = reduced(inside, gradient)
             failed = found.failed
             if everywhere and np.count_nonzero(failed) == 0:

@@ -9,7 +9,7 @@ rank within the block, and eigenvalues suffice.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -61,9 +61,17 @@ class RankPairing:
 
 @dataclass(frozen=True)
 class IndexPairing:
-    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum."""
+    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+    n_rigid : int
+        How many rigid-body modes were added to the numbers of the measurement, which begin at the elastic modes.
+    """
 
     numbers: tuple[int, ...]
+    n_rigid: int = field(default=0, repr=False)
     name: ClassVar[str] = "index"
     by_shape: ClassVar[Literal[False]] = False
     is_soft: ClassVar[bool] = False

@@ -59,6 +59,9 @@ class ModalData:
         Modal phase collinearity of measured shapes that were complex, to be shown.
     points : Matching, optional
         How the nodes of the sensors were found from the coordinates of the test (`fmu.match_points`), to be shown.
+    counts_rigid : bool, optional
+        Whether `numbers` count the rigid-body modes of a free structure. By default they do if they are given;
+        otherwise mode 1 is the first elastic one.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class ModalData:
     use: tuple[bool, ...] = ()
     mpc: FloatArray | None = None
     points: Matching | None = None
+    counts_rigid: bool | None = None
 
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
@@ -93,6 +97,8 @@ class ModalData:
         frequencies.flags.writeable = False
         object.__setattr__(self, "frequencies_hz", frequencies)
         n = len(frequencies)
+        if self.counts_rigid is None:
+            object.__setattr__(self, "counts_rigid", bool(self.numbers))
         object.__setattr__(self, "numbers", tuple(self.numbers) or tuple(range(1, n + 1)))
         object.__setattr__(self, "labels", tuple(self.labels) or tuple(str(i + 1) for i in range(n)))
         object.__setattr__(self, "use", tuple(map(bool, self.use)) or (True,) * n)

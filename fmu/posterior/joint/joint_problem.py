@@ -377,6 +377,7 @@ def stacked(tests: Sequence[Test]) -> ModalData:
     return ModalData(
         np.concatenate([np.asarray(data.frequencies_hz) for data in every]),
         numbers=tuple(number for data in every for number in data.numbers),
+        counts_rigid=any(data.counts_rigid for data in every),
         sensors=every[0].sensors if has_shapes else (),
         labels=tuple(f"{test.name}: {label}" for test in tests for label in test.data.labels),
         shapes=np.concatenate([np.asarray(data.shapes) for data in every], axis=1) if has_shapes else None,
@@ -478,6 +479,7 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
     data = ModalData(
         np.nanmean(frequencies, axis=0),
         numbers=tuple(numbers[k] for k in range(len(labels))),
+        counts_rigid=any(test.data.counts_rigid for test in tests),
         sensors=sensors,
         labels=tuple(labels),
         shapes=mean_shapes(shapes) if has_shapes else None,

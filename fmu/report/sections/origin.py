@@ -76,6 +76,11 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
             ("solved draws at which an error is above its bound", str(exceeded), "0"),
         )
     said += ". Reduced-model error " + ("within tolerance." if is_kept else "above tolerance.")
+    by_full = ()
+    if "certificate_full_share" in attrs:
+        by_full = (
+            ("share of the draws answered by the full model", share(attrs["certificate_full_share"]), MISSING),
+        )
     rows = (
         *bounds,
         ("largest relative error of a frequency", *_beside(frequency, allowed.frequency)),
@@ -86,6 +91,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
             whole(attrs["certificate_full_solves"]),
             MISSING,
         ),
+        *by_full,
     )
     table = PageTable("Reduced against full model", ("quantity", "found", "allowed"), rows)
     return PageSection("certificate", title, (Text(said), table))

@@ -1,0 +1,53 @@
+"""Work that a problem costs, counted in factorisations and eigenproblems of its full model: no clock."""
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from unittest.mock import patch
+
+from fmu.fem.modes import eigensolver, full_block, solver
+from fmu.fem.reduced import anchors, confirming, learning
+
+
+@dataclass
+class Work:
+    """Factorisations of sparse or dense matrices, eigenproblems of the full model, and solves with factors."""
+
+    factorisations: int = 0
+    eigenproblems: int = 0
+    solves: int = 0
+
+
+class _Counted:
+    def __init__(self, factor, work):
+        self._factor, self._work = factor, work
+
+    def __getattr__(self, name):
+        return getattr(self._factor, name)
+
+    def solve(self, loads):
+        self._work.solves += 1 if loads.ndim == 1 else loads.shape[1]
+        return self._factor.solve(loads)
+
+
+@contextmanager
+def counted():
+    """Count the work of a block."""
+    work = Work()
+
+    def factorised(*arguments, **options):
+        work.factorisations += 1
+        found = solver.factorised(*arguments, **options)
+        return found if isinstance(found, solver.DenseFactor) else _Counted(found, work)
+
+    def eigen(*arguments, **options):
+        work.eigenproblems += 1
+        return eigensolver.eigen(*arguments, **options)
+
+    with (
+        patch.object(eigensolver, "factorised", factorised),
+        patch.object(anchors, "factorised", factorised),
+        patch.object(confirming, "factorised", factorised),
+        patch.object(learning, "factorised", factorised),
+        patch.object(full_block, "eigen", eigen),
+    ):
+        yield work
