@@ -88,8 +88,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     -----
     CertificateWarning
         If an error is above its tolerance, 1e-6 (frequency, relative) and 1e-3 (log-probability) unless the
-        problem was given another one, or above its bound, or if a pairing changed; or if the full model answered at
-        more than 3 % of the draws.
+        problem was given another one, or above its bound, or if a pairing changed; or if the full model answered
+        at more than 3 % of the draws.
     """
     model: Any = getattr(problem, "model", None)
     if model is not None and model.is_uncertain:
@@ -236,7 +236,7 @@ def _is_outside(structure: Any, points: FloatArray) -> FloatArray:
 
 def _by_full_too_often(outside: float) -> str:
     return (
-        f"the full model answered at {share(outside)} of the draws, which lie outside the box of the reduced model "
+        f"the full model answered at {share(outside)} of the draws, which lie outside the reduced model's box "
         f"(at most {share(_MOST_BY_FULL)} should); data and priors disagree: give the parameters wider priors, or "
         "reduction = false"
     )

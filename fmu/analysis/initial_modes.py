@@ -118,7 +118,7 @@ def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray)
 
 
 def unmeasured(found: Sequence[ComputedMode]) -> list[str]:
-    """Return notes on rigid-body modes, and on unmeasured modes between the measured ones, seen by a sensor or not."""
+    """Return notes on rigid-body modes, and on unmeasured ones between the measured ones, seen or not."""
     last = max(i for i, mode in enumerate(found) if mode.measured is not None)
     rigid = [mode.number for mode in found if mode.is_rigid]
     notes = []

@@ -1,4 +1,4 @@
-"""A structure that nothing holds: its rigid-body modes are no hindrance, and the full model stays out of the way."""
+"""A structure that nothing holds: its rigid-body modes are no hindrance, and no full model answers."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.models import free_bar
 from tests.work import counted
 
 TIGHT = 'prior = { distribution = "normal", mean = 1.0, sd = 0.02 }'
-"""Its box of training, four standard deviations, is narrower than the bounds, and the data cannot tell E from rho."""
+"""Four standard deviations are narrower than the bounds, and the data cannot tell E from rho."""
 WORK = {"factorisations": 40, "eigenproblems": 40, "solves": 2500}
 
 

@@ -1,4 +1,4 @@
-"""Matrices of a structure, written as a problem file with its matrices beside it, and measured from a planted truth."""
+"""Problem files with their matrices beside them, and measurements made from a planted truth."""
 
 from __future__ import annotations
 
