@@ -274,6 +274,8 @@ class PairedStructure(ModalModel):
         self.confirmed = True
         self.elsewhere: float | None = None
         self.full_solves = 0
+        # of the box in which the reduced model answers, as rows, like one theta: it spares NumPy's broadcasting
+        self._lower = self._upper = self._corner = np.empty((1, model.n_parameters))
         self.pairing: IndexPairing | ShapePairing | RankPairing = rule
         self._sensors, self._at_sensors = sensors, at_sensors
         self._solve_full = rule.bind(full)
@@ -630,7 +632,6 @@ class PairedStructure(ModalModel):
     def _install(self, trained: Trained) -> None:
         self.pairing, self.confirmed = trained.pairing, trained.confirmed
         self.elsewhere, self._confirmed = trained.elsewhere, None
-        # as rows, like one theta, which spares it NumPy's broadcasting
         self._lower, self._upper = trained.lower[None], trained.upper[None]
         self._corner = self._lower
         self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper, trained.anchors)

@@ -76,7 +76,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
             ("solved draws at which an error is above its bound", str(exceeded), "0"),
         )
     said += ". Reduced-model error " + ("within tolerance." if is_kept else "above tolerance.")
-    by_full = ()
+    by_full: tuple[tuple[str, str, str], ...] = ()
     if "certificate_full_share" in attrs:
         by_full = (
             ("share of the draws answered by the full model", share(attrs["certificate_full_share"]), MISSING),
