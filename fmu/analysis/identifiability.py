@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -35,6 +36,8 @@ INFORMED = 1.0
 _NODES = 256
 _NAMED = 0.25
 """A component is named if it is at least this part of the largest."""
+_CONFUSED = 0.5
+"""Two parameters are confused if the smaller component of a combination is at least this part of the larger."""
 _SENTENCES = 3
 
 
@@ -113,6 +116,12 @@ class Identifiability:
     def remaining_sd(self) -> FloatArray:
         """Posterior over prior standard deviation of each parameter, shape (ndim,), in the linearised model."""
         return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Posterior covariance (I + SᵀS)⁻¹ in prior standard deviations, shape (ndim, ndim), linearised."""
+        V, s = self.directions, self.singular_values
+        return np.asarray((V.T / (1.0 + s**2)) @ V)
 
     def table(self) -> pd.DataFrame:
         """Return one row per direction: ``singular_value``, ``remaining_sd``, and each parameter's component."""
@@ -320,6 +329,75 @@ def doubts(found: Identifiability) -> list[str]:
 
 
 _REMEDY = "Add a known mass, make a static test, measure other modes, or fix one of the parameters."
+
+
+class Pair(NamedTuple):
+    """Two parameters, and the combination of them that the data narrow least.
+
+    Attributes
+    ----------
+    names : tuple of (str, str)
+    direction : ndarray, shape (ndim,)
+        The combination, a unit vector in prior standard deviations.
+    remaining_sd : float
+        Posterior over prior standard deviation along it.
+    change : float
+        By how many standard deviations of the measurement the data change for one prior standard deviation along
+        it, in the linearised model.
+    words : str
+        ``"0.71 E1 − 0.70 E5"``.
+    """
+
+    names: tuple[str, str]
+    direction: FloatArray
+    remaining_sd: float
+    change: float
+    words: str
+
+    def sentence(self, is_separated: bool) -> str:
+        """Return in words whether the data separate the two, with both numbers."""
+        names = names_in_words(self.names)
+        first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"
+        left = share(min(self.remaining_sd, 1.0))
+        return (
+            f"{first}. One prior standard deviation along {self.words} changes the data by "
+            f"{significant(self.change, 2)} measurement sd; the data leave {left} of it."
+        )
+
+
+def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
+    """Return the two parameters that the data separate least, by the posterior covariance.
+
+    In the plane of two parameters the data narrow one combination least: the leading eigenvector of their
+    posterior covariance in prior standard deviations. If it is mostly one parameter, the data do not confuse the
+    two. The cosine between two columns of the sensitivity does not say whether they can be separated: columns of
+    cosine 0.99 and length 50 differ by 7 standard deviations of the measurement.
+
+    Parameters
+    ----------
+    found : Identifiability
+    covariance : ndarray, shape (ndim, ndim)
+        Posterior covariance of its parameters, in prior standard deviations.
+
+    Returns
+    -------
+    Pair or None
+        None if the data confuse no two parameters, or there is only one.
+    """
+    hardest, most = None, 0.0
+    for i, j in combinations(range(len(found.names)), 2):
+        values, vectors = np.linalg.eigh(covariance[np.ix_((i, j), (i, j))])
+        size = np.abs(vectors[:, 1])
+        if size.min() >= _CONFUSED * size.max() and values[1] > most:
+            most, hardest = float(values[1]), (i, j, vectors[:, 1])
+    if hardest is None:
+        return None
+    i, j, weights = hardest
+    direction = np.zeros(len(found.names))
+    direction[[i, j]] = weights
+    change = float(np.linalg.norm(found.sensitivity @ direction))
+    names = found.names[i], found.names[j]
+    return Pair(names, direction, float(np.sqrt(most)), change, combination(direction, found.names))
 
 
 def eliminated(rows: FloatArray) -> FloatArray:

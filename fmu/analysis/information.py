@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.identifiability import (
+    LINEARISED_LEFT,
     Identifiability,
     Uninformed,
     combination,
     eliminated,
+    hardest_pair,
     kept_identifiability,
     left_to_prior,
     named,
@@ -172,12 +174,7 @@ def information(trace: xr.DataTree) -> Information | None:
     values, vectors = np.linalg.eigh(C)
     values, directions = np.maximum(values[::-1], 0.0), vectors.T[::-1]
 
-    def is_informed(variance: float, direction: FloatArray) -> bool:
-        if variance <= 1.0 - CONTRACTED:
-            return True
-        return _entropy_sd(x @ direction, prior @ direction) < _LEAST_BY_ENTROPY
-
-    is_left = np.array([not is_informed(variance, d) for variance, d in zip(values, directions, strict=True)])
+    is_left = np.array([not _is_informed(x, prior, direction) for direction in directions])
     told, U = _told_instead(trace), directions[is_left]
     found: list[tuple[Uninformed, float]] = []
     for row in eliminated(U):
@@ -185,7 +182,7 @@ def information(trace: xr.DataTree) -> Information | None:
         one = named(unit, names, np.full(n, np.nan))
         found.append((one._replace(told=told.get(frozenset(one.names), "")), float(np.sqrt(unit @ C @ unit))))
     from_prior = np.einsum("ui,uv,vi->i", U, U @ C @ U.T, U)
-    informed = np.array([is_informed(C[i, i], np.eye(n)[i]) for i in range(n)])
+    informed = np.array([_is_informed(x, prior, direction) for direction in np.eye(n)])
     alone = np.sum(U**2, axis=0) >= _ALONE
     combined = ~alone & (~informed | (from_prior >= CONTRACTED))
     basis = np.where(combined, COMBINED, np.where(informed, DATA, PRIOR))
@@ -200,6 +197,29 @@ def information(trace: xr.DataTree) -> Information | None:
         is_left,
         tuple(found),
     )
+
+
+def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> bool:
+    """Say whether the data informed a direction, by draws `x`, `prior` (n, ndim) in prior standard deviations."""
+    along = x @ direction
+    return float(np.var(along, ddof=1)) <= 1.0 - CONTRACTED or (
+        _entropy_sd(along, prior @ direction) < _LEAST_BY_ENTROPY
+    )
+
+
+def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
+    """Return which two parameters the data separate least, and whether they do; empty if they confuse none.
+
+    The draws decide, by the criterion of `information`; the linearised model, if the trace has no draws from the
+    prior.
+    """
+    if information(trace) is None:
+        pair = hardest_pair(linearised, linearised.covariance)
+        return "" if pair is None else pair.sentence(pair.remaining_sd < LINEARISED_LEFT)
+    n = len(linearised.names)
+    x, prior = (draws[:, :n] for draws in standardised(trace)[:2])
+    pair = hardest_pair(linearised, np.atleast_2d(np.cov(x.T)))
+    return "" if pair is None else pair.sentence(_is_informed(x, prior, pair.direction))
 
 
 def _told_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:

@@ -9,6 +9,7 @@ from fmu.analysis.convergence.diagnosis import judge
 from fmu.analysis.identifiability import (
     Identifiability,
     doubts,
+    hardest_pair,
     identifiability,
     left_to_prior,
     with_identifiability,
@@ -20,6 +21,7 @@ from fmu.analysis.information import (
     compared_with_draws,
     information,
     left_along,
+    separation_in_words,
 )
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
@@ -103,6 +105,28 @@ def test_a_known_mass_silences_it(prior, posterior):
     assert told.basis == (DATA, DATA)
     assert told.uninformed == ()
     assert told.warnings() == []
+
+
+@pytest.mark.parametrize(("known_mass", "separated"), [(0.0, False), (1.0, True)])
+def test_columns_of_one_pattern_are_separated_by_their_difference(known_mass, separated, posterior):
+    """The cosine is above 0.95 in both cases, and only one pair cannot be separated."""
+    problem = chain(known_mass=known_mass)
+    linearised = identifiability(problem)
+    one, other = linearised.sensitivity.T
+    assert abs(one @ other) / np.linalg.norm(one) / np.linalg.norm(other) > 0.95
+    pair = hardest_pair(linearised, linearised.covariance)
+    exact = np.linalg.inv(np.eye(2) + linearised.sensitivity.T @ linearised.sensitivity)
+    assert pair.remaining_sd == pytest.approx(np.sqrt(np.linalg.eigvalsh(exact)[-1]), rel=1e-9)
+    assert pair.change == pytest.approx(np.linalg.svd(linearised.sensitivity)[1][-1], rel=1e-6, abs=1e-9)
+    said = separation_in_words(posterior(problem), linearised)
+    assert said.startswith("Hardest to separate: k and m." if separated else "The data cannot separate k and m.")
+    assert (information(posterior(problem)).uninformed == ()) == separated
+
+
+def test_a_parameter_without_information_is_not_confused_with_another():
+    S = np.array([[30.0, 0.0, 0.1], [0.0, 5.0, 0.0]])
+    found = Identifiability(("a", "b", "c"), ("",) * 3, ("1", "2"), np.ones(3), np.ones(3), S)
+    assert hardest_pair(found, found.covariance) is None
 
 
 @pytest.mark.parametrize("seed", range(5))

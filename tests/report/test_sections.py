@@ -17,7 +17,8 @@ from fmu.report.document import Details, Items, Link, Omitted, PageTable, Text
 from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
 from fmu.report.sections.fit import model_fit
-from fmu.report.sections.verdicts import COVERED, SOUND, convergence, verdicts
+from fmu.report.sections.information import sensitivity
+from fmu.report.sections.verdicts import COVERED, SOUND, convergence, updated, verdicts
 
 
 @pytest.fixture(scope="module")
@@ -261,6 +262,29 @@ def test_converged_runs_agree_or_one_is_wrong(shift, verdict, plain_traces):
     head, detail = comparison.agreement(found).parts[0].items
     assert verdict in head
     assert detail.startswith("one and two: at most ")
+
+
+def test_one_sampler_is_not_compared(plain_traces):
+    runs = runs_of(plain_traces)
+    alone = comparison.agreement({"hmc": runs["hmc"]})
+    assert alone.title == "Posterior means"
+    assert not any(isinstance(part, Text | Items) for part in alone.parts)
+    (judged, *_) = comparison.agreement(runs).parts
+    assert judged.words.startswith("Only Hamiltonian Monte Carlo has converged, ")
+
+
+def test_columns_of_cosine_above_095_are_separated_where_they_differ(hmc):
+    """E1 and E5 change the frequencies in one pattern, by 48 measurement sd each, and differ by 7."""
+    found = kept_identifiability(hmc.trace)["maximum"]
+    E1, E5 = found.sensitivity[:, 0], found.sensitivity[:, 4]
+    assert abs(E1 @ E5) / np.linalg.norm(E1) / np.linalg.norm(E5) > 0.98
+    assert np.linalg.norm(E1 - E5) == pytest.approx(6.9, abs=0.2)
+    said, _ = sensitivity(hmc, found)
+    assert said.words.startswith(
+        "Every parameter affects at least one mode noticeably. Hardest to separate: E2 and E4."
+    )
+    assert "cannot" not in said.words
+    assert updated(hmc).answer == "No"
 
 
 def test_a_good_verdict_says_what_it_covers(plain_traces):

@@ -88,6 +88,8 @@ def agreement(runs: Mapping[str, ReportedRun]) -> PageSection:
     seen = "; ".join(f"{name} {', '.join(cells)} {unit}".rstrip() for name, unit, *cells in rows)
     alt = f"Posterior means and intervals of {', '.join(titled)}: {seen}."
     drawing = picture(axes, "means", alt, "Posterior means and 90 % intervals between the bounds.")
+    if len(runs) == 1:
+        return PageSection("agreement", "Posterior means", (table, Pictures((drawing,))))
     return PageSection("agreement", "Do the samplers agree?", (_judgement(runs), table, Pictures((drawing,))))
 
 
@@ -95,8 +97,8 @@ def _judgement(runs: Mapping[str, ReportedRun]) -> Text | Items:
     """Say by how many standard errors the means of the converged runs differ."""
     converged = [run for run in runs.values() if run.diagnosis.converged]
     if len(converged) < 2:
-        few = "None has" if not converged else f"Only {converged[0].title} has"
-        return Text(f"{few} converged, so the means cannot be compared.")
+        few = "None of the samplers" if not converged else f"Only {converged[0].title}"
+        return Text(f"{few} has converged, so the samplers cannot be compared yet.")
     said, furthest = [], 0.0
     for one, other in combinations(converged, 2):
         difference = (one.summary["mean"] - other.summary["mean"]).abs().to_numpy()

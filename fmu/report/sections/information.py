@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.analysis.identifiability import Identifiability
-from fmu.analysis.information import information
+from fmu.analysis.information import information, separation_in_words
 from fmu.analysis.prediction import at_bounds
-from fmu.numbers import fixed, names_in_words, share
+from fmu.numbers import names_in_words, share
 from fmu.report.document import Omitted, PageSection, Picture, Pictures, Text, picture
 from fmu.report.plots.information import plot_marginals, plot_sensitivity
 from fmu.report.run import ReportedRun
 
-_ALIKE, _WEAK = 0.95, 0.1
+_WEAK = 0.1
 LOOK_AT_MARGINALS = (
     "Look for a posterior as wide as its prior (the data say nothing), one against a bound (they ask for values "
     "beyond it), and several peaks. Star: the maximum, which may lie far from the mass of a skewed posterior."
 )
 LOOK_AT_SENSITIVITY = (
-    "Look for pale columns (parameters that no mode feels) and for columns of the same pattern (parameters that "
-    "the modes cannot tell apart). Numbers: change of a frequency in standard deviations (sd) of its error, "
-    "for one prior sd of the parameter, of the linearised model."
+    "Look for pale columns (parameters that affect no mode) and for two columns that differ by less than about 1 "
+    "everywhere (parameters that the modes cannot separate). Numbers: change of a frequency in standard "
+    "deviations (sd) of its error, for one prior sd of the parameter, of the linearised model."
 )
 
 
@@ -46,21 +46,15 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
 
 def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
     """Return the sensitivities of the frequencies in the linearised model, and what stands out in them."""
-    S = found.sensitivity
-    size = np.linalg.norm(S, axis=0)
-    alike = np.abs(S.T @ S) / np.maximum(np.outer(size, size), np.finfo(float).tiny)
-    np.fill_diagonal(alike, 0.0)
+    size = np.linalg.norm(found.sensitivity, axis=0)
     weak = [name for name, x in zip(found.names, size, strict=True) if x < _WEAK * size.max()]
-    said = (
-        "Felt by no mode as much as a tenth of the strongest: " + (names_in_words(weak) if weak else "none") + "."
-    )
-    if len(size) > 1:
-        i, j = sorted(np.unravel_index(int(np.argmax(alike)), alike.shape))
-        close = "cannot be told apart" if alike[i, j] > _ALIKE else "can be told apart"
-        said += (
-            f" The two most alike, {found.names[i]} and {found.names[j]}, {close} by these data: the cosine of "
-            f"their columns is {fixed(float(alike[i, j]), 2)}."
+    said = "Every parameter affects at least one mode noticeably."
+    if weak:
+        affect = "affects" if len(weak) == 1 else "affect"
+        said = (
+            f"{names_in_words(weak)} {affect} the modes less than a tenth as much as the strongest parameter does."
         )
+    said = f"{said} {separation_in_words(run.trace, found)}".strip()
     drawing = picture(
         plot_sensitivity(run.trace), "sensitivity", f"Sensitivity matrix. {said}", LOOK_AT_SENSITIVITY
     )
