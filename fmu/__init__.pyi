@@ -70,6 +70,7 @@ from .samplers.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .samplers.metropolis import MetropolisHastings as MetropolisHastings
 from .samplers.metropolis import RandomWalk as RandomWalk
 from .samplers.mixture.mixture import MixtureSampler as MixtureSampler
+from .samplers.mixture.move import MixtureMove as MixtureMove
 from .samplers.slice import Slice as Slice
 from .samplers.tempering.tempering import Tempering as Tempering
 from .sampling import StoppedRun as StoppedRun

@@ -208,6 +208,7 @@ IN_THE_SAMPLERS = (
     ),
 )
 MIXTURE = ("tests/samplers/test_mixture.py",)
+MIXTURE_MOVE = ("tests/samplers/test_mixture_move.py",)
 IN_THE_MIXTURE = (
     Fault(
         "mixture: Hastings ratio dropped, a candidate accepted by P alone",
@@ -215,6 +216,20 @@ IN_THE_MIXTURE = (
         "np.where(np.isfinite(value), weight - extra[LOG_WEIGHT], -np.inf)",
         "np.where(np.isfinite(value), value - state.log_prob, -np.inf)",
         MIXTURE,
+    ),
+    Fault(
+        "mixture as a move of emcee: Hastings ratio dropped",
+        "fmu/samplers/mixture/move.py",
+        "return q, proposal.log_density(s) - proposal.log_density(q)",
+        "return q, np.zeros(len(q))",
+        MIXTURE_MOVE,
+    ),
+    Fault(
+        "mixture as a move of emcee: fitted to the walkers that it moves",
+        "fmu/samplers/mixture/move.py",
+        "self.candidates(s, state.coords[~moved], state.log_prob[~moved], model.random)",
+        "self.candidates(s, s, log_prob, model.random)",
+        MIXTURE_MOVE,
     ),
     Fault(
         "mixture: log-weight not updated after a local step",

@@ -1,0 +1,179 @@
+"""The mixture's proposal as a move of emcee, for anybody's ``EnsembleSampler``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from emcee.moves import Move, StretchMove
+from emcee.state import State
+
+from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
+from fmu.samplers.mixture.quadratic import of_moments
+from fmu.types import BoolArray, FloatArray
+
+_FIRST_FIT = 10
+"""Steps after which warm-up fits the mixture for the first time; then after twice as many, again and again."""
+_MOST_POINTS = 4000
+_FAR = 10.0
+"""Walkers with a log-probability further below the median, plus one per coordinate, are on the way."""
+
+
+class MixtureMove(Move):
+    """Independent candidates from a mixture of truncated Gaussians that is fitted to the walkers.
+
+    As in other moves of emcee, the walkers are divided at random into two halves that are moved in turn. The
+    mixture for one half is fitted to the positions and log-probabilities of the other half alone. Given that half
+    it is fixed, and a walker x moves to its candidate x* with probability min(1, P(x*) q(x)/(P(x) q(x*))): this
+    leaves the posterior invariant in every step, without any warm-up.
+
+    ``run_mcmc(..., tune=True)`` is a warm-up that fits the mixture to all walkers, after 10, 20, 40, ... steps,
+    each time to the later half of these; its draws are to be discarded. After it the mixture is frozen, which
+    leaves the posterior invariant, too. It is better, as it is fitted to more points, and needs no fit in every
+    step.
+
+    A candidate does not depend on the position of its walker. Hence walkers cross between separate modes, but one
+    where the mixture has far too little density may stay for long. A share of another move mends that:
+    ``moves=[(fmu.MixtureMove(problem), 0.8), (emcee.moves.DEMove(), 0.2)]``.
+
+    Parameters
+    ----------
+    density : LogDensity, optional
+        Gives the bounds: anything with ``lower`` and ``upper``, shape (ndim,), such as an `UpdatingProblem`.
+    lower, upper : array_like, shape (ndim,), optional
+        The bounds where there is no such object. Without any, candidates may lie where the log-probability is
+        -inf.
+
+    Raises
+    ------
+    ValueError
+        If the bounds differ in shape, or enclose nothing.
+
+    References
+    ----------
+    Goodman & Weare (2010), CAMCoS 5, 65-80, section 2 (moves that use the complementary walkers); Tierney (1994),
+    Ann. Statist. 22, 1701-1762, section 2.3.3 (independence chains).
+    """
+
+    def __init__(self, density: Any = None, *, lower: Any = None, upper: Any = None) -> None:
+        lower = getattr(density, "lower", -np.inf) if lower is None else lower
+        upper = getattr(density, "upper", np.inf) if upper is None else upper
+        self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        if self.lower.ndim and self.upper.ndim and self.lower.shape != self.upper.shape:
+            raise ValueError(f"upper: must have the shape of lower, {self.lower.shape} (got {self.upper.shape})")
+        if not np.all(self.lower < self.upper):
+            raise ValueError(f"upper: must exceed lower {self.lower} (got {self.upper})")
+        self.frozen: Proposal | None = None
+        self._seen: list[tuple[FloatArray, FloatArray]] = []
+        self._otherwise = StretchMove()
+
+    def propose(self, model: Any, state: Any) -> tuple[Any, BoolArray]:
+        """Move every walker once; return emcee's state, and which walkers were moved, shape (walkers,)."""
+        n = len(state.coords)
+        half = np.arange(n) % 2
+        model.random.shuffle(half)
+        accepted = np.zeros(n, dtype=bool)
+        for moved in (half == 0, half == 1):
+            s, log_prob = state.coords[moved], state.log_prob[moved]
+            q, factor = self.candidates(s, state.coords[~moved], state.log_prob[~moved], model.random)
+            reached, blobs = model.compute_log_prob_fn(q)
+            with np.errstate(invalid="ignore"):  # a walker may have started where it is -inf
+                gain = np.where(np.isfinite(reached), reached - log_prob + factor, -np.inf)
+            accepted[moved] = -model.random.standard_exponential(len(q)) < gain
+            state = self.update(state, State(q, log_prob=reached, blobs=blobs), accepted, moved)
+        return state, accepted
+
+    def candidates(
+        self, s: FloatArray, c: FloatArray, log_prob: FloatArray, random: np.random.RandomState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return candidates for walkers, and the logarithms of the factors of their acceptance, q(x)/q(x*).
+
+        Parameters
+        ----------
+        s, c : ndarray, shape (n, ndim), (m, ndim)
+            The walkers to be moved, and the others.
+        log_prob : ndarray, shape (m,)
+            Of the others.
+        random : RandomState
+
+        Returns
+        -------
+        q : ndarray, shape (n, ndim)
+        factor : ndarray, shape (n,)
+        """
+        proposal = self.frozen or Proposal.fitted(c, log_prob, self.lower, self.upper)
+        if proposal is None:  # the other half spans no ellipsoid
+            found: tuple[FloatArray, FloatArray] = self._otherwise.get_proposal(s, [c], random)
+            return found
+        rng = np.random.default_rng(random.randint(2**32, size=8, dtype=np.uint32))
+        q = np.clip(proposal.draw(rng, len(s)), self.lower, self.upper)
+        return q, proposal.log_density(s) - proposal.log_density(q)
+
+    def tune(self, state: Any, accepted: BoolArray) -> None:
+        """Learn from the step that was just made; emcee calls this where ``tune=True``."""
+        self._seen.append((state.coords.copy(), state.log_prob.copy()))
+        steps = len(self._seen)
+        doublings = np.log2(steps / _FIRST_FIT)
+        if doublings >= 0 and doublings == int(doublings):
+            later = self._seen[steps // 2 :]
+            x, log_prob = (np.concatenate(each) for each in zip(*later, strict=True))
+            every = -(-len(x) // _MOST_POINTS)
+            found = Proposal.fitted(x[::every], log_prob[::every], self.lower, self.upper)
+            self.frozen = self.frozen if found is None else found
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A mixture in coordinates u = (theta − offset)/scale of order one.
+
+    Attributes
+    ----------
+    mixture : Mixture
+    offset, scale : ndarray, shape (ndim,)
+    """
+
+    mixture: Mixture
+    offset: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def fitted(
+        cls, position: FloatArray, log_prob: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> Proposal | None:
+        """Return the mixture that fits the log-density at points, None where they are too few or lie in a plane.
+
+        Coordinates between two bounds are scaled by these, others by the points' standard deviation.
+        """
+        ndim = position.shape[1]
+        near = np.isfinite(log_prob)
+        near[near] = log_prob[near] >= np.median(log_prob[near]) - _FAR - ndim if near.any() else False
+        x, spread = position[near], np.ptp(position[near], axis=0) if near.any() else np.zeros(ndim)
+        if len(np.unique(x, axis=0)) < ndim + 2 or not np.all(spread > 0):
+            return None
+        lower, upper = np.broadcast_to(lower, ndim), np.broadcast_to(upper, ndim)
+        is_boxed = np.isfinite(lower) & np.isfinite(upper)
+        offset = np.where(is_boxed, lower, x.mean(axis=0))
+        scale = np.where(is_boxed, upper - lower, x.std(axis=0))
+        points = Points((x - offset) / scale, log_prob[near], np.ones(len(x)))
+        warp = Warp((lower - offset) / scale, (upper - offset) / scale, np.zeros(ndim, dtype=bool))
+        try:
+            start = Mixture([of_moments(points.position, points.weight)], np.ones(1), warp)
+            for mixture in (fitted_mixture(points, start), start):
+                if np.isfinite(mixture.log_density(points.position)).all():
+                    return cls(mixture, offset, scale)
+        except np.linalg.LinAlgError:
+            pass
+        return None
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` independent draws, shape (n, ndim)."""
+        return self.offset + self.scale * self.mixture.draw(rng, n)
+
+    def log_density(self, theta: FloatArray) -> FloatArray:
+        """Return the logarithm of the density at points (n, ndim) up to a constant, shape (n,); -inf outside."""
+        u, warp = (theta - self.offset) / self.scale, self.mixture.warp
+        inside = np.all((u >= warp.lower) & (u <= warp.upper), axis=1)
+        found = np.full(len(u), -np.inf)
+        found[inside] = self.mixture.log_density(u[inside])
+        return found
