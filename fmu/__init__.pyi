@@ -2,7 +2,7 @@
 
 from . import cases as cases
 from .analysis.check import check as check
-from .analysis.convergence.diagnosis import compare as compare
+from .analysis.convergence.comparison import compare as compare
 from .analysis.convergence.diagnosis import diagnose as diagnose
 from .analysis.convergence.diagnostics import summary as summary
 from .analysis.evidence import evidence as evidence

@@ -336,7 +336,7 @@ def test_numbers_that_do_not_apply_are_dashes(invoke):
         (["run", "cantilever-young", "--init", "end"], ["--init", "'end'"]),
         (["run", "cantilever-young", "--speed", "9"], ["--speed"]),
         (["walk"], ["walk"]),
-        (["compare", "absent"], ["absent", "does not exist"]),
+        (["compare", "absent"], ["absent", "neither a built-in problem"]),
     ],
     ids=lambda value: " ".join(value) if "run" in value or "compare" in value else "",
 )

@@ -1,6 +1,7 @@
 """The shell commands: they read arguments and write tables and files; the rest of fmu does the work.
 
-Reading order: `run`, then `sampled`, which it calls; `problems`, `results` and `watch` are the other commands.
+Reading order: `run`, then `sampled`, which it calls; `compare`, `problems`, `results` and `watch` are the other
+commands.
 
 Nothing heavy is imported before a command needs it.
 """
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import click
 
-from fmu.cli import problems, results, run, watch
+from fmu.cli import compare, problems, results, run, watch
 from fmu.cli.messages import Commands
 
 
@@ -19,5 +20,5 @@ def main() -> None:
     """Bayesian finite-element model updating."""
 
 
-for _command in (*problems.COMMANDS, run.run, watch.watch, *results.COMMANDS):
+for _command in (*problems.COMMANDS, run.run, compare.compare, watch.watch, *results.COMMANDS):
     main.add_command(_command)

@@ -1,4 +1,4 @@
-"""Commands on the results of a run (``fmu compare``, ``report``, ``export``), and ``fmu paper``."""
+"""Commands on the results of a run (``fmu report``, ``damage``, ``export``), and ``fmu paper``."""
 
 from __future__ import annotations
 
@@ -7,29 +7,9 @@ from pathlib import Path
 import click
 
 from fmu.cli import damage
-from fmu.cli.tables import echo_comparison
 from fmu.progress import progress_bars
 
 _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
-
-
-@click.command()
-@_DIRECTORY
-def compare(directory: Path) -> None:
-    """Compare the samplers of the run in DIRECTORY."""
-    paths = sorted(directory.glob("*.nc"))
-    if not paths:
-        raise click.BadParameter(f"{directory} contains no traces (*.nc).", param_hint="'DIRECTORY'")
-    from fmu.analysis.convergence.diagnostics import summary
-    from fmu.analysis.trace.conversion import load_trace
-
-    traces = {path.stem: load_trace(path) for path in paths}
-    problems = {trace.attrs["problem"] for trace in traces.values()}
-    if len(problems) > 1:
-        raise click.BadParameter(f"{directory} contains runs of different problems: "
-                                 f"{', '.join(sorted(problems))}.",
-                                 param_hint="'DIRECTORY'")  # fmt: skip
-    echo_comparison(traces, {name: summary(trace) for name, trace in traces.items()})
 
 
 @click.command()
@@ -75,4 +55,4 @@ def paper(out: Path) -> None:
     click.echo(f"Written to {out}")
 
 
-COMMANDS = (compare, report, *damage.COMMANDS, export, paper)
+COMMANDS = (report, *damage.COMMANDS, export, paper)

@@ -23,6 +23,7 @@ from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.phases import told_to
 from fmu.runs import Checkpoint
+from fmu.samplers.registry import COMPARED
 from fmu.sampling import DEFAULT_SAMPLER, DEFAULTS, INITS, SAMPLERS, StoppedRun, default_sampler
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ _FROM_1, _FROM_0 = click.IntRange(min=1), click.IntRange(min=0)
 _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rate", "max_solves"}
 """Options that may change when a run is resumed: the draws do not depend on them."""
 
+ALL = "all"
+"""Name of the option that stands for all samplers to compare."""
 _GARBAGE, _GARBAGE_OF_PAGES = 100_000, 1_000_000
 """New objects after which Python looks for unused ones: looking often takes a tenth of a short run. When pages
 are written, nearly all of them are in use, and small."""
@@ -49,8 +52,9 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("case", required=False)
-@click.option("--sampler", "samplers", multiple=True, type=click.Choice(SAMPLERS), help="Sampler. Repeat the "
-              "option for several.  [default: mixture; hmc where parameters scatter over tests]")  # fmt: skip
+@click.option("--sampler", "samplers", multiple=True, type=click.Choice((*SAMPLERS, ALL)), help="Sampler. "
+              "Repeat the option for several; all: those that fmu compare runs.  [default: mixture; hmc where "
+              "parameters scatter over tests]")  # fmt: skip
 @pairing_option
 @click.option("--draws", type=_FROM_1, help="Draws kept per chain, whether that is enough or not. Without it, "
               "every sampler draws until it has converged.")  # fmt: skip
@@ -179,6 +183,8 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
+    if ALL in orders["samplers"]:
+        orders["samplers"] = tuple(dict.fromkeys([*COMPARED, *(n for n in orders["samplers"] if n != ALL)]))
     if orders["draws"] is not None:
         for name in ("until_ess", "max_solves"):
             if context.get_parameter_source(name) is not ParameterSource.DEFAULT:

@@ -81,12 +81,14 @@ def echo_comparison(
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
     """Print a table with one column per sampler, the verdicts if wanted, and the warnings about the model.
 
+    Of several samplers, also what each cost, beside the baseline, and whether they agree.
+
     Returns
     -------
     tuple of pandas.DataFrame and dict
         The table and the verdicts.
     """
-    from fmu.analysis.convergence.diagnosis import judged
+    from fmu.analysis.convergence.comparison import judged
 
     _, verdicts, table = judged(traces, summaries=summaries)
     columns = table.drop(columns="verdict")
@@ -96,6 +98,8 @@ def echo_comparison(
         click.echo()
         for name, found in verdicts.items():
             echo_verdict(name, found, max(map(len, verdicts)))
+    if len(traces) > 1:
+        table = table.join(_echo_costs(traces, summaries, verdicts))
     told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
     fit, warnings = verdicts[told].fit, verdicts[told].warnings
     if fit.checks or warnings:
@@ -105,6 +109,23 @@ def echo_comparison(
         for warning in warnings:
             click.echo(wrapped(warning, "  - ", "    "))
     return table, verdicts
+
+
+def _echo_costs(
+    traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
+) -> pd.DataFrame:
+    """Print whether samplers agree, and what each cost beside the baseline; return the costs."""
+    from fmu.analysis.convergence.agreement import agreement
+    from fmu.analysis.convergence.comparison import COUNTED, at_both_points, cost_rows, costs_side_by_side
+
+    click.echo("\n" + wrapped(agreement(traces, summaries).sentence))
+    costs = costs_side_by_side(traces)
+    click.echo("\n" + wrapped(COUNTED))
+    click.echo(text_table(["", *map(str, costs.index)], cost_rows(costs)))
+    said = at_both_points(costs, {name: one.converged for name, one in verdicts.items()}, traces)
+    if said:
+        click.echo(wrapped(said))
+    return costs
 
 
 def echo_evidences(found: Sequence[FoundEvidence]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.convergence.diagnosis import judged
+from fmu.analysis.convergence.comparison import judged
 from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map

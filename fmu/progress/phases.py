@@ -29,7 +29,7 @@ Note = Callable[[str, int, int], None]
 
 
 class _Count:
-    solves = 0
+    solves = gradients = 0
 
 
 class Phase:
@@ -155,9 +155,10 @@ def by_parts[Found](
     return found
 
 
-def solved(n: int = 1) -> None:
+def solved(n: int = 1, *, with_gradients: bool = False) -> None:
     """Count solves of the model at `n` theta, for this process and for the phase under way."""
     _Count.solves += n
+    _Count.gradients += n if with_gradients else 0
     under_way = _phase.get()
     if under_way is not None:
         under_way.solved(n)
@@ -166,3 +167,8 @@ def solved(n: int = 1) -> None:
 def solves() -> int:
     """Return the number of solves that this process has counted."""
     return _Count.solves
+
+
+def gradients() -> int:
+    """Return how many of the solves that this process has counted gave an exact gradient too."""
+    return _Count.gradients

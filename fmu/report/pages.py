@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from fmu.analysis.trace.conversion import load_trace
+from fmu.analysis.trace.conversion import load_traces
 from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
@@ -158,10 +158,10 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     directory = Path(run_directory)
     if not directory.is_dir():
         raise ValueError(f"run_directory: must be a directory (got {directory})")
-    paths = sorted(directory.glob("*.nc"))
-    if not paths:
+    traces = load_traces(directory)
+    if not traces:
         raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")
-    return publish({path.stem: load_trace(path) for path in paths}, directory)
+    return publish(traces, directory)
 
 
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fmu.analysis.convergence.diagnosis import Diagnosis, judged, maxima_of
+from fmu.analysis.convergence.comparison import judged
+from fmu.analysis.convergence.diagnosis import Diagnosis, maxima_of
 from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, without_scores
 from fmu.numbers import Unit

@@ -17,6 +17,10 @@ SAMPLERS = {
     "tempering": "tempering.tempering.Tempering",
 }
 """Module and class of each sampler's settings, imported when they are first used."""
+COMPARED = ("mh", "slice", "hmc", "emcee", "mixture")
+"""The samplers that are run side by side on one problem."""
+BASELINE = "emcee"
+"""The sampler whose cost is the unit of the others'."""
 
 
 def sampler_class(name: str) -> type[Sampler]:

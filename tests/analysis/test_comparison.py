@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmu.analysis.convergence.diagnosis import compare
+from fmu.analysis.convergence.comparison import compare
 from fmu.analysis.convergence.diagnostics import convergence_failures, summary
 
 COLUMNS = [
@@ -21,6 +21,12 @@ COLUMNS = [
     "wall_s",
     "ess_per_solve",
     "ess_per_s",
+    "search_solves",
+    "criterion_solves",
+    "total_solves",
+    "solves_per_ess",
+    "criterion_over_baseline",
+    "per_ess_over_baseline",
 ]
 
 

@@ -19,6 +19,17 @@ def test_moves_may_be_given_in_several_ways(moves, pairs):
     assert Ensemble(moves=moves).moves == pairs
 
 
+def test_the_default_is_a_kernel_density_where_the_walkers_suffice_for_one():
+    target = CorrelatedGaussian()  # five coordinates
+    named = [
+        [type(move).__name__ for move in Ensemble(walkers).bind(target).sampler._moves]
+        for walkers in (4 * target.ndim, 4 * target.ndim - 1)
+    ]
+    assert named == [["DEMove", "KDEMove"], ["DEMove"]]
+    with pytest.raises(ValueError, match=r"walkers: must be at least 20, four per coordinate, for the move kde"):
+        Ensemble(19, moves={"kde": 1.0, "de": 1.0}).bind(target)
+
+
 def test_a_mixture_draws_its_moves_by_weight():
     """DE steps by a fixed multiple of a difference of walkers; a stretch does not."""
     target = CorrelatedGaussian()
@@ -73,7 +84,7 @@ def test_walkers_at_one_point_do_not_snooker():
     [
         ({"walkers": 4}, r"walkers: must be a whole number of at least 8 \(got 4\)"),
         ({"walkers": 32.5}, "walkers: must be a whole number"),
-        ({"moves": "walk"}, r"moves: must be one of stretch, de, snooker \(got 'walk'\)"),
+        ({"moves": "walk"}, r"moves: must be one of stretch, de, snooker, kde \(got 'walk'\)"),
         ({"moves": {"de": 0.0}}, "moves: must be a positive finite number"),
         ({"moves": {}}, "moves: must name one move or weigh several"),
         ({"moves": [("de", 0.5, 1)]}, "moves: must name one move or weigh several"),

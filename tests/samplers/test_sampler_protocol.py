@@ -53,7 +53,8 @@ SAMPLERS = {
     "hmc-adaptive": lambda t: HamiltonianMonteCarlo(),
     "mixture-adaptive": lambda t: MixtureSampler(),
     "mixture-mh-adaptive": lambda t: MixtureSampler(local=MetropolisHastings(), local_steps=3, jumps=2),
-    "emcee-stretch": lambda t: Ensemble(),
+    "emcee-stretch": lambda t: Ensemble(moves="stretch"),
+    "emcee": lambda t: Ensemble(),
     "emcee-de": lambda t: Ensemble(moves="de"),
     "emcee-snooker": lambda t: Ensemble(moves="snooker"),
 }
@@ -72,6 +73,7 @@ LENGTH = {
     "mixture-adaptive": (48, 200),
     "mixture-mh-adaptive": (40, 400),
     "emcee-stretch": (4, 900),
+    "emcee": (4, 450),
     "emcee-de": (4, 450),
     "emcee-snooker": (4, 900),
 }
@@ -110,6 +112,7 @@ MATRIX = [
     *(("hmc-central", kind) for kind in (TruncatedGaussian, SkewedGumbel)),
     *(("emcee-stretch", kind) for kind in (CorrelatedGaussian, TruncatedGaussian, SkewedGumbel)),
     *(("emcee-de", kind) for kind in (CorrelatedGaussian, BoundedBeta)),
+    ("emcee", TruncatedGaussian),
     ("emcee-snooker", CorrelatedGaussian),
 ]
 """All targets that make sense for a sampler; those that are not decisive are for `make validate`."""

@@ -1,4 +1,4 @@
-"""The verdict on a run: converged or not, and why; whether the model fits; and samplers side by side."""
+"""The verdict on a run: converged or not, and why; and whether the model fits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import html
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,8 +34,7 @@ from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import check_trace, has, in_solves, parameter_names, walkers_of, with_group
-from fmu.tables import data_frame
+from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, with_group
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -291,95 +290,3 @@ def maxima_of(trace: xr.DataTree) -> Maxima | None:
 def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
     """Return the trace with the maxima stored in it, for every later verdict."""
     return with_group(trace, GROUP, maxima.to_dataset())
-
-
-def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
-    """Compare the traces of several samplers on one problem.
-
-    The costs ``n_solves``, ``n_gradients`` and ``wall_s`` include the warm-up, and so do ``ess_per_solve`` and
-    ``ess_per_s``. The attributes of each trace give the counts without it. In ``ess_per_solve`` a solve is a
-    log-probability, and an exact gradient counts as ``gradient_cost`` of them.
-
-    Parameters
-    ----------
-    traces : mapping of str to xarray.DataTree
-        Traces by the names of the rows.
-    problem : UpdatingProblem, optional
-        The problem that was sampled. Its maxima are searched for; a run that left out one that matters has not
-        converged. Maxima kept in a trace, and what other runs on the same posterior found, are always used.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per sampler:
-
-        - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
-        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if one is NaN;
-        - ``mcse_over_sd_max``: largest standard error of a posterior mean over the posterior's sd;
-        - ``accept_rate``: share of the retained draws that left the previous position;
-        - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
-        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
-        - ``gradient_cost``: time of an exact gradient over that of a log-probability, measured at the end of the
-          run; NaN if there are none;
-        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of that cost.
-
-    Raises
-    ------
-    ValueError
-        If `traces` is empty or contains something other than traces.
-    """
-    if not isinstance(traces, Mapping) or not traces:
-        raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
-    for name, trace in traces.items():
-        check_trace(trace, f"traces.{name}")
-    return judged(traces, problem).comparison
-
-
-class Judged(NamedTuple):
-    """Several runs on one posterior: ``summary(trace)`` and verdict of each, and the table of `compare`."""
-
-    summaries: Mapping[str, pd.DataFrame]
-    verdicts: dict[str, Diagnosis]
-    comparison: pd.DataFrame
-
-
-def judged(
-    traces: Mapping[str, xr.DataTree],
-    problem: UpdatingProblem | None = None,
-    summaries: Mapping[str, pd.DataFrame] | None = None,
-) -> Judged:
-    """Return summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
-    summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
-    verdicts = diagnose_all(traces, problem, summaries)
-    rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
-    table = data_frame(rows, "sampler", list(traces))
-    table["divergences"] = table["divergences"].astype("Int64")
-    return Judged(summaries, verdicts, table)
-
-
-def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return one row of the comparison."""
-    import pandas as pd
-
-    stats = trace["sample_stats"]
-    # to_numpy(), because pandas skips NaN where a NaN must win.
-    ess = float(np.min(table["ess_bulk"].to_numpy()))
-    solves, gradients = (
-        int(trace.attrs[name]) + int(trace.attrs[f"warmup_{name}"]) for name in ("n_solves", "n_gradients")
-    )
-    wall_s = float(trace.attrs["wall_s"])
-    return {
-        "verdict": diagnosis.verdict,
-        "rhat_max": float(np.max(table["rhat"].to_numpy())),
-        "ess_bulk_min": ess,
-        "ess_tail_min": float(np.min(table["ess_tail"].to_numpy())),
-        "mcse_over_sd_max": float(np.max((table["mcse_mean"] / table["sd"]).to_numpy())),
-        "accept_rate": float(stats["accepted"].mean()),
-        "divergences": int(stats["diverging"].sum()) if "diverging" in stats else pd.NA,
-        "n_solves": solves,
-        "n_gradients": gradients,
-        "gradient_cost": float(trace.attrs.get("gradient_cost", np.nan)),
-        "wall_s": wall_s,
-        "ess_per_solve": ess / in_solves(trace, solves, gradients) if solves else np.nan,
-        "ess_per_s": ess / wall_s if wall_s > 0 else np.nan,
-    }

@@ -82,6 +82,13 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
     return float(np.std(x, ddof=1) / np.sqrt(ess_mean(x, walkers)))
 
 
+def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
+    """Return the Monte-Carlo standard error of the standard deviation s: that of s², over 2 s."""
+    if _is_degenerate(x):
+        return np.nan
+    return mcse_mean((x - x.mean()) ** 2, walkers) / (2.0 * float(np.std(x, ddof=1)))
+
+
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:
     """Reshape (ensembles, steps * walkers, ...), step-major, to (ensembles, walkers, steps, ...)."""
     return x.reshape(len(x), x.shape[1] // walkers, walkers, *x.shape[2:]).swapaxes(1, 2)

@@ -110,6 +110,9 @@ class Maxima:
         The bounds, and the model before updating.
     measured, before : ndarray, shape (n_modes,)
         Frequencies in Hz: measured, and of the model before updating.
+    n_solves, n_gradients : int
+        Model solves that the search and the masses took, and how many of them gave an exact gradient too; 0 if not
+        known.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -121,6 +124,8 @@ class Maxima:
     start: FloatArray
     measured: FloatArray
     before: FloatArray
+    n_solves: int = 0
+    n_gradients: int = 0
 
     def __iter__(self) -> Iterator[PosteriorMaximum]:
         return iter(self.maxima)
@@ -247,7 +252,8 @@ class Maxima:
         return xr.Dataset(
             {name: (("maximum", *dims), stacked[name]) for name, dims in _DIMENSIONS.items()}
             | {name: ("parameter", getattr(self, name)) for name in ("lower", "upper", "start")}
-            | {name: ("mode", getattr(self, name)) for name in ("measured", "before")},
+            | {name: ("mode", getattr(self, name)) for name in ("measured", "before")}
+            | {name: ((), getattr(self, name)) for name in _COUNTS},
             coords={
                 "maximum": np.arange(1, len(self) + 1),
                 "parameter": list(self.names),
@@ -264,10 +270,13 @@ class Maxima:
         names, units, labels = (
             tuple(map(str, dataset[name].to_numpy())) for name in ("parameter", "unit", "mode")
         )
-        vectors = {name: dataset[name].to_numpy() for name in ("lower", "upper", "start", "measured", "before")}
-        return cls(tuple(PosteriorMaximum(**row) for row in rows), names, units, labels, **vectors)
+        vectors = ("lower", "upper", "start", "measured", "before")
+        others: dict[str, Any] = {name: dataset[name].to_numpy() for name in vectors}
+        others |= {name: int(dataset[name]) for name in _COUNTS if name in dataset}
+        return cls(tuple(PosteriorMaximum(**row) for row in rows), names, units, labels, **others)
 
 
+_COUNTS = ("n_solves", "n_gradients")
 _DIMENSIONS: dict[str, tuple[str, ...]] = {
     "theta": ("parameter",),
     "log_prob": (),

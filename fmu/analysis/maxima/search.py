@@ -11,7 +11,7 @@ import numpy as np
 from fmu.analysis.maxima.mode_weights import ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.posterior.scaled import ScaledDensity
-from fmu.progress.phases import phase
+from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray
 
@@ -87,6 +87,7 @@ def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1)
 def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
     from fmu.posterior.maxima import local_maxima
 
+    solved, differentiated = solves(), gradients()
     found = local_maxima(problem, starts, seed)
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -113,6 +114,8 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
         start=problem.start,
         measured=np.asarray(problem.data.frequencies_hz, dtype=float),
         before=problem.frequencies(problem.start),
+        n_solves=solves() - solved,
+        n_gradients=gradients() - differentiated,
     )
 
 

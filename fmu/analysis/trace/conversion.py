@@ -26,6 +26,7 @@ from fmu.interruption import shielded
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
+from fmu.samplers.registry import SAMPLERS
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.tempering import first_ladder, rejections
 from fmu.types import FloatArray, IntArray
@@ -168,6 +169,19 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
         raise ValueError(f"path: must be a trace written by fmu (not a readable netCDF file: {path})") from error
     check_trace(trace, str(path))
     return trace
+
+
+def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
+    """Read all traces of a run, in the order of `fmu.samplers.registry.SAMPLERS` and then by their names.
+
+    Raises
+    ------
+    ValueError
+        If one of the files is not a trace written by fmu.
+    """
+    places = {name: k for k, name in enumerate(SAMPLERS)}
+    paths = sorted(Path(directory).glob("*.nc"), key=lambda path: (places.get(path.stem, len(places)), path.stem))
+    return {path.stem: load_trace(path) for path in paths}
 
 
 def names_of(density: LogDensity) -> tuple[str, ...]:

@@ -667,7 +667,7 @@ class PairedStructure(ModalModel):
         gradient: bool,
     ) -> Solution:
         """Return the reduced model's solution, and the full one's outside the trained box and on failure."""
-        solved(len(theta))
+        solved(len(theta), with_gradients=gradient)
         with single_thread():
             if self.reduced is None:
                 return full(theta, gradient)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.analysis.convergence.diagnosis import CONVERGED, compare
+from fmu.analysis.convergence.comparison import compare
+from fmu.analysis.convergence.diagnosis import CONVERGED
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_names

@@ -1,0 +1,93 @@
+"""Whether samplers of one posterior agree: differences of means and standard deviations in standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fmu.analysis.convergence.effective import mcse_sd
+from fmu.analysis.convergence.growth import meets_criterion
+from fmu.analysis.convergence.remedies import fewest
+from fmu.analysis.trace.reading import parameter_draws, walkers_of
+from fmu.numbers import fixed, names_in_words, significant
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+CLOSE = 4.0
+"""Differences below so many standard errors are chance: 1 in 16 000 goes beyond."""
+
+
+class Agreement(NamedTuple):
+    """Whether samplers agree.
+
+    Attributes
+    ----------
+    agrees : bool or None
+        None if fewer than two can be compared.
+    z : float
+        Largest difference of a mean or a standard deviation, in its Monte-Carlo standard errors; NaN if none.
+    sentence : str
+        The answer in one sentence, with the largest difference.
+    left_out : tuple of str
+        Runs that do not meet the criterion, so that their standard errors mean nothing.
+    """
+
+    agrees: bool | None
+    z: float
+    sentence: str
+    left_out: tuple[str, ...]
+
+
+def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]) -> Agreement:
+    """Compare the posterior means and standard deviations of every two runs that meet the criterion.
+
+    Whatever the verdict on them: of two runs that each look converged and differ, at least one is wrong.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        Of one posterior, by the names that the sentence uses.
+    summaries : mapping of str to pandas.DataFrame
+        ``summary(trace)`` of each.
+    """
+    sufficient = [name for name, table in summaries.items() if _suffices(traces[name], table)]
+    left_out = tuple(name for name in traces if name not in sufficient)
+    also = f" Left out: {names_in_words(left_out)}, with too few effective draws." if left_out else ""
+    if len(sufficient) < 2:
+        return Agreement(None, np.nan, f"Fewer than two samplers can be compared.{also}", left_out)
+    estimates = {name: _estimates(traces[name], summaries[name]) for name in sufficient}
+    z, kind, k, (one, other) = 0.0, 0, 0, sufficient[:2]
+    for pair in combinations(sufficient, 2):
+        (first, error), (second, error_too) = (estimates[name] for name in pair)
+        ratio = np.abs(first - second) / np.hypot(error, error_too)
+        if ratio.max() > z:
+            z, (one, other) = float(ratio.max()), pair
+            kind, k = (int(i) for i in np.unravel_index(np.argmax(ratio), ratio.shape))
+    sd = float(summaries[one]["sd"].iloc[k])
+    apart = significant(abs(estimates[one][0][kind, k] - estimates[other][0][kind, k]) / sd, 2)
+    what = f"{('mean', 'sd')[kind]} of {summaries[one].index[k]}, {one} and {other}: {apart} posterior sd"
+    n = len(sufficient) * (len(sufficient) - 1) * len(summaries[one])
+    if z < CLOSE:
+        said = f"The {len(sufficient)} samplers agree: of {n} differences of their means and sds the largest is "
+        return Agreement(True, z, f"{said}{fixed(z, 1)} Monte Carlo standard errors ({what}).{also}", left_out)
+    said = f"The samplers disagree: {what}, {fixed(z, 1)} Monte Carlo standard errors, which is not chance; "
+    return Agreement(False, z, f"{said}at least one of the two is wrong.{also}", left_out)
+
+
+def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
+    """Say whether a run meets the criterion."""
+    return meets_criterion(
+        float(np.max(table["rhat"].to_numpy())), fewest(table), trace["posterior"].sizes["chain"]
+    )
+
+
+def _estimates(trace: xr.DataTree, table: pd.DataFrame) -> tuple[FloatArray, FloatArray]:
+    """Return means and standard deviations, and their standard errors, each of shape (2, ndim)."""
+    errors = [mcse_sd(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]
+    return table[["mean", "sd"]].to_numpy().T, np.array([table["mcse_mean"].to_numpy(), errors])

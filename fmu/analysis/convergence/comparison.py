@@ -1,0 +1,223 @@
+"""Samplers side by side: verdicts, reliability, and what each cost, also as a multiple of a baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.convergence.growth import Growth, growth, solves_to_criterion
+from fmu.analysis.convergence.remedies import (
+    ESS_LIMIT,
+    MIN_AUTOCORRELATION_TIMES,
+    RHAT_LIMIT,
+    WALKER_RHAT_LIMIT,
+)
+from fmu.analysis.trace.reading import check_trace, in_solves, walkers_of
+from fmu.numbers import significant, whole
+from fmu.samplers.registry import BASELINE
+from fmu.tables import data_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from fmu.posterior.problem import UpdatingProblem
+
+COUNTED = (
+    "Cost in model solves, everything counted: search for maxima, warm-up, draws; an exact gradient at the solves "
+    f"that it takes the time of. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least {ESS_LIMIT} of "
+    f"every parameter. {BASELINE} is the baseline."
+)
+_ROWS = {
+    "search_solves": "search, shared",
+    "criterion_solves": "to the criterion",
+    "criterion_over_baseline": f"  over {BASELINE}'s",
+    "solves_per_ess": "per effective draw",
+    "per_ess_over_baseline": f"  over {BASELINE}'s",
+    "total_solves": "whole run",
+}
+
+
+def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
+    """Compare the traces of several samplers on one problem.
+
+    The costs ``n_solves``, ``n_gradients`` and ``wall_s`` include the warm-up, and so do ``ess_per_solve`` and
+    ``ess_per_s``. The attributes of each trace give the counts without it. In ``ess_per_solve`` a solve is a
+    log-probability, and an exact gradient counts as ``gradient_cost`` of them.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        Traces by the names of the rows.
+    problem : UpdatingProblem, optional
+        The problem that was sampled. Its maxima are searched for; a run that left out one that matters has not
+        converged. Maxima kept in a trace, and what other runs on the same posterior found, are always used.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per sampler:
+
+        - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
+        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if one is NaN;
+        - ``mcse_over_sd_max``: largest standard error of a posterior mean over the posterior's sd;
+        - ``accept_rate``: share of the retained draws that left the previous position;
+        - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
+        - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
+        - ``gradient_cost``: time of an exact gradient over that of a log-probability, measured at the end of the
+          run; NaN if there are none;
+        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of that cost;
+        - the columns of `costs_side_by_side`: solves to one criterion and per effective draw, everything counted,
+          also as a multiple of emcee's.
+
+    Raises
+    ------
+    ValueError
+        If `traces` is empty or contains something other than traces.
+    """
+    if not isinstance(traces, Mapping) or not traces:
+        raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
+    for name, trace in traces.items():
+        check_trace(trace, f"traces.{name}")
+    return judged(traces, problem).comparison.join(costs_side_by_side(traces))
+
+
+class Judged(NamedTuple):
+    """Several runs on one posterior: ``summary(trace)`` and verdict of each, and the table of `compare`."""
+
+    summaries: Mapping[str, pd.DataFrame]
+    verdicts: dict[str, Diagnosis]
+    comparison: pd.DataFrame
+
+
+def judged(
+    traces: Mapping[str, xr.DataTree],
+    problem: UpdatingProblem | None = None,
+    summaries: Mapping[str, pd.DataFrame] | None = None,
+) -> Judged:
+    """Return summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
+    summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
+    verdicts = diagnose_all(traces, problem, summaries)
+    rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
+    table = data_frame(rows, "sampler", list(traces))
+    table["divergences"] = table["divergences"].astype("Int64")
+    return Judged(summaries, verdicts, table)
+
+
+def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return one row of the comparison."""
+    import pandas as pd
+
+    stats = trace["sample_stats"]
+    # to_numpy(), because pandas skips NaN where a NaN must win.
+    ess = float(np.min(table["ess_bulk"].to_numpy()))
+    solves, gradients = (
+        int(trace.attrs[name]) + int(trace.attrs[f"warmup_{name}"]) for name in ("n_solves", "n_gradients")
+    )
+    wall_s = float(trace.attrs["wall_s"])
+    return {
+        "verdict": diagnosis.verdict,
+        "rhat_max": float(np.max(table["rhat"].to_numpy())),
+        "ess_bulk_min": ess,
+        "ess_tail_min": float(np.min(table["ess_tail"].to_numpy())),
+        "mcse_over_sd_max": float(np.max((table["mcse_mean"] / table["sd"]).to_numpy())),
+        "accept_rate": float(stats["accepted"].mean()),
+        "divergences": int(stats["diverging"].sum()) if "diverging" in stats else pd.NA,
+        "n_solves": solves,
+        "n_gradients": gradients,
+        "gradient_cost": float(trace.attrs.get("gradient_cost", np.nan)),
+        "wall_s": wall_s,
+        "ess_per_solve": ess / in_solves(trace, solves, gradients) if solves else np.nan,
+        "ess_per_s": ess / wall_s if wall_s > 0 else np.nan,
+    }
+
+
+def costs_side_by_side(
+    traces: Mapping[str, xr.DataTree], grown: Mapping[str, Growth] | None = None, baseline: str = BASELINE
+) -> pd.DataFrame:
+    """Return what each sampler cost, in solves, and as a multiple of what the baseline cost.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+    grown : mapping of str to Growth, optional
+        ``growth(trace)`` of each, if already computed.
+    baseline : str
+        Name of the sampler whose cost is the unit.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per trace:
+
+        - ``search_solves``: of the search for maxima, which all share and each is charged with; zero if unknown;
+        - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01 and bulk
+          and tail ESS at least 400; NaN if that was not reached;
+        - ``total_solves``: search, warm-up and all draws;
+        - ``solves_per_ess``: draws after warm-up, per effective draw of the worst parameter;
+        - ``criterion_over_baseline``, ``per_ess_over_baseline``: the second and the fourth over those of the
+          baseline; NaN if there is none.
+    """
+    grown = {name: growth(trace) for name, trace in traces.items()} if grown is None else grown
+    search = _search(traces)
+    rows = []
+    for name, trace in traces.items():
+        warm = in_solves(trace, *(int(trace.attrs[f"warmup_{of}"]) for of in ("n_solves", "n_gradients")))
+        total, ess = float(grown[name].solves[-1]), float(grown[name].ess[-1])
+        rows.append({
+            "search_solves": search,
+            "criterion_solves": search + solves_to_criterion(trace, grown[name]),
+            "total_solves": search + total,
+            "solves_per_ess": (total - warm) / ess if ess > 0 else np.nan,
+        })  # fmt: skip
+    samplers = [str(trace.attrs["sampler"]) for trace in traces.values()]
+    unit = rows[samplers.index(baseline)] if baseline in samplers else dict.fromkeys(rows[0], np.nan)
+    for row in rows:
+        row["criterion_over_baseline"] = row["criterion_solves"] / unit["criterion_solves"]
+        row["per_ess_over_baseline"] = row["solves_per_ess"] / unit["solves_per_ess"]
+    return data_frame(rows, "sampler", list(traces))
+
+
+def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
+    """Return the costs as rows of text, one column per sampler; those that are unknown of all are left out."""
+    rows = []
+    for column, label in _ROWS.items():
+        values = list(map(float, costs[column]))
+        if not np.all(np.isnan(values)):
+            is_ratio = column.endswith("over_baseline")
+            rows.append([label, *(f"{significant(x, 2)} ×" if is_ratio else _about(x) for x in values)])
+    return rows
+
+
+def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
+    """Return when an ensemble met the criterion and when its own tests, in words; empty without one."""
+    said = []
+    for name, trace in traces.items():
+        if walkers_of(trace) == 1:
+            continue
+        first, total = (float(costs[of][name]) for of in ("criterion_solves", "total_solves"))
+        met = f"met the criterion after {_about(first)} solves" if first > 0 else "did not meet the criterion"
+        passed = f"{'passed' if converged[name] else 'had not passed'} after {_about(total)}"
+        own = f"{MIN_AUTOCORRELATION_TIMES} autocorrelation times, R-hat over walkers below {WALKER_RHAT_LIMIT}"
+        said.append(f"{name} {met}; the further tests of an ensemble ({own}) it {passed}.")
+    return " ".join(said)
+
+
+def _about(solves: float) -> str:
+    """Return a number of solves in three digits."""
+    if np.isnan(solves):
+        return "not met"
+    return whole(float(f"{solves:.3g}")) if solves >= 100 else significant(solves)
+
+
+def _search(traces: Mapping[str, xr.DataTree]) -> float:
+    """Return the solves of the search for maxima, gradients at the cost that a sampler of them measured."""
+    known = next((m for m in map(maxima_of, traces.values()) if m is not None), None)
+    if known is None:
+        return 0.0
+    measured = [t for t in traces.values() if "gradient_cost" in t.attrs]
+    return float(in_solves((measured or list(traces.values()))[0], known.n_solves, known.n_gradients))

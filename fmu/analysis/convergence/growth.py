@@ -1,0 +1,113 @@
+"""R-hat and effective sample size of a run while it grew, and when they first met the common criterion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from fmu.analysis.convergence.effective import MOST_RANKED, apart, ess_bulk, ess_tail, lengths, rhat
+from fmu.analysis.convergence.remedies import RHAT_LIMIT, required_ess
+from fmu.analysis.trace.reading import array_of, has, in_solves, parameter_draws, walkers_of
+from fmu.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_HALVINGS = 5
+_RANKED_IN_FULL = 10_000
+"""Draws of a chain from which R-hat is of every k-th draw."""
+
+
+class Growth(NamedTuple):
+    """R-hat and effective sample size of the first draws of a run, of the worst parameter.
+
+    Attributes
+    ----------
+    steps : ndarray of int, shape (n,)
+        Numbers of draws per chain, increasing.
+    solves : ndarray, shape (n,)
+        What they cost with the warm-up; exact gradients count as ``gradient_cost`` solves.
+    ess : ndarray, shape (n,)
+        The smaller of bulk and tail effective sample size.
+    rhat : ndarray, shape (n,)
+    """
+
+    steps: IntArray
+    solves: FloatArray
+    ess: FloatArray
+    rhat: FloatArray
+
+
+def meets_criterion(rhat_max: float, ess_min: float, chains: int) -> bool:
+    """Say whether R-hat and effective sample size suffice: the criterion that is the same for every sampler."""
+    return rhat_max < RHAT_LIMIT and ess_min >= required_ess(chains)
+
+
+def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
+    """Return how R-hat and effective sample size developed while a run grew.
+
+    R-hat of a chain of more than 10 000 draws is of every k-th draw, 2000 of them, as for a run under way.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    at : ndarray of int, optional
+        Numbers of draws per chain; `lengths` of the run if not given.
+    """
+    walkers = walkers_of(trace)
+    draws = np.moveaxis(parameter_draws(trace), -1, 0)
+    at = lengths(draws.shape[2] // walkers) if at is None else at
+    spent = _cumulative(trace, walkers)
+    ess, ranked = np.empty(len(at)), np.empty(len(at))
+    for k, steps in enumerate(at):
+        first = draws[..., : steps * walkers]
+        distance = apart(steps * walkers, MOST_RANKED, walkers) if steps * walkers > _RANKED_IN_FULL else 1
+        ranked[k] = np.max([rhat(x[:, ::distance]) for x in first])
+        ess[k] = np.min([min(ess_bulk(x, walkers), ess_tail(x, walkers)) for x in first])
+    return Growth(at, spent[at - 1], ess, ranked)
+
+
+def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
+    """Return the solves of a run, with its warm-up, after each step, shape (steps,)."""
+    warm, drawn = (
+        in_solves(trace, *(_of_steps(trace, group, name, walkers) for name in ("n_solves", "n_gradients")))
+        for group in ("warmup_sample_stats", "sample_stats")
+    )
+    return np.asarray(warm.sum() + np.cumsum(drawn))
+
+
+def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatArray:
+    """Return a count summed over chains and walkers, shape (steps,)."""
+    if not has(trace, group, name):
+        return np.zeros(0)
+    counts = array_of(trace, group, name)
+    return np.asarray(counts.reshape(len(counts), -1, walkers).sum(axis=(0, 2)), dtype=float)
+
+
+def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
+    """Return the solves, warm-up included, after which the draws first met the criterion; NaN if never.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    grown : Growth, optional
+        ``growth(trace)``, if already computed: between two of its lengths the first one is found by bisection.
+    """
+    grown = growth(trace) if grown is None else grown
+    chains = trace["posterior"].sizes["chain"]
+    met = [meets_criterion(*both, chains) for both in zip(grown.rhat, grown.ess, strict=True)]
+    if not any(met):
+        return np.nan
+    k = met.index(True)
+    low, high, solves = int(grown.steps[k - 1]) if k else 0, int(grown.steps[k]), float(grown.solves[k])
+    for _ in range(_HALVINGS if k else 0):
+        middle = (low + high) // 2
+        if middle == low:
+            break
+        found = growth(trace, np.array([middle]))
+        if meets_criterion(found.rhat[0], found.ess[0], chains):
+            high, solves = middle, float(found.solves[0])
+        else:
+            low = middle
+    return solves

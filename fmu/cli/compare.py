@@ -1,0 +1,63 @@
+"""``fmu compare``: several samplers on one problem to one criterion, or the samplers of a run side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fmu.cli.run import run
+from fmu.cli.tables import echo_comparison
+from fmu.samplers.registry import COMPARED
+
+MAX_SOLVES = 300_000
+"""Enough for emcee to pass its own tests on the built-in cantilevers."""
+_LIKE_RUN = {"pairing", "seed", "overwrite", "chains", "starts", "workers", "progress", "reports"}
+
+
+def _as_in_run(command: click.Command) -> click.Command:
+    """Add the options that ``fmu run`` has too."""
+    command.params += [option for option in run.params if option.name in _LIKE_RUN]
+    return command
+
+
+@_as_in_run
+@click.command()
+@click.argument("case", metavar="CASE|FILE|RUN")
+@click.option("--max-solves", type=click.IntRange(min=1), default=MAX_SOLVES, show_default=True, metavar="N",
+              help="About how many solves a sampler may take, warm-up included.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: compare/CASE-PAIRING]")
+@click.pass_context
+def compare(context: click.Context, case: str, out: Path | None, **orders: Any) -> int:
+    """Compare samplers on one problem, with emcee as the baseline.
+
+    Of a built-in problem or a TOML file, runs mh, slice, hmc, emcee and mixture, from one search for maxima, until
+    R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. Each goes on until it has
+    converged, which takes emcee further: a run of 50 autocorrelation times. Writes what fmu run writes, into
+    compare/CASE-PAIRING. Of the directory of a run, compares the traces that are there.
+    """
+    if Path(case).is_dir():
+        _compare_run(Path(case))
+        return 0
+    from fmu.cli.problems import problem_of
+
+    problem = problem_of(case, orders["pairing"])
+    directory = out or Path("compare") / f"{problem.file.stem}-{problem.pairing}"
+    return int(context.invoke(run, case=case, out=directory, samplers=COMPARED, **orders))
+
+
+def _compare_run(directory: Path) -> None:
+    """Compare the traces of a run."""
+    from fmu.analysis.convergence.diagnostics import summary
+    from fmu.analysis.trace.conversion import load_traces
+
+    traces = load_traces(directory)
+    if not traces:
+        raise click.BadParameter(f"{directory} contains no traces (*.nc).", param_hint="'CASE|FILE|RUN'")
+    problems = {trace.attrs["problem"] for trace in traces.values()}
+    if len(problems) > 1:
+        raise click.BadParameter(f"{directory} contains runs of different problems: "
+                                 f"{', '.join(sorted(problems))}.",
+                                 param_hint="'CASE|FILE|RUN'")  # fmt: skip
+    echo_comparison(traces, {name: summary(trace) for name, trace in traces.items()})

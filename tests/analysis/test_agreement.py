@@ -1,0 +1,61 @@
+"""Whether samplers agree, in one sentence, which turns when one of them differs."""
+
+import numpy as np
+import pytest
+
+from fmu.analysis.convergence.agreement import CLOSE, agreement
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.convergence.effective import mcse_sd
+
+
+def of(make_trace, *arrays):
+    traces = {name: make_trace(x) for name, x in zip("abc", arrays, strict=False)}
+    return agreement(traces, {name: summary(trace) for name, trace in traces.items()})
+
+
+@pytest.fixture
+def draws():
+    return list(np.random.default_rng(41).standard_normal((3, 4, 600, 2)))
+
+
+def test_samplers_of_one_distribution_agree(make_trace, draws):
+    found = of(make_trace, *draws)
+    assert found.agrees
+    assert 0 < found.z < CLOSE
+    assert found.sentence.startswith(
+        "The 3 samplers agree: of 12 differences of their means and sds the largest is "
+    )
+    assert found.left_out == ()
+
+
+def test_a_mean_that_differs_turns_the_sentence(make_trace, draws):
+    draws[1][..., 1] += 0.5
+    found = of(make_trace, *draws)
+    assert found.agrees is False
+    assert found.sentence.startswith("The samplers disagree: mean of x1, ")
+    assert "b" in found.sentence.split("x1, ")[1].split(":")[0]
+    assert "at least one of the two is wrong" in found.sentence
+
+
+def test_a_spread_that_differs_turns_it_too(make_trace, draws):
+    draws[2][..., 0] *= 1.4
+    found = of(make_trace, *draws)
+    assert found.agrees is False
+    assert "sd of x0" in found.sentence
+
+
+def test_a_run_with_too_few_draws_is_left_out_and_named(make_trace, draws):
+    draws[2] = draws[2][:, :50] + 3.0
+    found = of(make_trace, *draws)
+    assert found.agrees
+    assert found.left_out == ("c",)
+    assert found.sentence.endswith("Left out: c, with too few effective draws.")
+    alone = of(make_trace, draws[0], draws[2])
+    assert alone.agrees is None
+    assert np.isnan(alone.z)
+
+
+def test_the_standard_error_of_a_standard_deviation():
+    """Of n independent normal draws it is σ/√(2n)."""
+    x = np.random.default_rng(8).standard_normal((4, 5000))
+    assert mcse_sd(x) == pytest.approx(1 / np.sqrt(2 * x.size), rel=0.1)
