@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from fmu.fem.frame.components import DIRECTIONS
-from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, lowest, scaled, unit_diagonal
+from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, is_semidefinite, lowest, scaled, unit_diagonal
 from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
@@ -130,6 +130,8 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
         raise ValueError("the mass matrix must be finite")
     if M.nnz == 0 or abs(M).max() == 0.0:
         raise ValueError("the mass matrix must have entries (all of it is zero)")
+    if all(is_semidefinite(M[dofs][:, dofs]) for dofs in model.blocks):
+        return  # its motions without mass may be hundreds, and are not looked for
     _, negative = _lowest_motions(model, M)
     if negative.shape[1]:
         moving = what_moves(model, negative, label)

@@ -45,6 +45,7 @@ _FACTORS = 3
 """Most parameters in one term."""
 _MOST_TRIED = 30_000
 _MOST_SAMPLED = 1000
+_MOST_MISSED = 50
 _MOST_COMPARED = 2000
 _MOST_CORNERS = 4096
 _WORST_CONDITION = 1e12
@@ -400,13 +401,12 @@ def _recovery(
     by_parameters, of_entry = np.unique(changed, axis=1, return_inverse=True)
     for k in np.argsort(by_parameters.sum(axis=0), kind="stable"):
         own = np.flatnonzero(of_entry == k)
-        sample = entries.entry[:, own[:: max(len(own) // _MOST_SAMPLED, 1)]]
         groups = [np.flatnonzero(by_parameters[:, k]).tolist()]
         around = np.flatnonzero(on_diagonal(own).any(axis=1)).tolist()
         groups += [around] if len(around) > len(groups[0]) else []
         for group in groups:
             known = [powers for powers in found if any(powers) and set(np.flatnonzero(powers)) <= set(group)]
-            chosen, first = _fewest(known, group, relative, used, sample, entries.noise)
+            chosen, first = _fewest_of_all(known, group, relative, used, entries.entry[:, own], entries.noise)
             if chosen is not None:
                 break
         fit = None if chosen is None else _Fit.of(chosen, relative, used)
@@ -439,6 +439,32 @@ def _recovery(
 def _corners(bounds: FloatArray) -> FloatArray:
     """Return corners of a box of bounds (2, n_parameters), shape (n, n_parameters)."""
     return np.array(list(islice(product(*bounds.T.tolist()), _MOST_CORNERS)))
+
+
+def _fewest_of_all(
+    known: Sequence[Powers],
+    group: Sequence[int],
+    relative: FloatArray,
+    used: BoolArray,
+    entry: FloatArray,
+    noise: float,
+) -> tuple[tuple[Powers, ...] | None, tuple[Powers, ...] | None]:
+    """Return the terms of `_fewest`, found from some of the entries (n_exports, n).
+
+    The entries that these terms miss, such as that of a single spring in a solid, are then looked at too.
+    """
+    some = np.arange(entry.shape[1])[:: max(entry.shape[1] // _MOST_SAMPLED, 1)]
+    while True:
+        chosen, first = _fewest(known, group, relative, used, entry[:, some], noise)
+        fit = None if chosen is None else _Fit.of(chosen, relative, used)
+        if fit is None or len(some) == entry.shape[1]:
+            return chosen, first
+        if fit.reproduces(entry, used, np.ones(len(used), dtype=bool), noise):
+            return chosen, first
+        missed = np.setdiff1d(np.argsort(fit.missed(entry, used).max(axis=0))[-_MOST_MISSED:], some)
+        if not len(missed):
+            return chosen, first
+        some = np.concatenate([some, missed])
 
 
 def _fewest(

@@ -17,15 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
-import scipy.sparse as sp
 
-from fmu.fem.modes.eigensolver import DENSE_LIMIT, NEGATIVE, is_clearly_definite, unit_diagonal
+from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit_diagonal
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.modes.separable import Term, coefficients
 from fmu.fem.modes.solver import Factor, factorised
 from fmu.fem.reduced.space import Space
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import FloatArray, IntArray
 
 # A box in which a coefficient changes by more than this factor is halved, and has two anchors.
 _WIDE = 30.0
@@ -275,17 +274,3 @@ def _middle(lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return the geometric mean of positive bounds that are far apart, the mean of others."""
     with np.errstate(invalid="ignore"):
         return np.where((lower > 0.0) & (upper > 2.0 * lower), np.sqrt(lower * upper), 0.5 * (lower + upper))
-
-
-def is_semidefinite(matrix: Any) -> BoolArray | bool:
-    """Say whether a symmetric matrix has no eigenvalue below zero, but for rounding in what programs export."""
-    rows = np.flatnonzero(np.diff(matrix.indptr))
-    if not len(rows):
-        return True
-    S, _ = unit_diagonal(matrix[rows][:, rows])
-    if len(rows) <= DENSE_LIMIT:
-        return bool(np.linalg.eigvalsh(S.toarray())[0] > -NEGATIVE)
-    try:
-        return factorised(S + NEGATIVE * sp.eye_array(len(rows))).negative == 0
-    except np.linalg.LinAlgError:
-        return False
