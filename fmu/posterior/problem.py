@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
@@ -322,6 +323,29 @@ class UpdatingProblem:
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors from the truncated prior, shape (n, ndim)."""
         return np.clip(self.prior.draw(rng, n), self._lowest, self._highest)
+
+    def walkers(self, n: int, seed: int = 1) -> FloatArray:
+        """Return starts for the walkers of an ensemble, such as that of emcee, shape (n, ndim), SI units.
+
+        They are spread over the maxima of the posterior in proportion to their probability, around each of them
+        twice as wide as the posterior, within the bounds and where the log-probability is finite
+        (`fmu.analysis.maxima.starts.starts_at_maxima`); of a hierarchical posterior around its middle. The maxima
+        are searched for once (`fmu.find_map`). Another seed gives other starts, for another ensemble.
+
+        Parameters
+        ----------
+        n : int
+            At least twice the number of parameters.
+        seed : int
+
+        Raises
+        ------
+        ValueError
+            If `n` or `seed` is out of range.
+        """
+        # the search for maxima is in a layer above: the one call that goes up, when it is made
+        found: FloatArray = import_module("fmu.analysis.maxima.starts").walkers(self, n, seed)
+        return found
 
     def simulate_data(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None

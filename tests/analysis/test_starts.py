@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import emcee
 import numpy as np
 import pytest
 
@@ -144,3 +145,37 @@ def test_first_candidates_are_enough_at_a_small_maximum(frame, frame_maxima):
     assert (
         weights[-1] == weights.min() == pytest.approx(0.5 * (0.03 + 1 / len(rare)))
     )  # the smallest share is last
+
+
+def test_walkers_are_spread_over_the_maxima_and_emcee_takes_them(frame, frame_maxima):
+    start = frame.walkers(32, seed=3)
+    assert start.shape == (32, frame.ndim)
+    assert np.all((start >= frame.lower) & (start <= frame.upper))
+    closest = np.argmin(frame_maxima.drop(start), axis=0)
+    share = np.array([m.share for m in frame_maxima])
+    np.testing.assert_array_equal(np.bincount(closest, minlength=5), np.bincount(allotted(share, 32), minlength=5))
+    np.testing.assert_array_equal(frame.walkers(32, seed=3), start)
+    assert not np.isin(frame.walkers(32, seed=4), start).any()
+    sampler = emcee.EnsembleSampler(32, frame.ndim, frame.log_prob, vectorize=True)
+    sampler.run_mcmc(start, 2)
+    assert sampler.acceptance_fraction.mean() > 0
+
+
+def test_walkers_of_a_hierarchical_posterior_are_around_its_middle():
+    problem = fmu.cases.load("shear-4dof-repeated")
+    start = problem.walkers(2 * problem.ndim)
+    assert start.shape == (2 * problem.ndim, problem.ndim)
+    assert np.isfinite(problem.log_prob(start)).all()
+
+
+@pytest.mark.parametrize(
+    ("n", "seed", "message"),
+    [
+        (3, 1, r"n: must be a whole number of at least 8, twice the parameters \(got 3\)"),
+        (32.0, 1, r"n: must be a whole number of at least 8, twice the parameters \(got 32.0\)"),
+        (32, -1, r"seed: must be a whole number of at least 0 \(got -1\)"),
+    ],
+)
+def test_walkers_that_make_no_sense(frame, n, seed, message):
+    with pytest.raises(ValueError, match=message):
+        frame.walkers(n, seed)

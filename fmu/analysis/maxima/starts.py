@@ -9,9 +9,11 @@ from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
 from fmu.analysis.maxima.results import NEGLIGIBLE
+from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.samplers.settings import whole_number
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -103,6 +105,17 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
         u[home == k] = _around(_scaled(maxima[int(k)], scaled), scaled, rng, int(np.sum(home == k)))
     theta: FloatArray = scaled.to_theta(u)
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1)
+
+
+def walkers(problem: Any, n: int, seed: int = 1) -> FloatArray:
+    """Return starts for the walkers of one ensemble: `fmu.UpdatingProblem.walkers`."""
+    least = 2 * problem.ndim
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < least:
+        raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
+    maxima = find_map(problem) if is_searchable(problem) else None
+    start, _ = starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
+    found: FloatArray = start[0]
+    return found
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
