@@ -14,7 +14,8 @@ from scipy.special import log_ndtr, logsumexp
 
 from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.analysis.convergence.pareto import pareto_k, smoothed_weights
-from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, approximation, left_out
+from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, LeftOut, approximation, left_out
+from fmu.analysis.held_out.together import left_out_together
 from fmu.analysis.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.conversion import GIVEN_OTHERS
 from fmu.analysis.trace.reading import (
@@ -173,16 +174,25 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return each mode predicted after updating without it, by its number; those that the solves suffice for."""
+    """Return each mode predicted after updating without it, by its number; those that the solves suffice for.
+
+    First all by the same candidates; those that these do not cover well by candidates of their own. The results
+    are remembered: they depend on the problem alone, and not on the draws, so that one serves all samplers.
+    """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES:
+        known = _KNOWN.setdefault(problem, {})
         with phase("leaving modes out", len(modes)) as under_way:
+            with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
+                known |= _left_out_together(problem, [k for k in modes if problem.data.use[k] and k not in known])
+            under_way.advance(sum(k in known for k in modes))
             for k in modes:
-                with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
+                is_new = k not in known
+                with suppress(np.linalg.LinAlgError):
                     row = _left_out(problem, k, int(min(most, MOST_SOLVES)))
                     if row.method:
                         found[k] = row
-                under_way.advance()
+                under_way.advance(int(is_new))
     return found
 
 
@@ -249,11 +259,17 @@ def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draw
     return replace(row, elpd=elpd, mcse_elpd=mcse, pareto_k=shape)
 
 
-def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Return mode number k after updating without it, and with it if it was not used; the result is cached.
+def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
+    """Return used modes, by their number, after updating without them: those that common candidates cover well."""
+    if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
+        return {}
+    found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
+    rows = zip(modes, found, strict=True)
+    return {k: (MOST_SOLVES, _row(problem, k, one)) for k, one in rows if one.predicts and one.is_known}
 
-    It depends on the problem alone, and not on the draws, so that one serves the runs of all samplers.
-    """
+
+def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
+    """Return mode number k after updating without it, and with it if it was not used, or what is known of it."""
     known = _KNOWN.setdefault(problem, {})
     if k in known and (known[k][1].mcse_elpd <= ACCEPTED or known[k][0] >= most):
         return known[k][1]
@@ -267,6 +283,13 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
     without, whole = (other, problem) if used else (problem, other)
     of_both = [approximation(other, near, rng), of_problem]
     found = left_out(without, whole, of_both if used else of_both[::-1], rng, most)
+    known[k] = (most, _row(problem, k, found))
+    return known[k][1]
+
+
+def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
+    """Return the prediction of mode number k by the posterior without it, as far as that is known."""
+    used = problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
         row = replace(
@@ -277,7 +300,6 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
         )
         if found.is_known:
             row = replace(row, elpd=found.elpd, mcse_elpd=found.error)
-    known[k] = (most, row)
     return row
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,22 +10,24 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
+from fmu.analysis.held_out.candidates import (
+    PriorCandidates,
+    fitted_to_draws,
+    gaussians,
+    gaussians_of_groups,
+    quadratics_at_maxima,
+)
 from fmu.analysis.maxima.mode_weights import (
     TEMPERATURES,
     Proposal,
-    log_shares,
     mixture_draws,
 )
-from fmu.analysis.maxima.search import quadratic_at
-from fmu.posterior.maxima import local_maxima
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.loop.run import Run
 from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.samplers.mixture.quadratic import fitted as fitted_quadratic
-from fmu.samplers.mixture.truncated_normal import SequentialNormal
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -36,21 +37,16 @@ ERROR, ACCEPTED = 0.02, 0.05
 """Wanted standard error of a log-density, and the largest that is accepted."""
 SOLVES, MOST_SOLVES = 12_000, 120_000
 """What leaving a mode out takes at least, as a rule, and at most, in solves."""
-_STARTS = 32
-_HOPELESS = 30.0
-_MOST_MAXIMA = 8
 _PILOT = 512
 _FITS = 2
-_WIDER = (1.0, 2.0)
-_FLATTER = 4.0
+WIDER = (1.0, 2.0)
 _FIRST, _FIRST_IN_ALL = 128, 2560
 """Draws of each proposal before the first look at the error, and at least of all proposals together."""
 _FAIR, _TELLING = 10_000, 3000
 """Draws after which an error that is accepted is not made smaller, and that tell whether more would be enough."""
 _LEAST = 6000
 """Solves left without which no other round begins."""
-_ROUNDS, _RESAMPLED = (12_000, 12_000, 20_000, 20_000, 60_000), 2048
-_GROUPS, _A_GROUP = 8, 20
+_ROUNDS = (12_000, 12_000, 20_000, 20_000, 60_000)
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
 _SHARE, _COMPARED, _SLIGHT = 0.75, 128, 0.5
@@ -101,7 +97,7 @@ class LeftOut:
     @property
     def effective(self) -> float:
         """Effective number of draws from the posterior without the mode (Kish)."""
-        return float(np.exp(-logsumexp(2.0 * self.log_weights[0])))
+        return effective(self.log_weights[0])
 
     @property
     def predicts(self) -> bool:
@@ -112,6 +108,11 @@ class LeftOut:
     def is_known(self) -> bool:
         """Whether the elpd is known well enough."""
         return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
+
+
+def effective(log_w: FloatArray) -> float:
+    """Return the effective number of weighted draws (Kish), from the logarithms of the weights (n,)."""
+    return float(np.exp(2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w)))
 
 
 def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> Approximation:
@@ -131,13 +132,13 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
     rng : Generator
     """
     scaled = ScaledDensity(problem)
-    models, temperatures = _around_maxima(problem, scaled, near), TEMPERATURES
+    models, temperatures = quadratics_at_maxima(problem, scaled, near), TEMPERATURES
     u, log_p, log_q = np.empty((0, problem.ndim)), np.empty(0), np.empty(0)
     for _ in range(_FITS):
-        more, log_q = mixture_draws(_proposals(models, scaled, temperatures), rng, _PILOT)
+        more, log_q = mixture_draws(gaussians(models, scaled, temperatures), rng, _PILOT)
         u = np.concatenate([u, more])
         log_p = np.concatenate([log_p, *by_parts("importance sampling", scaled.log_prob, more)])
-        models, temperatures = _fitted(models, u, log_p), _WIDER
+        models, temperatures = fitted_to_draws(models, u, log_p), WIDER
     last = slice(len(u) - len(log_q), None)
     log_w = log_p[last] - log_q
     log_w = np.where(np.isfinite(log_w), log_w, -np.inf)
@@ -145,7 +146,7 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
     if np.exp(-logsumexp(2.0 * log_w)) >= _EVEN * len(log_w):
         return Approximation(models, [])
     walked = _walked(_cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
-    return Approximation(models, _groups(walked, np.zeros(len(walked)), rng))
+    return Approximation(models, gaussians_of_groups(walked, np.zeros(len(walked)), rng))
 
 
 def _cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
@@ -201,14 +202,13 @@ def left_out(
     models = [one.quadratics for one in known]
     groups = [group for one in known for group in one.groups]
     for limit in _ROUNDS:
-        gaussians = [*models[0], *models[1], *groups]
-        found, log_p = _drawn(without, whole, gaussians, rng, min(most, limit))
+        found, log_p = _drawn(without, whole, [*models[0], *models[1], *groups], rng, min(most, limit))
         most -= len(found.theta)
         if (found.predicts and found.is_known) or most < _LEAST:
             break
         u = scaled.to_scaled(found.theta)
-        models = [_fitted(of, u, values) for of, values in zip(models, log_p, strict=True)]
-        groups = [one for log_w in found.log_weights for one in _groups(u, log_w, rng)]
+        models = [fitted_to_draws(of, u, values) for of, values in zip(models, log_p, strict=True)]
+        groups = [one for log_w in found.log_weights for one in gaussians_of_groups(u, log_w, rng)]
     return found
 
 
@@ -224,15 +224,15 @@ def _drawn(
     Where even `most` would be too few, it ends early: a mixture that fits better is needed.
     """
     scaled = ScaledDensity(whole)
-    proposals: list[Proposal] = [*_proposals(models, scaled, _WIDER), _Prior(whole, scaled)]
+    proposals: list[Proposal] = [*gaussians(models, scaled, WIDER), PriorCandidates(whole, scaled)]
 
     def evaluated(u: FloatArray) -> FloatArray:
-        return _both(without, whole, scaled.to_theta(u))
+        return log_prob_of_all((without, whole), scaled.to_theta(u))
 
     u, log_q = mixture_draws(proposals, rng, max(_FIRST, _FIRST_IN_ALL // len(proposals)))
     values = np.concatenate(by_parts("importance sampling", evaluated, u))
     while True:
-        found = _compared(scaled.to_theta(u), values, log_q)
+        found = compared(scaled.to_theta(u), values[:, :2].T, values[:, 2:], log_q)
         is_accepted = found.error <= ACCEPTED and found.effective >= _EFFECTIVE
         is_done = is_accepted and (found.error <= ERROR or 2 * len(u) > _FAIR)
         more_times = most / len(u)
@@ -244,97 +244,33 @@ def _drawn(
         values = np.concatenate([values, *by_parts("importance sampling", evaluated, more)])
 
 
-def _both(without: UpdatingProblem, whole: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return both log-probabilities and the frequencies, shape (n, 2 + n_modes)."""
-    likelihoods: list[Any] = [without.likelihood, whole.likelihood]
+def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
+    """Return the log-probabilities of problems on one model and the frequencies there, (n, n_problems + n_modes).
+
+    Unless a pairing is soft, every theta is solved once. The last problem is updated with all modes of the others.
+    """
+    whole, likelihoods = problems[-1], list[Any](problem.likelihood for problem in problems)
     if whole.model.is_soft:
-        log_p = [problem.log_likelihood(theta) for problem in (without, whole)]
+        log_p = [problem.log_likelihood(theta) for problem in problems]
         hz = whole.frequencies(theta)
     else:
-        seen = likelihoods[1].observed(theta)
+        seen = likelihoods[-1].observed(theta)
         log_p = [likelihood.terms_of_observed(seen, theta).sum(axis=1) for likelihood in likelihoods]
         hz = seen.frequencies
     found = np.stack(log_p, axis=1) + np.asarray(whole.log_prior(theta))[:, None]
     return np.concatenate([np.where(np.isfinite(found), found, -np.inf), hz], axis=1)
 
 
-def _compared(theta: FloatArray, values: FloatArray, log_q: FloatArray) -> LeftOut:
-    log_w = values[:, :2].T - log_q
+def compared(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
+    """Return the comparison of two posteriors, log P (2, n), by draws of a density q; the second has the mode."""
+    log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)
     w = np.exp(log_w - total[:, None])
     return LeftOut(
         theta=theta,
-        hz=values[:, 2:],
+        hz=hz,
         log_weights=log_w - total[:, None],
         elpd=float(total[1] - total[0]),
         error=float(np.sqrt(np.sum((w[1] - w[0]) ** 2))),
         pareto_k=np.array([pareto_k(one) for one in log_w]),
     )
-
-
-def _around_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return the quadratics at the maxima that may hold some of the probability, by the curvature there."""
-    maxima = local_maxima(problem, _STARTS, near=near)
-    that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
-    return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
-
-
-def _proposals(
-    models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
-) -> list[SequentialNormal]:
-    return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
-
-
-def _fitted(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
-    """Return each quadratic fitted to the draws around it; as it was where they are too few.
-
-    The weights P^(1/4) count the flanks as well, from which most of the draws are.
-    """
-    known = np.isfinite(log_p)
-    u, log_p = u[known], log_p[known]
-    weight = np.exp((log_p - log_p.max()) / _FLATTER)
-    fitted = []
-    for model, share in zip(models, np.exp(log_shares(models, u)), strict=True):
-        own, n = weight * share, u.shape[1]
-        is_enough = own.sum() ** 2 > (n + 1) * (n + 2) * np.sum(own**2)  # twice the number of coefficients
-        fitted.append(fitted_quadratic(u, log_p, own) if is_enough else model)
-    return fitted
-
-
-@dataclass(frozen=True, eq=False)
-class _Prior:
-    """The prior as a proposal, which bounds the weights: P/q is at most a multiple of the likelihood."""
-
-    problem: UpdatingProblem
-    scaled: ScaledDensity
-
-    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws, shape (n, ndim)."""
-        return self.scaled.to_scaled(self.problem.sample_prior(rng, n))
-
-    def log_density(self, u: FloatArray) -> FloatArray:
-        """Return log q at points u (n, ndim), shape (n,)."""
-        log_prior = np.asarray(self.problem.log_prior(self.scaled.to_theta(u)))
-        return log_prior + np.sum(np.log(self.scaled.scale))
-
-
-def _groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
-    """Return the Gaussians of weighted draws (n, ndim), divided into groups of neighbours (k-means)."""
-    from scipy.cluster.vq import kmeans2
-
-    n = u.shape[1]
-    chosen = u[rng.choice(len(u), _RESAMPLED, p=np.exp(log_w - logsumexp(log_w)))]
-    around = np.cov(chosen.T).reshape(n, n) + 1e-12 * np.eye(n)
-    standard = np.linalg.solve(np.linalg.cholesky(around), chosen.T).T
-    count = min(_GROUPS, len(np.unique(chosen, axis=0)) // (_A_GROUP * n))
-    if count < 2:
-        return []
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="One of the clusters is empty")
-        _, group = kmeans2(standard, count, minit="++", rng=rng)
-    found = []
-    for members in (chosen[group == g] for g in range(count)):
-        if len(np.unique(members, axis=0)) > 2 * n:
-            covariance = np.cov(members.T).reshape(n, n) + 1e-3 * around
-            found.append(Quadratic(members.mean(axis=0), 0.0, np.zeros(n), np.linalg.inv(covariance)))
-    return found

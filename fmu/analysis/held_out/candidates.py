@@ -1,0 +1,99 @@
+"""Candidates for importance sampling of posteriors that differ in one mode: Gaussians, and the prior."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.analysis.maxima.mode_weights import log_shares
+from fmu.analysis.maxima.search import quadratic_at
+from fmu.posterior.maxima import local_maxima
+from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.samplers.mixture.quadratic import fitted as fitted_quadratic
+from fmu.samplers.mixture.truncated_normal import SequentialNormal
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+_STARTS = 32
+_HOPELESS = 30.0
+_MOST_MAXIMA = 8
+_FLATTER = 4.0
+_RESAMPLED = 2048
+_GROUPS, _A_GROUP = 8, 20
+
+
+def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
+    """Return the quadratics at the maxima that may hold some of the probability, by the curvature there."""
+    maxima = local_maxima(problem, _STARTS, near=near)
+    that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
+    return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
+
+
+def gaussians(
+    models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
+) -> list[SequentialNormal]:
+    """Return the Gaussians of all quadratics, truncated by the bounds, at each temperature."""
+    return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
+
+
+def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
+    """Return each quadratic fitted to the draws around it; as it was where they are too few.
+
+    The weights P^(1/4) count the flanks as well, from which most of the draws are.
+    """
+    known = np.isfinite(log_p)
+    u, log_p = u[known], log_p[known]
+    weight = np.exp((log_p - log_p.max()) / _FLATTER)
+    fitted = []
+    for model, share in zip(models, np.exp(log_shares(models, u)), strict=True):
+        own, n = weight * share, u.shape[1]
+        is_enough = own.sum() ** 2 > (n + 1) * (n + 2) * np.sum(own**2)  # twice the number of coefficients
+        fitted.append(fitted_quadratic(u, log_p, own) if is_enough else model)
+    return fitted
+
+
+@dataclass(frozen=True, eq=False)
+class PriorCandidates:
+    """The prior as a proposal, which bounds the weights: P/q is at most a multiple of the likelihood."""
+
+    problem: UpdatingProblem
+    scaled: ScaledDensity
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` draws, shape (n, ndim)."""
+        return self.scaled.to_scaled(self.problem.sample_prior(rng, n))
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return log q at points u (n, ndim), shape (n,)."""
+        log_prior = np.asarray(self.problem.log_prior(self.scaled.to_theta(u)))
+        return log_prior + np.sum(np.log(self.scaled.scale))
+
+
+def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
+    """Return the Gaussians of weighted draws (n, ndim), divided into groups of neighbours (k-means)."""
+    from scipy.cluster.vq import kmeans2
+
+    n = u.shape[1]
+    chosen = u[rng.choice(len(u), _RESAMPLED, p=np.exp(log_w - logsumexp(log_w)))]
+    around = np.cov(chosen.T).reshape(n, n) + 1e-12 * np.eye(n)
+    standard = np.linalg.solve(np.linalg.cholesky(around), chosen.T).T
+    count = min(_GROUPS, len(np.unique(chosen, axis=0)) // (_A_GROUP * n))
+    if count < 2:
+        return []
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="One of the clusters is empty")
+        _, group = kmeans2(standard, count, minit="++", rng=rng)
+    found = []
+    for members in (chosen[group == g] for g in range(count)):
+        if len(np.unique(members, axis=0)) > 2 * n:
+            covariance = np.cov(members.T).reshape(n, n) + 1e-3 * around
+            found.append(Quadratic(members.mean(axis=0), 0.0, np.zeros(n), np.linalg.inv(covariance)))
+    return found

@@ -1,0 +1,205 @@
+"""The posteriors without each of several modes, from one set of candidates.
+
+A solve gives all frequencies, and with them the log-probability of the posterior with all modes and of those
+without one of them. All are weighted from the same draws of one mixture (multiple importance sampling with the
+balance heuristic: Veach & Guibas 1995, SIGGRAPH; Owen & Zhou 2000, *J. Am. Stat. Assoc.* 95, 135–143), so that
+leaving out ten modes takes about as many solves as leaving out one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.analysis.held_out.candidates import (
+    PriorCandidates,
+    fitted_to_draws,
+    gaussians,
+    gaussians_of_groups,
+    quadratics_at_maxima,
+)
+from fmu.analysis.held_out.refit import ACCEPTED, ERROR, WIDER, LeftOut, compared, effective, log_prob_of_all
+from fmu.analysis.maxima.mode_weights import TEMPERATURES, Proposal
+from fmu.posterior.scaled import ScaledDensity
+from fmu.progress.phases import by_parts, phase
+from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+_PILOT, _FITS = 2048, 2
+"""Draws that the Gaussians are fitted to, and how often."""
+_FIRST, _FAIR, _MOST = 3072, 8192, 24_000
+"""Draws before the first look at the errors, those from which on accepted errors suffice, and the most."""
+_ROUNDS = 3
+_EVEN = 0.25
+"""Effective draws of a posterior over its part of the draws, below which chains look for what is missing."""
+_WALKERS, _STEPS, _FLAT, _JITTER = 48, 100, 0.25, 1e-4
+_OF_PRIOR = 0.25
+"""Draws of the prior over those of a posterior's part."""
+
+
+def left_out_together(
+    without: Sequence[UpdatingProblem], whole: UpdatingProblem, rng: np.random.Generator
+) -> list[LeftOut]:
+    """Compare posteriors that each lack a mode with the one that has all, by the same draws.
+
+    Each posterior has a Gaussian around each of its maxima, which is fitted to the log-probability of draws of all
+    (`fmu.analysis.held_out.candidates`). In posteriors that these do not cover well, as along a bent ridge, short
+    chains look for the rest, and the Gaussians of groups of their draws join the others. Draws of the mixture of
+    all, of wider ones and of the prior then give the comparisons. Where the weights of one are not reliable, its
+    chains go on. If that does not help either, it says so (`LeftOut.predicts`, `LeftOut.is_known`).
+
+    Parameters
+    ----------
+    without : sequence of UpdatingProblem
+        The problem updated without each of the modes (`UpdatingProblem.using`).
+    whole : UpdatingProblem
+    rng : Generator
+
+    Returns
+    -------
+    list of LeftOut
+        One for each of `without`.
+    """
+    problems, scaled = [*without, whole], ScaledDensity(whole)
+    prior, last = PriorCandidates(whole, scaled), len(without)
+    models, walkers = _first_models(problems, scaled, prior, rng)
+    groups: dict[int, list[Quadratic]] = {}
+    done: dict[int, LeftOut] = {}
+    wanted = list(range(last))
+    for _ in range(_ROUNDS):
+        walked = _walk(problems, walkers, scaled, rng)
+        groups |= {number: gaussians_of_groups(of, np.zeros(len(of)), rng) for number, of in walked.items()}
+        parts = [gaussians([*models[k], *groups.get(k, ())], scaled, WIDER) for k in (*wanted, last)]
+        u, values, found = _compared(_Mixture(parts, prior), problems, wanted, scaled, rng)
+        done |= found
+        wanted = [k for k in wanted if not (done[k].predicts and done[k].is_known)]
+        if not wanted:
+            break
+        models = [fitted_to_draws(of, u, log_p) for of, log_p in zip(models, values.T, strict=True)]
+        walkers = {
+            k: walked[k][-_WALKERS:] if k in walked else _spread(u, done[k].log_weights[0], rng) for k in wanted
+        }
+    return [done[k] for k in range(last)]
+
+
+def _first_models(
+    problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
+) -> tuple[list[list[Quadratic]], dict[int, FloatArray]]:
+    """Return quadratics fitted to each posterior, and where chains start in those that they do not cover well.
+
+    All are climbed from the maxima of the last posterior too.
+    """
+    n, whole = len(problems), problems[-1]
+    models = [quadratics_at_maxima(whole, scaled, whole.start[None])]
+    near = scaled.to_theta(np.array([model.position for model in models[0]]))
+    models = [*(quadratics_at_maxima(problem, scaled, near) for problem in problems[:-1]), *models]
+    u, values, temperatures = np.empty((0, whole.ndim)), np.empty((0, n)), TEMPERATURES
+    for _ in range(_FITS):
+        mixture = _Mixture([gaussians(of, scaled, temperatures) for of in models], prior)
+        more, log_q, solved = _draws(mixture, problems, scaled, rng, _PILOT)
+        u, values = np.concatenate([u, more]), np.concatenate([values, solved[:, :n]])
+        models = [fitted_to_draws(of, u, log_p) for of, log_p in zip(models, values.T, strict=True)]
+        temperatures = WIDER
+    log_w = solved[:, :n].T - log_q
+    poor = [number for number in range(n) if effective(log_w[number]) < _EVEN * len(more) / n]
+    return models, {number: _spread(more, log_w[number], rng) for number in poor}
+
+
+def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return draws with flattened weights, (_WALKERS, ndim): the best draws alone may be a few."""
+    flat = np.exp(_FLAT * (log_w - log_w.max()))
+    return u[rng.choice(len(u), _WALKERS, p=flat / flat.sum())]
+
+
+def _walk(
+    problems: Sequence[UpdatingProblem],
+    walkers: Mapping[int, FloatArray],
+    scaled: ScaledDensity,
+    rng: np.random.Generator,
+) -> dict[int, FloatArray]:
+    """Return draws of short chains in some of the posteriors, by their numbers, each (n, ndim), scaled.
+
+    Differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the difference of
+    two others, so that the walkers spread along a ridge. The walkers of all posteriors move in lockstep, and one
+    batch of solves serves them all. The last draws are where they end.
+    """
+    if not walkers:
+        return {}
+    rows, t = np.repeat(list(walkers), _WALKERS), np.arange(len(walkers) * _WALKERS)
+    x = np.concatenate(list(walkers.values()))
+    log_p = log_prob_of_all(problems, scaled.to_theta(x))[t, rows]
+    first, kept = t - t % _WALKERS, []
+    with phase("chains along ridges", _STEPS) as under_way:
+        for step in range(_STEPS):
+            one, other = (first + rng.integers(_WALKERS, size=len(t)) for _ in range(2))
+            length = 1.0 if step % 10 == 9 else 2.38 / np.sqrt(2.0 * x.shape[1])
+            proposed = x + length * (x[one] - x[other]) + _JITTER * rng.standard_normal(x.shape)
+            proposed = np.where(proposed < scaled.lower, 2.0 * scaled.lower - proposed, proposed)
+            proposed = np.where(proposed > scaled.upper, 2.0 * scaled.upper - proposed, proposed)
+            proposed = np.clip(proposed, scaled.lower, scaled.upper)
+            new = log_prob_of_all(problems, scaled.to_theta(proposed))[t, rows]
+            moves = np.log(rng.random(len(t))) < new - log_p
+            x, log_p = np.where(moves[:, None], proposed, x), np.where(moves, new, log_p)
+            kept.append(x)
+            under_way.advance()
+    last = np.array(kept[_STEPS // 2 :])
+    return {number: np.concatenate(last[:, rows == number]) for number in walkers}
+
+
+@dataclass(frozen=True, eq=False)
+class _Mixture:
+    """A density of which every posterior has an equal part, its Gaussians equal shares of that; and the prior."""
+
+    parts: Sequence[Sequence[Proposal]]
+    prior: Proposal
+
+    def draws(self, rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
+        """Return about `n` draws, shape (n, ndim), and the log-density there, by the numbers drawn of each."""
+        share = n / (len(self.parts) + _OF_PRIOR)
+        counted = [(proposal, -int(-share // len(part))) for part in self.parts for proposal in part]
+        counted.append((self.prior, -int(-share * _OF_PRIOR // 1)))
+        u = np.concatenate([proposal.draw(rng, count) for proposal, count in counted])
+        log_q = [proposal.log_density(u) + np.log(count / len(u)) for proposal, count in counted]
+        return u, logsumexp(log_q, axis=0)
+
+
+def _draws(
+    mixture: _Mixture,
+    problems: Sequence[UpdatingProblem],
+    scaled: ScaledDensity,
+    rng: np.random.Generator,
+    n: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return about `n` draws of a mixture, its log-density, and log P of all problems with the frequencies."""
+    u, log_q = mixture.draws(rng, n)
+    solved = by_parts("importance sampling", lambda v: log_prob_of_all(problems, scaled.to_theta(v)), u)
+    return u, log_q, np.concatenate(solved)
+
+
+def _compared(
+    mixture: _Mixture,
+    problems: Sequence[UpdatingProblem],
+    wanted: Sequence[int],
+    scaled: ScaledDensity,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
+    """Return draws of a mixture, log P of all problems there, and comparisons of the wanted ones with the last."""
+    n = len(problems)
+    u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
+    while True:
+        theta, log_p, hz = scaled.to_theta(u), values[:, :n].T, values[:, n:]
+        found = {k: compared(theta, log_p[[k, -1]], hz, log_q) for k in wanted}
+        worst = max(one.error for one in found.values())
+        is_covered = all(one.predicts and one.is_known for one in found.values())
+        needed = max(int(1.2 * len(u) * (worst / ACCEPTED) ** 2), _FAIR)
+        if (is_covered and (worst <= ERROR or len(u) >= _FAIR)) or not len(u) < needed <= _MOST:
+            return u, values[:, :n], found
+        more = _draws(mixture, problems, scaled, rng, needed - len(u))
+        u, log_q, values = (np.concatenate(parts) for parts in zip((u, log_q, values), more, strict=True))
