@@ -359,3 +359,58 @@ def test_bytes_changed_at_random_never_crash(good, data):
         return
     assert np.all(np.isfinite(found.data))
     assert found.shape[0] == found.shape[1]
+
+
+TRIPLETS = np.array([[1, 1, 4.0], [2, 1, -1.0], [2, 2, 5.0], [3, 2, -2.0], [3, 3, 6.0]])
+FROM_TRIPLETS = [[4.0, -1.0, 0.0], [-1.0, 5.0, -2.0], [0.0, -2.0, 6.0]]
+
+
+def triplets_text(table):
+    return "\n".join(f"{int(row)} {int(column)} {entry!r}" for row, column, entry in table.tolist())
+
+
+@pytest.mark.parametrize("end", [", 3, 3);", ", n, n);", ");", ",max(a(:,1)),max(a(:,1)));"])
+def test_matlab_text_of_triplets_that_are_named_first(tmp_path, end):
+    text = f"n = 3;\na = [\n{triplets_text(TRIPLETS)}\n];\nK = sparse(a(:,1), a( : , 2), a(:,3){end}\nclear a\n"
+    (tmp_path / "Kssr.m").write_text(text)
+    found = read_labelled(tmp_path / "Kssr.m")
+    assert_array_equal(found.matrix.toarray(), FROM_TRIPLETS)
+    assert found.notes == ("Kssr.m has only the lower triangle: the upper one is filled in.",)
+
+
+def test_matlab_text_of_several_matrices_from_one_name(tmp_path):
+    """A table that is named again is another one; its name is not that of a matrix."""
+    both = np.vstack([TRIPLETS, TRIPLETS[1::2, [1, 0, 2]]])
+    text = (
+        f"a = [{triplets_text(both)}];\nK = spconvert(a);\na = [{triplets_text(TRIPLETS[:, [1, 0, 2]])}];\n"
+        "M = sparse(a(:,1), a(:,2), a(:,3), 4, 4);"
+    )
+    (tmp_path / "model.m").write_text(text)
+    with pytest.raises(ValueError, match=r"variable: must be given, one of K, M$"):
+        read_matrix(tmp_path / "model.m")
+    whole, upper = (read_labelled(tmp_path / "model.m", name) for name in "KM")
+    assert_array_equal(whole.matrix.toarray(), FROM_TRIPLETS)
+    assert whole.notes == ()
+    assert_array_equal(upper.matrix.toarray(), np.pad(FROM_TRIPLETS, (0, 1)))
+    assert upper.notes == ("M of model.m has only the upper triangle: the lower one is filled in.",)
+
+
+@pytest.mark.parametrize("name", ["k.mat", "k.npy", "k.csv", "k.m"])
+def test_an_array_of_triplets(tmp_path, name):
+    path = tmp_path / name
+    if name == "k.mat":
+        savemat(path, {"K": TRIPLETS})
+    elif name == "k.npy":
+        np.save(path, TRIPLETS)
+    else:
+        text = triplets_text(TRIPLETS)
+        path.write_text(text.replace(" ", ",") if name == "k.csv" else f"K = [{text}];")
+    found = read_labelled(path)
+    assert_array_equal(found.matrix.toarray(), FROM_TRIPLETS)
+    assert found.notes == (f"{name} has only the lower triangle: the upper one is filled in.",)
+
+
+def test_triplets_from_zero_are_refused(tmp_path):
+    (tmp_path / "k.m").write_text("a = [0 0 4.0; 1 0 -1.0; 1 1 5.0];\nK = sparse(a(:,1), a(:,2), a(:,3));")
+    with pytest.raises(ValueError, match="K must have rows and columns that are whole numbers from 1"):
+        read_matrix(tmp_path / "k.m")

@@ -20,7 +20,7 @@ from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
-from fmu.formats.models.assembly import Assembled, assembled
+from fmu.formats.models.assembly import Assembled, assembled, notes_of
 from fmu.formats.models.exported import NO_MESH, Mesh
 from fmu.formats.models.read import read_mesh, read_ties, require_nodes
 from fmu.formats.shown import names_shown
@@ -195,7 +195,9 @@ class MatricesTable(TomlTable):
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
             raise BrokenError([Mistake("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")])
-        return Assembled([matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, [])
+        return Assembled(
+            [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, notes_of(read)
+        )
 
     def _at(self, k: int) -> str:
         """Return the place of the matrix of a term in the file."""

@@ -38,11 +38,17 @@ class Labelled(NamedTuple):
     dofs : tuple of (node, direction), optional
     motions : mapping of (node, direction) to mapping of (node, direction) to float
         Motions that are weighted sums of several degrees of freedom.
+    fill : bool
+        Whether a matrix that has only one triangle is taken for a symmetric one.
+    notes : tuple of str
+        What was filled in, a sentence each.
     """
 
     matrix: Any
     dofs: tuple[tuple[int, str], ...] | None = None
     motions: Mapping[tuple[int, str], Mapping[tuple[int, str], float]] = {}
+    fill: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -137,6 +143,29 @@ def mirrored(matrix: Any) -> Any:
     if upper.astype(bool).multiply(lower.T.astype(bool)).nnz:
         raise RefusedError("must have each pair of entries once (it has both of some)")
     return sp.csr_array(matrix + upper.T + lower.T)
+
+
+def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = None) -> Labelled:
+    """Return the sparse matrix of a table (n, 3) of rows, columns, from 1, and entries.
+
+    Entries of the same place are added, as MATLAB's ``sparse`` does. Where only one triangle has entries, the other is
+    to be filled in.
+
+    Raises
+    ------
+    ValueError
+        If rows and columns are not whole numbers from 1, or lie outside `size`.
+    RefusedError
+        If the matrix is too large.
+    """
+    entries_within(len(table))
+    places = table[:, :2]
+    if np.any(places != np.floor(places)) or np.any(places < 1) or np.any(places > 2**31):
+        raise ValueError(f"{name} must have rows and columns that are whole numbers from 1")
+    row, column = places.astype(np.int64).T - 1
+    shape = size or (max(int(row.max(initial=0)), int(column.max(initial=0))) + 1,) * 2
+    rows_within(max(shape))
+    return Labelled(sp.csr_array((table[:, 2], (row, column)), shape=shape), fill=True)
 
 
 def text_blocks(file: BinaryIO) -> Iterator[str]:

@@ -1,7 +1,9 @@
 """Matrices as MATLAB and Octave code, ``.m``, which is read and never executed.
 
-Known are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);`` with or without the last two, and
-``K = spconvert([1 1 5.0; 2 2 6.0]);``. Other statements are skipped; numbers must be written out.
+Known are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);`` with or without the last two,
+``K = spconvert([1 1 5.0; 2 2 6.0]);``, and a table of rows, columns and entries that is named first, ``a = [1 1 5.0;
+2 2 6.0]; K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``, as Sierra writes them. Other statements
+are skipped; numbers must be written out.
 """
 
 from __future__ import annotations
@@ -9,10 +11,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from fmu.formats.files import too_large
 from fmu.formats.matrices.limits import (
@@ -23,24 +24,52 @@ from fmu.formats.matrices.limits import (
     RefusedError,
     chosen,
     entries_within,
-    rows_within,
+    from_triplets,
     text_lines,
 )
 from fmu.formats.shown import shown
 
-_BEGIN = re.compile(r"(?<![\w.])([A-Za-z]\w{0,62})\s*=\s*(?:(sparse|spconvert)\s*\(\s*)?\[")
+_COLUMN = r"\s*(?P={table})\s*\(\s*:\s*,\s*{k}\s*\)\s*"
+_STATEMENT = re.compile(
+    r"(?<![\w.])(?P<name>[A-Za-z]\w{0,62})\s*=\s*(?:"
+    r"(?:(?P<function>sparse|spconvert)\s*\(\s*)?\["
+    r"|sparse\s*\(\s*(?P<table>[A-Za-z]\w{0,62})\s*\(\s*:\s*,\s*1\s*\)\s*,"
+    + ",".join(_COLUMN.format(table="table", k=k) for k in (2, 3))
+    + r"(?:,\s*(?P<rows>\w{1,63})\s*,\s*(?P<columns>\w{1,63})\s*)?[,)]"
+    r"|spconvert\s*\(\s*(?P<converted>[A-Za-z]\w{0,62})\s*\))"
+)
 _NEXT = re.compile(r"\s*,\s*\[")
 _SIZE = re.compile(r"\s*(?:,\s*(\d{1,9})\s*,\s*(\d{1,9})\s*)?\)")
 
 
-def _statements(text: str) -> Iterator[tuple[str, str, int]]:
-    """Yield name, function and the position after the bracket of each matrix."""
+class _Place(NamedTuple):
+    """The function that makes a matrix, the position of its numbers, and its rows and columns as they are written."""
+
+    function: str
+    at: int
+    size: tuple[str, str] | None = None
+
+
+def _places(text: str) -> tuple[dict[str, _Place], set[str]]:
+    """Return where each matrix is, by name, and the names of the tables from which sparse ones are made."""
+    places: dict[str, _Place] = {}
+    tables: set[str] = set()
     at = 0
-    while (found := _BEGIN.search(text, at)) is not None:
-        yield found[1], found[2] or "", found.end()
-        at = text.find("]", found.end()) + 1
-        if not at:
-            raise ValueError(f"{found[1]} is cut short")
+    while (found := _STATEMENT.search(text, at)) is not None:
+        name, table = found["name"], found["table"] or found["converted"]
+        at = found.end()
+        if table is None:
+            places[name] = _Place(found["function"] or "", at)
+            at = text.find("]", at) + 1
+            if not at:
+                raise ValueError(f"{name} is cut short")
+        elif table in places and not places[table].function:
+            size = (found["rows"], found["columns"]) if found["rows"] else None
+            places[name] = _Place("spconvert", places[table].at, size)
+            tables.add(table)
+        if len(places) > MOST_NAMES:
+            raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
+    return places, tables
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
@@ -49,48 +78,45 @@ def _read(path: Path, variable: str | None) -> Labelled:
     with open(path, "rb") as file:
         lines = (line.partition("%")[0].rstrip() for line in text_lines(file))
         text = "".join(line[:-3] + " " if line.endswith("...") else line + "\n" for line in lines)
-    places: dict[str, tuple[str, int]] = {}
-    for name, function, at in _statements(text):
-        places[name] = function, at
-        if len(places) > MOST_NAMES:
-            raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
-    name = chosen(list(places), variable)
-    return Labelled(_matrix(text, name, *places[name]))
+    places, tables = _places(text)
+    name = chosen([one for one in places if variable is not None or one not in tables], variable)
+    return _matrix(text, name, places[name])
 
 
-def _matrix(text: str, name: str, function: str, at: int) -> Any:
-    """Return the matrix whose numbers begin at a position."""
-    table, at = _table(text, name, at)
-    if not function:
+def _matrix(text: str, name: str, place: _Place) -> Labelled:
+    """Return the matrix whose numbers begin at a place."""
+    table, at = _table(text, name, place.at)
+    if not place.function:
         entries_within(table.size)
-        return table
-    if function == "spconvert":
+        return Labelled(table)
+    if place.function == "spconvert":
         if table.shape[1] != 3:
             raise ValueError(f"{name} must have rows of row, column and entry (got {table.shape[1]} numbers)")
-        row, column, entry = table.T
-        size = None
-    else:
-        parts = [table.ravel()]
-        for _ in range(2):
-            further = _NEXT.match(text, at)
-            if further is None:
-                raise ValueError(f"{name} must be sparse(rows, columns, entries) with each in brackets")
-            table, at = _table(text, name, further.end())
-            parts.append(table.ravel())
-        row, column, entry = parts
-        if not len(row) == len(column) == len(entry):
-            counts = f"{len(row)}, {len(column)}, {len(entry)}"
-            raise ValueError(f"{name} must have as many rows as columns and entries (got {counts})")
-        last = _SIZE.match(text, at)
-        size = (int(last[1]), int(last[2])) if last is not None and last[1] else None
-    entries_within(len(entry))
-    places = np.stack([row, column])
-    if np.any(places != np.floor(places)) or np.any(places < 1) or np.any(places > 2**31):
-        raise ValueError(f"{name} must have rows and columns that are whole numbers from 1")
-    row, column = places.astype(np.int64) - 1
-    shape = size or (int(row.max(initial=0)) + 1, int(column.max(initial=0)) + 1)
-    rows_within(max(shape))
-    return sp.csr_array((entry, (row, column)), shape=shape)
+        return from_triplets(table, name, _size(text, place.size))
+    parts = [table.ravel()]
+    for _ in range(2):
+        further = _NEXT.match(text, at)
+        if further is None:
+            raise ValueError(f"{name} must be sparse(rows, columns, entries) with each in brackets")
+        table, at = _table(text, name, further.end())
+        parts.append(table.ravel())
+    if len({len(part) for part in parts}) > 1:
+        counts = ", ".join(str(len(part)) for part in parts)
+        raise ValueError(f"{name} must have as many rows as columns and entries (got {counts})")
+    last = _SIZE.match(text, at)
+    size = (int(last[1]), int(last[2])) if last is not None and last[1] else None
+    return from_triplets(np.stack(parts, axis=1), name, size)
+
+
+def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
+    """Return numbers of rows and columns, written out or assigned to a name; None where they are computed."""
+    found = []
+    for word in words or ():
+        number = re.fullmatch(r"\d{1,9}", word) or re.search(rf"(?<![\w.]){word}\s*=\s*(\d{{1,9}})\s*[;,\n]", text)
+        if number is None:
+            return None
+        found.append(int(number[number.re.groups]))
+    return (found[0], found[1]) if found else None
 
 
 def _table(text: str, name: str, at: int) -> tuple[Any, int]:

@@ -96,14 +96,15 @@ def _npy(path: Path, variable: str | None) -> Labelled:
 
 
 def _csv(path: Path, variable: str | None) -> Labelled:
-    """Return a full matrix; no more rows are read than the first one has numbers."""
+    """Return a full matrix, or rows of row, column and entry; a full one has no more rows than columns."""
     found: list[Any] = []
     n = 0
     with open(path, "rb") as file:
         for rows in tables(file, "#", ","):
             entries_within(rows.shape[1] ** 2)
             n += len(rows)
-            if n > rows.shape[1]:
+            entries_within(n)
+            if n > rows.shape[1] != 3:
                 raise RefusedError(
                     f"must hold a square matrix (got more than {rows.shape[1]} rows of {rows.shape[1]})"
                 )

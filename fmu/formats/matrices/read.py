@@ -14,6 +14,9 @@
 ``.sti``, ``.mas``     CalculiX, with names of the rows beside it in ``.dof`` (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
+An array of n by 3 in any of them is rows, columns, from 1, and entries, as MATLAB's ``sparse`` and ``spconvert`` take
+them; where only one triangle has entries, the other is filled in, and a note says so.
+
 Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
 the process on broken files (``.mat``, ``.mtx``), the readers here are our own; Ansys's are read by a library that
 does so too, in a process of its own. pyNastran needs an older NumPy than this package.
@@ -35,7 +38,15 @@ import scipy.sparse as sp
 
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices import FORMATS
-from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, MatrixFormat, RefusedError, checked
+from fmu.formats.matrices.limits import (
+    LARGEST_FILE,
+    MOST_DOFS,
+    Labelled,
+    MatrixFormat,
+    RefusedError,
+    checked,
+    from_triplets,
+)
 from fmu.numbers import significant
 
 Triangle = bool | Literal["lower", "upper"]
@@ -105,6 +116,8 @@ def read_labelled(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
             found = _FORMAT_OF[suffix].read(path, variable)
+            if _is_triplets(found.matrix):
+                found = from_triplets(np.asarray(found.matrix, dtype=float), variable or path.name)
     except RefusedError as refused:
         raise ValueError(str(refused)) from refused
     except MemoryError:
@@ -114,7 +127,12 @@ def read_labelled(
         text = str(error) if is_told else "it is not as such a file has to be"
         raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
     matrix = _real_square(found.matrix)
-    alone = fill and not all(_off_diagonal(matrix))
+    above, below = _off_diagonal(matrix)
+    alone = (fill or found.fill) and not (above and below)
+    if alone and not triangle and above + below:
+        half, other = ("lower", "upper") if below else ("upper", "lower")
+        what = f"{variable} of {path.name}" if variable else path.name
+        found = found._replace(notes=(f"{what} has only the {half} triangle: the {other} one is filled in.",))
     return found._replace(matrix=_symmetric(matrix, triangle or alone))
 
 
@@ -156,6 +174,14 @@ def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:
 def _suffix(path: Path) -> str:
     name = path.name.lower()
     return ".mtx.gz" if name.endswith(".mtx.gz") else Path(name).suffix
+
+
+def _is_triplets(matrix: Any) -> bool:
+    """Say whether an array has a row of row, column and entry for each entry of a sparse matrix."""
+    if sp.issparse(matrix) or matrix.ndim != 2 or matrix.shape[1] != 3 or len(matrix) < 4:
+        return False
+    places = matrix[:, :2]
+    return bool(matrix.dtype.kind in "fiu" and np.all(places == np.floor(places)) and np.all(places >= 1))
 
 
 def _real_square(matrix: Any) -> Any:

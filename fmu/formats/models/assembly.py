@@ -86,7 +86,12 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
     means = {name: weights for one in read for name, weights in one.motions.items()}
-    return Assembled(matrices, dofs, means | motions, [*assumed, *notes, *told])
+    return Assembled(matrices, dofs, means | motions, [*notes_of(read), *assumed, *notes, *told])
+
+
+def notes_of(read: Sequence[Labelled]) -> list[str]:
+    """Return what was assumed or filled in of matrices, each sentence once."""
+    return list(dict.fromkeys(note for one in read for note in one.notes))
 
 
 def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> tuple[DofName, ...]:
