@@ -148,8 +148,7 @@ def mirrored(matrix: Any) -> Any:
 def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = None) -> Labelled:
     """Return the sparse matrix of a table (n, 3) of rows, columns, from 1, and entries.
 
-    Entries of the same place are added, as MATLAB's ``sparse`` does. Where only one triangle has entries, the other is
-    to be filled in.
+    Entries of the same place are added, as MATLAB's ``sparse`` does. A lone triangle is to be filled in.
 
     Raises
     ------

@@ -1,15 +1,14 @@
 """Matrices as MATLAB and Octave code, ``.m``, which is read and never executed.
 
-Known are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);`` with or without the last two,
-``K = spconvert([1 1 5.0; 2 2 6.0]);``, and a table of rows, columns and entries that is named first, ``a = [1 1 5.0;
-2 2 6.0]; K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``, as Sierra writes them. Other statements
-are skipped; numbers must be written out.
+Known are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);`` with or without the last two, and
+``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and entries may be named first, as Sierra writes
+it: ``a = [1 1 5.0; 2 2 6.0];``, then ``K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other
+statements are skipped; numbers must be written out.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,7 +42,7 @@ _SIZE = re.compile(r"\s*(?:,\s*(\d{1,9})\s*,\s*(\d{1,9})\s*)?\)")
 
 
 class _Place(NamedTuple):
-    """The function that makes a matrix, the position of its numbers, and its rows and columns as they are written."""
+    """The function that makes a matrix, the position of its numbers, and the words for its size."""
 
     function: str
     at: int

@@ -14,8 +14,8 @@
 ``.sti``, ``.mas``     CalculiX, with names of the rows beside it in ``.dof`` (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
-An array of n by 3 in any of them is rows, columns, from 1, and entries, as MATLAB's ``sparse`` and ``spconvert`` take
-them; where only one triangle has entries, the other is filled in, and a note says so.
+An array of n by 3 in any of them is rows, columns, from 1, and entries, as for MATLAB's ``spconvert``. Where
+only one triangle has entries, the other is filled in, and a note says so.
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
 the process on broken files (``.mat``, ``.mtx``), the readers here are our own; Ansys's are read by a library that
