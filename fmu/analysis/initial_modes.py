@@ -372,13 +372,20 @@ def _seen(model: PairedStructure, shapes: FloatArray, observation: Any, eigenval
 
 
 def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> list[str]:
-    """Return for each mode the directions that hold its kinetic energy φᵢ(Mφ)ᵢ, the two largest shares."""
+    """Return for each mode the directions that hold its kinetic energy, the two largest shares.
+
+    The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. What couples directions, as displacement
+    and rotation in a consistent mass matrix, belongs to none of them: φ_dᵀ (Mφ)_d, which includes it, can exceed
+    the whole.
+    """
     directions = np.array([direction for _, direction in model.structure.dofs])
     names = [str(name) for name in dict.fromkeys(directions)]
     if len(names) < 2:
         return [""] * shapes.shape[1]
-    energy = shapes * (model.structure.M(point) @ shapes)
-    part = np.array([energy[directions == name].sum(axis=0) for name in names])
+    M = model.structure.M(point)
+    own = [np.where((directions == name)[:, None], shapes, 0.0) for name in names]
+    part = np.array([np.sum(moving * (M @ moving), axis=0) for moving in own])
+    part = part / part.sum(axis=0)
     words = []
     for column in part.T:
         order = np.argsort(-column)[:2]
