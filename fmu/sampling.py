@@ -255,6 +255,7 @@ def sample(
                 allowed, limit = limits.allow(result)
                 if allowed:
                     result = begun.extend(min(missing, allowed))
+            begun.report_end()
         except Interrupted as stopped:
             stack.close()
             if stopped.result is None:

@@ -225,6 +225,16 @@ def test_progress_is_reported(problem):
     assert seen == [(1, 2), (2, 2), (1, 3), (2, 3), (3, 3)]
 
 
+def test_the_last_report_has_the_numbers_of_the_verdict(problem):
+    """Of 2500 draws a chain the running numbers are approximate, and up to a fiftieth of the run old."""
+    seen = []
+    trace = fmu.sample(problem, "hmc", draws=2500, warmup=50, progress=lambda *report: seen.append(report))
+    phase, done, total, info = seen[-1]
+    assert (phase, done, total) == ("draws", 2500, 2500)
+    table = fmu.summary(trace)
+    assert (info["rhat"], info["ess"]) == (table["rhat"].max(), table["ess_bulk"].min())
+
+
 def test_names_are_those_of_the_samplers():
     assert [samplers.named(name).name for name in SAMPLERS] == list(SAMPLERS)
     with pytest.raises(ValueError, match=", ".join(SAMPLERS)):

@@ -23,7 +23,10 @@ def report(directory: Path) -> None:
 
 @click.command()
 @_DIRECTORY
-@click.option("--sampler", help="Sampler whose draws are used.  [default: the first that converged]")
+@click.option(
+    "--sampler",
+    help="Sampler whose draws are used.  [default: of those that converged, the one with most effective draws]",
+)
 @click.option("--at", type=click.Choice(("mean", "map")), default="mean", show_default=True,
               help="Values to export: the posterior mean, or the highest maximum found.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: DIRECTORY/export]")

@@ -216,7 +216,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
     """Print what is known after the draws have been told, and write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words, surrogate_in_words
-    from fmu.analysis.convergence.diagnosis import is_enough
+    from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
     from fmu.analysis.trace.damage import GROUP as LOSSES
     from fmu.analysis.trace.reading import has
@@ -225,7 +225,7 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     _, traces, summaries = outcome
     comparison, verdicts = echo_comparison(traces, summaries, with_verdicts=len(traces) > 1)
     _write_csv(comparison, directory / "comparison.csv")
-    told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
+    told = choose_run(verdicts, summaries)
     if has(traces[told], LOSSES):
         click.echo()
         echo_losses(traces[told], verdicts[told])

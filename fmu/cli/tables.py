@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -89,6 +89,7 @@ def echo_comparison(
         The table and the verdicts.
     """
     from fmu.analysis.convergence.comparison import judged
+    from fmu.analysis.convergence.diagnosis import NOTES, choose_run
 
     _, verdicts, table = judged(traces, summaries=summaries)
     columns = table.drop(columns="verdict")
@@ -100,14 +101,13 @@ def echo_comparison(
             echo_verdict(name, found, max(map(len, verdicts)))
     if len(traces) > 1:
         table = table.join(_echo_costs(traces, summaries, verdicts))
-    told = next((name for name, found in verdicts.items() if found.converged), next(iter(verdicts)))
-    fit, warnings = verdicts[told].fit, verdicts[told].warnings
-    if fit.checks or warnings:
-        doubt = "" if verdicts[told].converged else " (not converged)"
-        answer = f": {fit.answer}" if fit.checks else ""
-        click.echo(f"\nThe model, from the draws of {told}{doubt}{answer}")
-        for warning in warnings:
-            click.echo(wrapped(warning, "  - ", "    "))
+    name = choose_run(verdicts, summaries)
+    chosen = verdicts[name]
+    source = f"from the draws of {name}" + ("" if chosen.converged else " (not converged)")
+    if chosen.fit.checks:
+        _echo_list(f"The model, {source}: {chosen.fit.answer}", chosen.fit.against)
+    if chosen.notes:
+        _echo_list(f"{NOTES[0].upper()}{NOTES[1:]}, {source}", chosen.notes)
     return table, verdicts
 
 
@@ -126,6 +126,12 @@ def _echo_costs(
     if said:
         click.echo(wrapped(said))
     return costs
+
+
+def _echo_list(title: str, items: Iterable[str]) -> None:
+    click.echo(f"\n{title}")
+    for item in items:
+        click.echo(wrapped(item, "  - ", "    "))
 
 
 def echo_evidences(found: Sequence[FoundEvidence]) -> None:

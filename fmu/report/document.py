@@ -182,6 +182,9 @@ class Omitted:
     reason: str
 
 
+NOTES = "Notes on the model and the data"
+
+
 @dataclass(frozen=True)
 class Verdict:
     """An answer to one question about a run: a line of the first screen, and reasons below it.
@@ -197,6 +200,8 @@ class Verdict:
         Reasons for the answer.
     said : str
         A sentence beside the answer.
+    notes : tuple of str
+        What else to know about the question; no reason for the answer.
     """
 
     question: str
@@ -205,6 +210,12 @@ class Verdict:
     because: str = ""
     reasons: tuple[str, ...] = ()
     said: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def lists(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The lists below the first screen, each with its heading: reasons, notes."""
+        return tuple(one for one in ((self.because, self.reasons), (NOTES, self.notes)) if one[1])
 
     @property
     def tone(self) -> str:

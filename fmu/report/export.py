@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
+from fmu.analysis.convergence.comparison import judged
+from fmu.analysis.convergence.diagnosis import Diagnosis, choose_run, maxima_of
 from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
@@ -92,7 +93,7 @@ def export(
     run_directory : path-like
         A directory that `fmu run` wrote.
     sampler : str, optional
-        The sampler whose draws are used; by default the first that converged, else the first.
+        The sampler whose draws are used; by default a converged one, the one with the most effective draws.
     at : {"mean", "map"}
         The posterior mean, or the highest maximum of the posterior that the run found.
     out : path-like, optional
@@ -175,14 +176,14 @@ def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, st
 
 
 def chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return the trace of the given sampler, else of the first that converged, else the first."""
+    """Return the name, trace and verdict of the given sampler, else of the one that `choose_run` gives."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")
     if sampler is not None and sampler not in traces:
         raise ValueError(f"sampler: must be one of {', '.join(traces)} (got {sampler!r})")
-    verdicts = diagnose_all(traces)
-    name = sampler or next((name for name, found in verdicts.items() if found.converged), next(iter(traces)))
+    summaries, verdicts, _ = judged(traces)
+    name = sampler or choose_run(verdicts, summaries)
     return name, traces[name], verdicts[name]
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from fmu.analysis.convergence.diagnosis import choose_run
 from fmu.analysis.trace.conversion import load_traces
 from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
@@ -107,8 +108,9 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
 
 
 def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run by whose draws the model is judged: a converged one, if there is any."""
-    return next((run for run in runs.values() if run.diagnosis.converged), next(iter(runs.values())))
+    """Return the run by whose draws the model is judged, see `choose_run`."""
+    verdicts = {name: run.diagnosis for name, run in runs.items()}
+    return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
 def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:

@@ -257,7 +257,7 @@ def of_trace(path: Path) -> Progress:
     trace = load_trace(path)
     attrs, stats = trace.attrs, [trace[group] for group in ("warmup_sample_stats", "sample_stats")]
     solves, draws = int(attrs["n_solves"]) + int(attrs["warmup_n_solves"]), int(attrs["draws"])
-    live = live_diagnostics(parameter_draws(trace), walkers_of(trace))
+    live = live_diagnostics(parameter_draws(trace), walkers_of(trace), ended=True)
     return Progress(
         phase=DRAWS,
         done=draws,

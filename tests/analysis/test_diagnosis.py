@@ -5,12 +5,23 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import fmu
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose, diagnose_all, judge, maxima_of, with_maxima
+from fmu.analysis.convergence.diagnosis import (
+    Diagnosis,
+    choose_run,
+    diagnose,
+    diagnose_all,
+    judge,
+    maxima_of,
+    with_maxima,
+)
 from fmu.analysis.convergence.diagnostics import convergence_failures, rhat_over_walkers, summary
+from fmu.analysis.fit.checks import PREDICTED, Check
+from fmu.analysis.fit.model_fit import ModelFit
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.trace.conversion import load_trace, save_trace, to_trace
 from fmu.samplers import RandomWalk
@@ -251,17 +262,48 @@ def test_warnings_do_not_touch_convergence(good, problem):
 
 def test_text_and_html():
     found = Diagnosis(False, ("R-hat 2 of <a>", "second"), ("mode 1 & more",))
-    assert str(found) == "not converged\n  - R-hat 2 of <a>\n  - second\nthe model\n  - mode 1 & more"
+    assert (
+        str(found)
+        == "not converged\n  - R-hat 2 of <a>\n  - second\nnotes on the model and the data\n  - mode 1 & more"
+    )
     assert found.verdict == "not converged: R-hat 2 of <a>"
     html = found._repr_html_()
     assert "<strong>not converged</strong>" in html
     assert "<li>R-hat 2 of &lt;a&gt;</li><li>second</li>" in html
-    assert "<strong>the model</strong></p><ul><li>mode 1 &amp; more</li>" in html
+    assert "<strong>notes on the model and the data</strong></p><ul><li>mode 1 &amp; more</li>" in html
     good = Diagnosis(True, (), (), searched=True)
     assert str(good) == "converged"
     assert good._repr_html_() == "<p><strong>converged</strong></p>"
     with pytest.raises(dataclasses.FrozenInstanceError):
         found.converged = True
+
+
+def test_failed_checks_and_notes_are_two_lists():
+    """ "Contradicted by 1 of 2 checks" heads the one that failed, and nothing else."""
+    checks = [
+        Check(PREDICTED, f"mode {k}", "4.9 sd", "2.6 sd", p, p < 0.01, "an error of 1 %", f"mode {k} is off")
+        for k, p in ((1, 1e-6), (2, 0.5))
+    ]
+    fit = ModelFit(tuple(checks), 3, 2)
+    (failed,) = fit.against
+    found = Diagnosis(True, (), (failed, "E1 lies at its upper bound"), searched=True, fit=fit)
+    lines = str(found).splitlines()
+    assert lines == [
+        "converged", "the model: contradicted by 1 of 2 checks", f"  - {failed}",
+        "notes on the model and the data", "  - E1 lies at its upper bound",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_the_run_that_speaks_for_all_does_not_depend_on_their_order(flipped):
+    def ess(least):
+        return pd.DataFrame({"ess_bulk": [900.0, least], "ess_tail": [800.0, 700.0]})
+
+    good, bad = Diagnosis(True, (), ()), Diagnosis(False, ("R-hat",), ())
+    runs = {"mh": (good, 450.0), "hmc": (good, 600.0), "slice": (bad, 5000.0), "emcee": (good, np.nan)}
+    names = list(runs)[::-1] if flipped else list(runs)
+    assert choose_run({n: runs[n][0] for n in names}, {n: ess(runs[n][1]) for n in names}) == "hmc"
+    assert choose_run(dict.fromkeys(names, bad), {n: ess(runs[n][1]) for n in names}) == "slice"
 
 
 def test_bad_arguments(good, section, in_b):

@@ -215,7 +215,7 @@ def test_noise_that_absorbs_the_misfit(noisy, sigma, spread, failed):
     elif spread > 1.0:
         assert check.why_not == "the noise was free to grow"
         assert not check.could_fail
-        assert any("The noise was free to grow: only beyond" in reason for reason in fit.reasons)
+        assert any("The noise was free to grow: only beyond" in note for note in fit.notes)
     else:
         assert check.could_fail
 

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 
 CONVERGED = "converged"
+NOTES = "notes on the model and the data"
 UNSEARCHED = (
     "judged by its own draws only, as no maxima are known: chains that agree cannot reveal a maximum that "
     "none of them visited; "
@@ -97,6 +98,11 @@ class Diagnosis:
         return (*said, *(more for more in (self.few, self.stopped) if more))
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """The warnings that are no failed check of the model."""
+        return tuple(warning for warning in self.warnings if warning not in self.fit.against)
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """What probabilities from the draws do not allow for: no convergence, a model that is contradicted."""
         unfinished = () if self.converged else ("the draws have not converged",)
@@ -104,8 +110,8 @@ class Diagnosis:
 
     def __str__(self) -> str:
         lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
-        if self.warnings or self.fit.checks:
-            lines += [self._model, *(f"  - {warning}" for warning in self.warnings)]
+        for title, items in self._of_model():
+            lines += [title, *(f"  - {item}" for item in items)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -113,14 +119,14 @@ class Diagnosis:
             entries = "".join(f"<li>{html.escape(item)}</li>" for item in items)
             return f"<p><strong>{title}</strong></p>" + (f"<ul>{entries}</ul>" if entries else "")
 
-        text = block(CONVERGED if self.converged else "not converged", self.remarks)
-        return text + (block(self._model, self.warnings) if self.warnings or self.fit.checks else "")
+        blocks = [(CONVERGED if self.converged else "not converged", self.remarks), *self._of_model()]
+        return "".join(block(*one) for one in blocks)
 
-    @property
-    def _model(self) -> str:
-        """The verdict on the model, as a heading."""
+    def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
+        """Return headings with their items: the verdict on the model with the failed checks; the notes."""
         doubt = "" if self.converged else ", provisionally"
-        return f"the model: {self.fit.answer}{doubt}" if self.fit.checks else "the model"
+        blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.against)] if self.fit.checks else []
+        return blocks + ([(NOTES, self.notes)] if self.notes else [])
 
 
 def diagnose(
@@ -246,6 +252,26 @@ def diagnose_all(
         known = searched + [maxima for maxima in kept if maxima is not None]
         found[name] = judge(trace, known, others, None if summaries is None else summaries[name])
     return found
+
+
+def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:
+    """Return the name of the run that speaks for all: converged if one is, and with the most effective draws.
+
+    It gives the verdict on the model, losses and exported values wherever no sampler is named, whatever the order
+    of the runs. Effective draws are those of the worst parameter; equal ones are decided by the alphabet.
+
+    Parameters
+    ----------
+    verdicts : mapping of str to Diagnosis
+    summaries : mapping of str to pandas.DataFrame
+        ``summary(trace)`` of each.
+    """
+
+    def rank(name: str) -> tuple[bool, float]:
+        ess = fewest(summaries[name])
+        return verdicts[name].converged, ess if np.isfinite(ess) else -np.inf
+
+    return max(sorted(verdicts), key=rank)
 
 
 def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:

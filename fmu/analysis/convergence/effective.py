@@ -11,6 +11,7 @@ the verdict.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -196,7 +197,7 @@ MOST_STEPS = 20_000
 """Steps of each chain that enter the batches."""
 
 
-def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
+def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False) -> dict[str, float]:
     """Return the worst R-hat and bulk effective sample size over the parameters of a run under way.
 
     Both are defined as in `fmu.summary`, and are equal to it up to 2000 draws per chain.
@@ -207,6 +208,8 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
         In the first form the draws of an ensemble are step-major.
     walkers : int
         Walkers of an ensemble, for the first form.
+    ended : bool
+        Whether the run has ended: both are then equal to those of `fmu.summary`, however long the run was.
 
     Returns
     -------
@@ -225,9 +228,11 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1) -> dict[str, float]:
     if draws.ndim == 4:
         draws, walkers = draws.reshape(len(draws), -1, draws.shape[3]), draws.shape[2]
     parameters = [np.ascontiguousarray(x) for x in np.moveaxis(draws, -1, 0)]
+    of_rhat = rhat if ended else partial(_live_rhat, walkers=walkers)
+    of_ess = partial(ess_bulk if ended else _live_ess, walkers=walkers)
     return {
-        "rhat": float(np.max([_live_rhat(x, walkers) for x in parameters])),
-        "ess": float(np.min([_live_ess(x, walkers) for x in parameters])),
+        "rhat": float(np.max([of_rhat(x) for x in parameters])),
+        "ess": float(np.min([of_ess(x) for x in parameters])),
     }
 
 

@@ -81,18 +81,24 @@ class ModelFit:
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)
         if self.verdict == CONTRADICTED:
-            return (*self.against, self._level, *self._noise)
+            return self.against
         if self.verdict == NOT_TESTABLE:
             first = (
                 f"There are no more data than parameters: {self.counts}. Such a model can follow any data that "
                 "its priors allow, and that it follows these does not confirm it."
             )
-            return (first, *self._could_fail, *self._noise, *self._held_out)
+            return (first, *self._could_fail, *self._held_out)
         left = self.n_data - self.n_parameters
         freedom = f"{self.counts}: {left} degree{'' if left == 1 else 's'} of freedom left." if left > 0 else (
             f"{self.counts}: only what was held out tests the model."
         )  # fmt: skip
-        return (*self._could_fail, freedom, *self._noise, *self._held_out, self._level)
+        return (*self._could_fail, freedom, *self._held_out)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How often a correct model would fail, and what inferred noise is beside what its prior expected."""
+        level = () if self.verdict in (UNKNOWN, NOT_TESTABLE) else (self._level,)
+        return (*level, *self._noise)
 
     def _of(self, *kinds: str) -> list[Check]:
         return [check for check in self.checks if check.kind in kinds]

@@ -32,9 +32,9 @@ def model_fit(run: ReportedRun) -> Verdict:
         answer += ", with reservations"
     if not run.diagnosis.converged:
         found = (*found, "These statements are provisional, because the draws have not converged.")
-    reasons = (*fit.reasons, *_shapes(run), *found)
     question, because = "Does the model fit the data?", _BECAUSE[fit.verdict]
-    return Verdict(question, answer, _IS_GOOD[fit.verdict], because, reasons, _told(fit))
+    notes = (*fit.notes, *_shapes(run), *found)
+    return Verdict(question, answer, _IS_GOOD[fit.verdict], because, fit.reasons, _told(fit), notes)
 
 
 def _told(fit: ModelFit) -> str:

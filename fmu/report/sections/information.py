@@ -7,7 +7,7 @@ import numpy as np
 from fmu.analysis.identifiability import Identifiability
 from fmu.analysis.information import information, separation_in_words
 from fmu.analysis.prediction import at_bounds
-from fmu.numbers import names_in_words, share
+from fmu.numbers import names_in_words, share, significant
 from fmu.report.document import Omitted, PageSection, Picture, Pictures, Text, picture
 from fmu.report.plots.information import plot_marginals, plot_sensitivity
 from fmu.report.run import ReportedRun
@@ -55,7 +55,6 @@ def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture
             f"{names_in_words(weak)} {affect} the modes less than a tenth as much as the strongest parameter does."
         )
     said = f"{said} {separation_in_words(run.trace, found)}".strip()
-    drawing = picture(
-        plot_sensitivity(run.trace), "sensitivity", f"Sensitivity matrix. {said}", LOOK_AT_SENSITIVITY
-    )
+    alt = f"Sensitivity matrix, at most {significant(float(np.abs(found.sensitivity).max()), 2)}. {said}"
+    drawing = picture(plot_sensitivity(run.trace), "sensitivity", alt, LOOK_AT_SENSITIVITY)
     return Text(said), drawing

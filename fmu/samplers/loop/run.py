@@ -183,7 +183,8 @@ class Run:
         ``too_many_failed(n_failed, n_solves, failures)`` returns a message if too large a share of the solves
         failed, else None.
     live : callable, optional
-        Maps draws (chains, steps, walkers, ndim) to numbers by name for progress reports.
+        Maps draws (chains, steps, walkers, ndim) to numbers by name for progress reports; called with
+        ``ended=True`` for the last one.
 
     Raises
     ------
@@ -211,7 +212,7 @@ class Run:
         checkpointer: Checkpointer | None = None,
         stop: Callable[[], bool] | None = None,
         too_many_failed: Callable[[int, int, list[Any]], str | None] | None = None,
-        live: Callable[[FloatArray], Mapping[str, float]] | None = None,
+        live: Callable[..., Mapping[str, float]] | None = None,
     ) -> None:
         self.sampler, self.chains = sampler, whole_number("chains", chains, 1)
         self.warmup, self.seed = whole_number("warmup", warmup, 0), whole_number("seed", seed, 0)
@@ -247,6 +248,11 @@ class Run:
         self._advance(DRAWS, target)
         self._drawn = target
         return self._result(target)
+
+    def report_end(self) -> None:
+        """Report the diagnostics of all draws, as the verdict has them, after the last `extend`."""
+        if self._watch is not None:
+            self._watch.end(self._common(DRAWS))
 
     def _begun(self, init: Any) -> list[_RunningGroup]:
         """Return the groups before their first step."""
@@ -435,13 +441,24 @@ def _merged(learnt: list[dict[str, Any]]) -> dict[str, Any]:
 class _Watch:
     """Passes progress reports on, together with live diagnostics of the draws of all groups."""
 
-    def __init__(self, progress: Report, live: Callable[[FloatArray], Mapping[str, float]] | None) -> None:
+    def __init__(self, progress: Report, live: Callable[..., Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live
         self._words: dict[str, float] = {}
+        self._last: dict[str, tuple[int, int, Mapping[str, str | int | float]]] = {}
         self._next = 0.0
 
     def __call__(self, phase: str, done: int, total: int, info: Mapping[str, str | int | float]) -> None:
+        if phase == DRAWS:
+            self._last[str(info.get("group", ""))] = done, total, info
         self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
+
+    def end(self, draws: FloatArray) -> None:
+        """Report the last step of each group once more, with the numbers on which the verdict rests."""
+        if self._live is None or draws.shape[1] < _ENOUGH:
+            return
+        self._words = dict(self._live(draws, ended=True))
+        for done, total, info in self._last.values():
+            self._progress(DRAWS, done, total, {**info, **self._words})
 
     def look(self, draws: FloatArray) -> None:
         """Diagnose the draws so far, unless that was done just now: it may take a fiftieth of the time."""
