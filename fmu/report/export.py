@@ -395,7 +395,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
         if kept != name:
             renamed[name] = kept
         (target / kept).parent.mkdir(parents=True, exist_ok=True)
-        for one in (path, *read_beside(path)):
+        for one in (path, *(file.relative_to(source) for file in read_beside(source / path))):
             if (source / one).is_file():
                 copy = target / (kept if one == path else one)
                 shutil.copyfile(source / one, copy)

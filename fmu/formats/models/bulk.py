@@ -13,8 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from fmu.formats.matrices.limits import MOST_DOFS, RefusedError, text_lines
+from fmu.formats.matrices.limits import MOST_DOFS, RefusedError
 from fmu.formats.matrices.nastran.cards import cards, components, identity, listed, number, whole
+from fmu.formats.matrices.nastran.includes import deck_lines
 from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
 from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, DofName, Mesh, MeshFormat, mesh_of
 from fmu.formats.shown import names_shown
@@ -55,25 +56,24 @@ class _Deck:
 
 def _read(path: Path) -> Mesh:
     deck, defaults, dependent = _Deck(), ("", "", ""), 0
-    with open(path, "rb") as file:
-        for name, fields in cards(text_lines(file)):
-            fields = fields + [""] * (8 - len(fields))
-            if name == "GRDSET":
-                defaults = fields[1], fields[5], fields[6]
-            elif name == "GRID":
-                _grid(deck, fields)
-            elif name in _ELEMENTS:
-                _element(deck, name, fields)
-            elif name[:4] == "CORD" and name[4:5] in ("1", "2") and name[5:] in ("R", "C", "S"):
-                _system(deck, name[4], name[5], fields)  # type: ignore[arg-type]
-            elif name == "SPOINT":
-                deck.scalars |= set(listed(fields, "SPOINT"))
-            elif name in _SET:
-                _members(deck, name, fields)
-            elif name in ("MPC", "RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT", "OMIT", "OMIT1"):
-                dependent += 1
-            if len(deck.grids) + len(deck.scalars) > MOST_NODES or len(deck.elements) > MOST_ELEMENTS:
-                raise RefusedError(f"must have at most {MOST_NODES} nodes and {MOST_ELEMENTS} elements")
+    for name, fields in cards(deck_lines(path)):
+        fields = fields + [""] * (8 - len(fields))
+        if name == "GRDSET":
+            defaults = fields[1], fields[5], fields[6]
+        elif name == "GRID":
+            _grid(deck, fields)
+        elif name in _ELEMENTS:
+            _element(deck, name, fields)
+        elif name[:4] == "CORD" and name[4:5] in ("1", "2") and name[5:] in ("R", "C", "S"):
+            _system(deck, name[4], name[5], fields)  # type: ignore[arg-type]
+        elif name == "SPOINT":
+            deck.scalars |= set(listed(fields, "SPOINT"))
+        elif name in _SET:
+            _members(deck, name, fields)
+        elif name in ("MPC", "RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT", "OMIT", "OMIT1"):
+            dependent += 1
+        if len(deck.grids) + len(deck.scalars) > MOST_NODES or len(deck.elements) > MOST_ELEMENTS:
+            raise RefusedError(f"must have at most {MOST_NODES} nodes and {MOST_ELEMENTS} elements")
     return _mesh(deck, defaults, dependent)
 
 

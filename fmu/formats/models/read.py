@@ -27,6 +27,7 @@ from typing import Any
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
+from fmu.formats.matrices.nastran.includes import included_files
 from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
 from fmu.formats.models.assembly import assembled
@@ -37,6 +38,7 @@ from fmu.formats.shown import names_shown, one_line, shown
 from fmu.types import DIRECTIONS
 
 _DIRECTION = {d: d for d in DIRECTIONS} | {str(k): d for k, d in enumerate(DIRECTIONS, 1)}
+INCLUDING = (".bdf", ".dat", ".nas", ".pch", ".dmig")
 _INITIALS = (("K", "M"), ("k", "m"))
 _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
 
@@ -239,7 +241,15 @@ def _both(path: Path) -> tuple[str, str]:
 
 
 def read_beside(path: Path) -> list[Path]:
-    """Return the files that are read with a file of a program without being named: its mass, names of its rows."""
+    """Return the files that are read with a file of a program without being named in the problem file.
+
+    They are the mass, the names of the rows, and what a deck of Nastran includes.
+    """
+    if path.suffix.lower() in INCLUDING:
+        try:
+            return included_files(path)
+        except (OSError, ValueError, RefusedError):  # of another program's file with the same suffix
+            return []
     mass = _mass_beside(path)
     names = [path.with_suffix(end) for end in (".dof", ".12d")] if path.suffix.lower() in (".sti", ".mas") else []
     return [*([] if mass is None else [mass]), *names]

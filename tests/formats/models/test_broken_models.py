@@ -85,7 +85,7 @@ BROKEN = {
         {"a.pch": PUNCH.replace("5,1,2.\n", "5,1,2.\n,5,2,1.\nDMIG,K,5,2,,5,1,1.\n")}, {}, r"each pair of entries once",
     ),
     # bulk data
-    "included bulk": ({"a.bdf": "INCLUDE '/etc/passwd'\n"}, None, r"INCLUDE names are not followed"),
+    "included bulk": ({"a.bdf": "INCLUDE '/etc/passwd'\n"}, None, r"inside the folder of the deck .INCLUDE '/etc/pas"),
     "node twice": ({"a.bdf": BULK + "GRID,5,,0.,0.,0.\n"}, None, r"each node once \(it has GRID 5 twice"),
     "system of itself": ({"a.bdf": "CORD2R,1,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,5,1,0.,0.,0.\n"}, None, r"refer to them"),
     "no system": ({"a.bdf": "GRID,5,7,0.,0.,0.\n"}, None, r"the coordinate system 7 \(it has not"),

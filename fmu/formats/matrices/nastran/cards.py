@@ -22,7 +22,7 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     Raises
     ------
     RefusedError
-        If other files are included, superelements begin, an entry repeats another, or is too long.
+        If superelements begin, an entry repeats another, or is too long.
     """
     name, fields = "", list[str]()
     for line in lines:
@@ -32,8 +32,6 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
         if "\t" in line:
             line = line.expandtabs(8)
         upper = line.upper().lstrip()
-        if upper.startswith("INCLUDE"):
-            raise RefusedError("the files that INCLUDE names are not followed: put their lines in its place")
         if upper.startswith("BEGIN") and "SUPER" in upper:
             raise RefusedError("must be one structure (it has superelements)")
         if upper.startswith("ENDDATA"):

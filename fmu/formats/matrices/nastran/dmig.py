@@ -17,9 +17,9 @@ from fmu.formats.matrices.limits import (
     entries_within,
     mirrored,
     rows_within,
-    text_lines,
 )
 from fmu.formats.matrices.nastran.cards import cards, components, identity, number, whole
+from fmu.formats.matrices.nastran.includes import deck_lines
 from fmu.types import DIRECTIONS
 
 SYMMETRIC = 6
@@ -31,30 +31,29 @@ def _read(path: Path, variable: str | None) -> Labelled:
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0
-    with open(path, "rb") as file:
-        for entry, fields in cards(text_lines(file)):
-            if entry != "DMIG":
-                continue
-            name = fields[0]
-            if fields[1] == "0":
-                forms[name] = whole(fields[2], f"DMIG {name}: the form")
-                if whole(fields[3], f"DMIG {name}: the type") not in (1, 2) and variable in (None, name):
-                    raise RefusedError(f"must hold a real matrix ({name} is complex)")
-                if len(forms) > MOST_NAMES:
-                    raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
-                continue
-            if variable is not None and name != variable:
-                found.setdefault(name, (array("q"), array("q"), array("d")))
-                continue
-            rows, columns, entries = found.setdefault(name, (array("q"), array("q"), array("d")))
-            column = _place(fields[1], fields[2], name)
-            for at in range(4, len(fields) - 2, 4):
-                if fields[at]:
-                    rows.append(_place(fields[at], fields[at + 1], name))
-                    columns.append(column)
-                    entries.append(number(fields[at + 2], f"DMIG {name}: an entry"))
-            n += (len(fields) - 4) // 4
-            entries_within(n)
+    for entry, fields in cards(deck_lines(path)):
+        if entry != "DMIG":
+            continue
+        name = fields[0]
+        if fields[1] == "0":
+            forms[name] = whole(fields[2], f"DMIG {name}: the form")
+            if whole(fields[3], f"DMIG {name}: the type") not in (1, 2) and variable in (None, name):
+                raise RefusedError(f"must hold a real matrix ({name} is complex)")
+            if len(forms) > MOST_NAMES:
+                raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
+            continue
+        if variable is not None and name != variable:
+            found.setdefault(name, (array("q"), array("q"), array("d")))
+            continue
+        rows, columns, entries = found.setdefault(name, (array("q"), array("q"), array("d")))
+        column = _place(fields[1], fields[2], name)
+        for at in range(4, len(fields) - 2, 4):
+            if fields[at]:
+                rows.append(_place(fields[at], fields[at + 1], name))
+                columns.append(column)
+                entries.append(number(fields[at + 2], f"DMIG {name}: an entry"))
+        n += (len(fields) - 4) // 4
+        entries_within(n)
     name = chosen([name for name in forms if name in found], variable)
     if not found[name][2]:
         raise RefusedError(f"must have entries of {name} (it has none)")

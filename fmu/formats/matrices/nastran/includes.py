@@ -1,0 +1,111 @@
+"""Lines of a deck of Nastran with those of the files that ``INCLUDE`` names in their place.
+
+Names may be in quotes, and go on over several lines within them. They are relative to the folder of the deck or of
+the file that names them, and must be inside the folder of the deck.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+
+from fmu.formats.files import why_no_file
+from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError, text_lines
+from fmu.formats.shown import shown
+
+DEEPEST = 16
+"""Files that include each other."""
+MOST_FILES = 1000
+LONGEST_NAME = 4096
+_INCLUDE = re.compile(r"\s*INCLUDE(?=[\s'\"=])\s*=?\s*(.*)", re.IGNORECASE)
+
+
+@dataclass
+class _Count:
+    """What has been opened of a deck."""
+
+    files: int = 0
+    size: int = 0
+
+
+def deck_lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a deck and of the files that it includes, in their order.
+
+    Raises
+    ------
+    RefusedError
+        If an included file does not exist, lies outside the folder of the deck or includes itself, or there is too
+        much of them.
+    ValueError
+        If a file is not text.
+    """
+    yield from _lines(path, path.parent.resolve(), (path.resolve(),), _Count())
+
+
+def included_files(path: Path) -> list[Path]:
+    """Return the files that a deck includes, each once, beginning with its folder; see `deck_lines`."""
+    folder, found = path.parent.resolve(), dict[Path, None]()
+    for _ in _lines(path, folder, (path.resolve(),), _Count(), found):
+        pass
+    return [path.parent / file.relative_to(folder) for file in found]
+
+
+def _lines(
+    path: Path, folder: Path, within: tuple[Path, ...], count: _Count, found: dict[Path, None] | None = None
+) -> Iterator[str]:
+    """Yield the lines of a file and of those it includes, and add these to `found`; `within` led to it."""
+    count.files += 1
+    count.size += path.stat().st_size
+    if count.files > MOST_FILES or count.size > LARGEST_FILE:
+        raise RefusedError(f"must have at most {MOST_FILES} files of {LARGEST_FILE} bytes in all by INCLUDE")
+    with open(path, "rb") as file:
+        lines = text_lines(file)
+        for line in lines:
+            include = _INCLUDE.match(line)
+            if include is None:
+                yield line
+                continue
+            name = _name(include[1], lines)
+            if len(within) > DEEPEST:
+                rule = f"must have at most {DEEPEST} files that include each other"
+                raise RefusedError(f"{rule} (INCLUDE {shown(name)})")
+            other = _inside(name, folder, path.parent.resolve())
+            if other.resolve() in within:
+                raise RefusedError(f"must not include a file within itself (INCLUDE {shown(name)})")
+            if found is not None:
+                found[other] = None
+            yield from _lines(other, folder, (*within, other.resolve()), count, found)
+
+
+def _name(text: str, lines: Iterator[str]) -> str:
+    """Return the name that an entry gives; within quotes it goes on over lines, whose blanks are left out."""
+    quote = text[:1]
+    if quote not in ("'", '"'):
+        return text.partition("$")[0].strip()
+    name = text[1:]
+    while quote not in name:
+        further = next(lines, None)
+        if further is None or len(name) > LONGEST_NAME:
+            raise RefusedError(f"INCLUDE must have a name that ends with {quote} (got {shown(name[:80])})")
+        name = name.rstrip() + further.strip()
+    return name.partition(quote)[0].strip()
+
+
+def _inside(name: str, folder: Path, beside: Path) -> Path:
+    """Return the path of a name; RefusedError unless it is of a file inside a folder, links followed."""
+    name = name.replace("\\", "/")
+    for base in (folder, beside):
+        path = Path(os.path.normpath(base / name))
+        try:
+            is_inside = path.is_relative_to(folder) and path.resolve().is_relative_to(folder)
+        except (OSError, RuntimeError, ValueError):  # of a loop of links, or a NUL
+            raise RefusedError(f"INCLUDE must name a file (got {shown(name)})") from None
+        if not is_inside or PureWindowsPath(name).drive:
+            rule = f"must be inside the folder of the deck (INCLUDE {shown(name)})"
+            raise RefusedError(f"{rule}: copy it there, and name it relative to the deck")
+        if not why_no_file(path):
+            return path
+    raise RefusedError(f"INCLUDE must name a file ({why_no_file(folder / name)})")
