@@ -143,6 +143,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m pytest --quiet -m validate
 	.venv/bin/python -m tests.validation.workers results
 	.venv/bin/python -m tests.validation.bound results
+	.venv/bin/python -m tests.validation.emcee_moves results
 	.venv/bin/python -m tests.validation.scale results
 	.venv/bin/python -m tests.validation.hostile results
 	.venv/bin/python -m tests.validation.surrogate results

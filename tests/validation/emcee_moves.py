@@ -1,0 +1,180 @@
+"""Moves of plain emcee on the paper's experiments: python -m tests.validation.emcee_moves OUT_DIRECTORY [--quick].
+
+Writes ``emcee-moves.md``. Exit code 1 if two moves that have both converged disagree.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import emcee
+import numpy as np
+
+import fmu
+from fmu.numbers import share, significant, whole
+from fmu.samplers.snooker import SnookerMove
+from fmu.tables import markdown_table
+from fmu.types import FloatArray
+
+EXPERIMENTS = tuple((f"cantilever-{of}", pairing) for of in ("young", "section") for pairing in ("shape", "index"))
+ENSEMBLES, WALKERS = 4, 32
+USUAL, SHORT = 200, 40
+"""Steps of warm-up: usually, and of the mixture, whose walkers do not have to get anywhere step by step."""
+LENGTHS = (500, 1000, 2000, 4000, 8000, 16_000)
+"""Steps after which a run ends if it is long enough by the rule of 50 autocorrelation times."""
+ENOUGH, WANTED = 50, 400
+DISAGREEMENT = 5.0
+"""Difference of two means over its standard error."""
+
+de = emcee.moves.DEMove
+MOVES: dict[str, tuple[Callable[[Any], Any], int, bool]] = {
+    "stretch": (lambda problem: emcee.moves.StretchMove(), USUAL, False),
+    "differential evolution (DE)": (lambda problem: de(), USUAL, False),
+    "DE 80 %, snooker 20 %": (lambda problem: [(de(), 0.8), (SnookerMove(), 0.2)], USUAL, False),
+    "KDE": (lambda problem: emcee.moves.KDEMove(), USUAL, False),
+    "`fmu.MixtureMove`, other half": (fmu.MixtureMove, SHORT, False),
+    "`fmu.MixtureMove`, frozen": (fmu.MixtureMove, SHORT, True),
+    "frozen 80 %, DE 20 %": (lambda problem: [(fmu.MixtureMove(problem), 0.8), (de(), 0.2)], SHORT, True),
+}
+"""The moves, the steps of their warm-up, and whether it is with ``tune=True``."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a move gave on an experiment.
+
+    Attributes
+    ----------
+    accepted : float
+        Acceptance fraction.
+    time : float
+        Autocorrelation time of the slowest parameter, steps.
+    ess : float
+        Smallest bulk ESS.
+    warmup, evaluations : int
+        Evaluations of the warm-up, and of the draws.
+    verdict : str
+    mean, error : ndarray, shape (ndim,)
+        Of the posterior, and its standard error.
+    """
+
+    experiment: str
+    move: str
+    accepted: float
+    time: float
+    ess: float
+    warmup: int
+    evaluations: int
+    verdict: str
+    mean: FloatArray
+    error: FloatArray
+
+    @property
+    def per_evaluation(self) -> float:
+        """Effective draws of an evaluation after warm-up."""
+        return self.ess / self.evaluations
+
+    @property
+    def for_wanted(self) -> float:
+        """Evaluations for `WANTED` effective draws, warm-up included."""
+        return self.warmup + WANTED / self.per_evaluation
+
+
+def tried(problem: Any, experiment: str, move: str, lengths: Iterable[int] = LENGTHS) -> Found:
+    """Draw with a move until the run is long enough, or at the last of the `lengths`."""
+    make, warmup, tune = MOVES[move]
+    samplers = []
+    for k in range(ENSEMBLES):
+        sampler = emcee.EnsembleSampler(
+            WALKERS, problem.ndim, problem.log_prob, vectorize=True, moves=make(problem)
+        )
+        sampler.random_state = np.random.RandomState(k).get_state()
+        sampler.run_mcmc(problem.walkers(WALKERS, seed=k), warmup, tune=tune)
+        samplers.append(sampler)
+    maxima = fmu.find_map(problem)
+    for steps in lengths:
+        for sampler in samplers:
+            sampler.run_mcmc(None, warmup + steps - sampler.iteration)
+        trace = fmu.from_emcee(samplers, names=problem.names, discard=warmup, maxima=maxima)
+        table = fmu.summary(trace)
+        ess = float(table["ess_bulk"].min())
+        time = ENSEMBLES * WALKERS * steps / ess
+        if steps >= ENOUGH * time * 1.1:
+            break
+    fraction = float(np.mean([sampler.acceptance_fraction.mean() for sampler in samplers]))
+    means = (table[name].to_numpy() for name in ("mean", "mcse_mean"))
+    costs = (int(trace.attrs[name]) for name in ("warmup_n_solves", "n_solves"))
+    return Found(experiment, move, fraction, time, ess, *costs, fmu.diagnose(trace).verdict, *means)
+
+
+def disagreements(found: Iterable[Found]) -> list[str]:
+    """Name the pairs of moves that have both converged on an experiment, and to different means."""
+    converged = [one for one in found if one.verdict == "converged"]
+    return [
+        f"{a.experiment}: {a.move} and {b.move}"
+        for a, b in combinations(converged, 2)
+        if a.experiment == b.experiment
+        and np.max(np.abs(a.mean - b.mean) / np.hypot(a.error, b.error)) > DISAGREEMENT
+    ]
+
+
+def page(found: list[Found]) -> str:
+    """Return the page in Markdown."""
+    first = {one.experiment: one.per_evaluation for one in reversed(found) if one.move == "stretch"}
+    header = (
+        "experiment", "move", "accepted", "autocorrelation time, steps", "effective draws per 1000 evaluations",
+        "over stretch", f"evaluations for {WANTED}, warm-up included", "converged",
+    )  # fmt: skip
+    lines = []
+    for one in found:
+        is_converged = one.verdict == "converged"
+        about = "" if is_converged else "≈ "
+        lines.append(
+            (
+                one.experiment,
+                one.move,
+                share(one.accepted),
+                about + significant(one.time, 2),
+                about + significant(1000 * one.per_evaluation, 2),
+                about + significant(one.per_evaluation / first[one.experiment], 2),
+                about + whole(round(one.for_wanted, -2)),
+                "yes" if is_converged else "no",
+            )
+        )
+    apart = disagreements(found)
+    said = (
+        f"**They disagree: {'; '.join(apart)}.**" if apart else "All moves that have converged agree in the means."
+    )
+    return (
+        "# Moves of emcee\n\n"
+        "Written by `make validate` (`python -m tests.validation.emcee_moves results`). Plain emcee on the four "
+        f"experiments of the paper: {ENSEMBLES} ensembles of {WALKERS} walkers from `problem.walkers(n, seed)`, "
+        f"{USUAL} steps of warm-up ({SHORT} of the mixture), then steps until the run has {ENOUGH} "
+        f"autocorrelation times (at most {whole(LENGTHS[-1])}). Effective draws are the smallest bulk ESS of "
+        "`fmu.summary`, for which `fmu.from_emcee` converts the samplers; verdicts are those of `fmu.diagnose`. "
+        "The snooker move is fmu's, as emcee's own does not leave the posterior invariant "
+        "(`fmu.samplers.snooker`). `fmu.MixtureMove` is fitted to the other half of the walkers in every step, or "
+        "in the warm-up (`tune=True`) and then frozen. Numbers of runs that have not converged (≈) are rough. "
+        f"{said}\n\n" + markdown_table(header, lines, words=(0, 1, 7)) + "\n"
+    )
+
+
+def main(out: Path, quick: bool) -> int:
+    """Try all moves on all experiments and write the page."""
+    found = []
+    for case, pairing in EXPERIMENTS[2:3] if quick else EXPERIMENTS:
+        problem = fmu.cases.load(case, pairing)
+        for move in MOVES:
+            found.append(tried(problem, f"{case}, by {pairing}", move, LENGTHS[:1] if quick else LENGTHS))
+            print(found[-1], flush=True)
+    (out / "emcee-moves.md").write_text(page(found), encoding="utf-8")
+    return 1 if disagreements(found) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), "--quick" in sys.argv[2:]))
