@@ -85,10 +85,12 @@ def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSect
 
 def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Page:
     """Return the page that compares the runs."""
+    compared = comparison.Compared.of(runs)
     found = (
-        comparison.overview(runs, files),
-        comparison.efficiency(runs),
-        comparison.agreement(runs),
+        comparison.posterior(compared),
+        comparison.costs(compared, files),
+        comparison.marginals(compared),
+        comparison.paths(compared),
         updating.maxima(_told(runs)),
         updating.evidences(runs),
     )
@@ -98,11 +100,11 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
         str(first.trace.attrs["problem"]),
         f"Bayesian model updating by {len(runs)} sampler{'s' if len(runs) > 1 else ''}",
         _dates(runs.values()).strip(),
-        _common_verdicts(runs),
+        _common_verdicts(compared),
         _without_omissions(found),
         links,
         _footer(first),
-        origin.assumptions(_told(runs)),
+        (),
         structure_drawing(first.trace),
     )
 
@@ -113,21 +115,13 @@ def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
     return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
-def _common_verdicts(runs: Mapping[str, ReportedRun]) -> tuple[Verdict, ...]:
-    """Return the verdicts on all runs: how many converged, and what one of them says of the model."""
-    failed = [run for run in runs.values() if not run.diagnosis.converged]
-    good = len(runs) - len(failed)
-    answer = "All converged" if not failed else f"{good} of {len(runs)} converged" if good else "None converged"
-    reasons = tuple(f"{run.title}: {run.diagnosis.verdict}" for run in runs.values())
-    told = _told(runs)
-    *others, trust = verdicts(told)
+def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
+    """Return the verdicts on the samplers, and what one of them says of the model: its page has the reasons."""
+    told = _told(compared.runs)
+    changed, sure, _, fit, _ = verdicts(told)
     by = f"From the draws of {told.title}."
-    return (
-        *(replace(one, reasons=(by, *one.reasons)) if one.reasons else one for one in others),
-        replace(
-            trust, answer=answer, is_good=not failed, because="Verdict on each sampler", reasons=reasons, said=by
-        ),
-    )
+    others = (replace(one, reasons=(), said=f"{one.said} {by}".strip()) for one in (changed, sure, fit))
+    return *comparison.verdicts_on_samplers(compared), *others
 
 
 def _footer(run: ReportedRun) -> str:

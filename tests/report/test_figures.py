@@ -58,8 +58,6 @@ def test_intervals_matrices_and_bars_have_their_values(beam_traces):
         trace["modes"]["mac"].sel(state="posterior mean").to_numpy(),
         atol=1e-12,
     )
-    bars = figure_data(plots.plot_efficiency(beam_traces).figure)["panels"][0]["series"]
-    assert [len(one["x"]) for one in bars] == [1, 1]
 
 
 def test_draws_and_their_frequencies_belong_together(beam_traces):

@@ -244,33 +244,34 @@ def test_energies_are_of_hamiltonian_trajectories_only(runs):
 
 
 def test_samplers_side_by_side_lead_to_their_pages(runs):
-    rows = table(comparison.overview(runs, {"hmc": "hmc.html", "emcee": "emcee.html"}))
+    found = comparison.Compared.of(runs)
+    section = comparison.costs(found, {"hmc": "hmc.html", "emcee": "emcee.html"})
+    rows = table(section)
     assert [row["sampler"] for row in rows] == [
-        Link("Hamiltonian Monte Carlo", "hmc.html"), Link("emcee ensemble", "emcee.html")
+        Link("Hamiltonian Monte Carlo", "hmc.html"), Link("emcee ensemble, the baseline", "emcee.html")
     ]  # fmt: skip
-    assert number(rows[0]["solves"]) == runs["hmc"].costs["n_solves"]
+    assert number(rows[0]["whole run"]) == pytest.approx(found.costs.loc["hmc", "total_solves"], rel=0.01)
+    assert rows[1]["/ emcee"] in ("1.00 ×", "–")  # the latter where it did not meet the criterion
+    assert section.parts[-1].words.startswith("emcee ")
 
 
-@pytest.mark.parametrize(("shift", "verdict"), [(0.0, "agree"), (1.0, "differ by more than chance")])
-def test_converged_runs_agree_or_one_is_wrong(shift, verdict, plain_traces):
+@pytest.mark.parametrize(("shift", "answer"), [(0.0, "Yes"), (1.0, "No")])
+def test_samplers_agree_or_one_is_wrong(shift, answer, plain_traces):
     good = plain_traces["hmc"]
     other = good.copy()
     other["posterior"] = other["posterior"].to_dataset() + shift
-    # Alone each: seen together, a run that sits elsewhere counts against the other's convergence.
-    found = {name: runs_of({name: trace})[name] for name, trace in (("one", good), ("two", other))}
-    assert all(run.diagnosis.converged for run in found.values())
-    head, detail = comparison.agreement(found).parts[0].items
-    assert verdict in head
-    assert detail.startswith("one and two: at most ")
+    agree, *_ = comparison.verdicts_on_samplers(comparison.Compared.of(runs_of({"one": good, "two": other})))
+    assert (agree.answer, agree.is_good) == (answer, answer == "Yes")
+    assert "one and two" in agree.said
 
 
-def test_one_sampler_is_not_compared(plain_traces):
-    runs = runs_of(plain_traces)
-    alone = comparison.agreement({"hmc": runs["hmc"]})
-    assert alone.title == "Posterior means"
-    assert not any(isinstance(part, Text | Items) for part in alone.parts)
-    (judged, *_) = comparison.agreement(runs).parts
-    assert judged.words.startswith("Only Hamiltonian Monte Carlo has converged, ")
+def test_samplers_with_too_few_draws_are_not_compared(plain_traces):
+    found = comparison.Compared.of(runs_of(plain_traces))
+    agree, trust, cost = comparison.verdicts_on_samplers(found)
+    assert (agree.answer, agree.is_good) == ("Not known", None)
+    assert "with too few effective draws" in agree.said
+    assert trust.reasons[0].split(":")[0] not in ("Hamiltonian Monte Carlo",)
+    assert cost.answer.startswith("hmc ")
 
 
 def test_columns_of_cosine_above_095_are_separated_where_they_differ(hmc):

@@ -17,7 +17,7 @@ from fmu.analysis.convergence.remedies import (
     WALKER_RHAT_LIMIT,
 )
 from fmu.analysis.trace.reading import check_trace, in_solves, walkers_of
-from fmu.numbers import significant, whole
+from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.samplers.registry import BASELINE
 from fmu.tables import data_frame
 
@@ -189,7 +189,7 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
         values = list(map(float, costs[column]))
         if not np.all(np.isnan(values)):
             is_ratio = column.endswith("over_baseline")
-            rows.append([label, *(f"{significant(x, 2)} ×" if is_ratio else _about(x) for x in values)])
+            rows.append([label, *(over_baseline(x) if is_ratio else about_solves(x) for x in values)])
     return rows
 
 
@@ -200,14 +200,21 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
         if walkers_of(trace) == 1:
             continue
         first, total = (float(costs[of][name]) for of in ("criterion_solves", "total_solves"))
-        met = f"met the criterion after {_about(first)} solves" if first > 0 else "did not meet the criterion"
-        passed = f"{'passed' if converged[name] else 'had not passed'} after {_about(total)}"
+        met = (
+            f"met the criterion after {about_solves(first)} solves" if first > 0 else "did not meet the criterion"
+        )
+        passed = f"{'passed' if converged[name] else 'had not passed'} after {about_solves(total)}"
         own = f"{MIN_AUTOCORRELATION_TIMES} autocorrelation times, R-hat over walkers below {WALKER_RHAT_LIMIT}"
         said.append(f"{name} {met}; the further tests of an ensemble ({own}) it {passed}.")
     return " ".join(said)
 
 
-def _about(solves: float) -> str:
+def over_baseline(ratio: float) -> str:
+    """Return a ratio of costs in two digits; a dash where it is not known."""
+    return MISSING if np.isnan(ratio) else f"{fixed(ratio, 2) if ratio < 10 else significant(ratio, 2)} ×"
+
+
+def about_solves(solves: float) -> str:
     """Return a number of solves in three digits."""
     if np.isnan(solves):
         return "not met"

@@ -22,8 +22,11 @@ from fmu.report.plots.information import plot_marginals as plot_marginals
 from fmu.report.plots.information import plot_sensitivity as plot_sensitivity
 from fmu.report.plots.modes import plot_mac as plot_mac
 from fmu.report.plots.modes import plot_mode_shapes as plot_mode_shapes
-from fmu.report.plots.parameters import plot_efficiency as plot_efficiency
 from fmu.report.plots.parameters import plot_parameter_updates as plot_parameter_updates
+from fmu.report.plots.samplers import plot_forest as plot_forest
+from fmu.report.plots.samplers import plot_growth as plot_growth
+from fmu.report.plots.samplers import plot_overlaid_marginals as plot_overlaid_marginals
+from fmu.report.plots.samplers import plot_ranks_of_samplers as plot_ranks_of_samplers
 from fmu.report.plots.style import BLACK as BLACK
 from fmu.report.plots.style import COLOURS as COLOURS
 from fmu.report.plots.style import DPI as DPI

@@ -156,18 +156,27 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     ValueError
         If there is only one chain.
     """
+    walkers = walkers_of(trace)
+    posterior = trace["posterior"].to_dataset()
+    if posterior.sizes["chain"] < 2:
+        raise ValueError("trace: must have at least two chains to rank (got 1)")
+    axes = stacked(len(parameter_names(trace)), figure)
+    ranked = _independent(trace) / posterior.sizes["chain"]
+    most = int(np.clip(ranked, *_RANKED)) if np.isfinite(ranked) else _RANKED[1]
+    thinned = posterior.isel(draw=slice(None, None, apart(posterior.sizes["draw"], most, walkers)))
+    draw_ranks(thinned, axes, chain_colours(trace))
+    axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
+    legend_of_chains(axes[0].figure, trace)
+    return axes
+
+
+def draw_ranks(thinned: xr.Dataset, axes: NDArray[Any], colours: list[str]) -> None:
+    """Draw ArviZ's rank plots of independent draws (chain, draw), one parameter on each of the axes."""
     import xarray as xr
     from arviz_plots import plot_rank
     from arviz_plots.plot_collection import PlotCollection
 
-    names, walkers = parameter_names(trace), walkers_of(trace)
-    posterior = trace["posterior"].to_dataset()
-    if posterior.sizes["chain"] < 2:
-        raise ValueError("trace: must have at least two chains to rank (got 1)")
-    axes = stacked(len(names), figure)
-    ranked = _independent(trace) / posterior.sizes["chain"]
-    most = int(np.clip(ranked, *_RANKED)) if np.isfinite(ranked) else _RANKED[1]
-    thinned = posterior.isel(draw=slice(None, None, apart(posterior.sizes["draw"], most, walkers)))
+    names = [str(name) for name in thinned.data_vars]
     panels = {name: xr.DataArray(np.array(axis, dtype=object)) for name, axis in zip(names, axes, strict=True)}
     drawn_on = {"figure": xr.DataArray(np.array(axes[0].figure, dtype=object))}
     collection = PlotCollection(
@@ -175,7 +184,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
         xr.DataTree.from_dict({"/": xr.Dataset(drawn_on), "plot": xr.Dataset(panels)}),
         aes={"color": ["chain"], "overlay": ["chain"]},
         backend="matplotlib",
-        color=chain_colours(trace),
+        color=colours,
     )
     visuals: Any = {"xlabel": False, "title": False, "remove_axis": False}
     plot_rank(thinned, envelope_prob=0.99, plot_collection=collection, visuals=visuals)
@@ -185,10 +194,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
         axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
         finish(axis, y=broken(name, height_of_row(len(names))))
     axes[0].figure.supylabel("Δ ECDF of the ranks", fontsize=FONT)
-    axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
-    legend_of_chains(axes[0].figure, trace)
     axes[0].figure.align_ylabels(axes)
-    return axes
 
 
 def _independent(trace: xr.DataTree) -> float:

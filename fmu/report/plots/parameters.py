@@ -1,4 +1,4 @@
-"""Parameters before and after updating, and the efficiency of the samplers."""
+"""Parameters before and after updating."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fmu.analysis.convergence.comparison import compare
-from fmu.analysis.convergence.diagnosis import CONVERGED
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_names
-from fmu.numbers import significant
 from fmu.report.plots.style import (
     BLACK,
     FONT,
@@ -155,45 +152,3 @@ def _intervals(
             axis.plot(
                 x[of], mean[of], linestyle="none", marker="o", markersize=5, color=shade, label=words, zorder=3
             )
-
-
-_ROOM = 1.25
-"""Width of the axes over that of the longest bar, with room for the number after it."""
-
-
-def plot_efficiency(
-    traces: Mapping[str, xr.DataTree], table: pd.DataFrame | None = None, figure: Figure | None = None
-) -> Axes:
-    """Draw a bar for each sampler: effective draws of the worst parameter per 1000 solves, warm-up included.
-
-    An outlined bar belongs to a run that has not converged: its ESS is not reliable.
-
-    Parameters
-    ----------
-    traces : mapping of str to xarray.DataTree
-    table : pandas.DataFrame, optional
-        ``fmu.compare(traces)``, if already computed.
-    figure : Figure, optional
-
-    Returns
-    -------
-    Axes
-    """
-    table = compare(traces) if table is None else table
-    figure = figure or new_figure(NARROW, 0.62 * len(traces) + 0.9)
-    axes = figure.subplots()
-    y = np.arange(len(traces), dtype=float)
-    widths = 1000.0 * np.nan_to_num(table.loc[list(traces), "ess_per_solve"].to_numpy())
-    names = []
-    for k, (label, trace) in enumerate(traces.items()):
-        shade = colour(str(trace.attrs["sampler"]))
-        is_converged = table.loc[label, "verdict"] == CONVERGED
-        axes.barh(y[k], widths[k], 0.62, color=shade if is_converged else "none", edgecolor=shade, linewidth=1.6)
-        axes.annotate(significant(widths[k]), (widths[k], y[k]), (4, 0), textcoords="offset points", va="center",
-                      fontsize=FONT - 1, color=GREY)  # fmt: skip
-        names.append(TITLES.get(label, literal(label)) + ("" if is_converged else "\n(not converged)"))
-    axes.set_yticks(y, names)
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, _ROOM * max(widths.max(), 1e-300))
-    finish(axes, "effective draws per 1000 model solves", "sampler")
-    return axes

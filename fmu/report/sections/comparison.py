@@ -1,75 +1,224 @@
-"""Samplers side by side."""
+"""Samplers side by side: one posterior, the same criterion, and emcee as the baseline."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
-from fmu.numbers import decimals, fixed, interval, significant, whole
-from fmu.report.document import Items, Link, PageSection, PageTable, Pictures, Text, picture
-from fmu.report.plots.parameters import plot_efficiency, plot_parameter_updates
+from fmu.analysis.convergence.agreement import Agreement, agreement
+from fmu.analysis.convergence.comparison import (
+    COUNTED,
+    about_solves,
+    at_both_points,
+    costs_side_by_side,
+    over_baseline,
+)
+from fmu.analysis.convergence.growth import Growth, growth
+from fmu.numbers import decimals, fixed, interval, names_in_words, significant
+from fmu.report.document import (
+    Details,
+    Link,
+    Omitted,
+    PageSection,
+    PageTable,
+    Picture,
+    Pictures,
+    Text,
+    Verdict,
+    picture,
+)
+from fmu.report.plots.chains import plot_traces
+from fmu.report.plots.samplers import plot_forest, plot_growth, plot_overlaid_marginals, plot_ranks_of_samplers
+from fmu.report.plots.style import NARROW, height_of_row, new_figure
 from fmu.report.run import ReportedRun
+from fmu.report.sections.chains import LOOK_AT_PATHS
+from fmu.samplers.registry import BASELINE
 
-CLOSE = 4.0
-"""Differences of means of converged runs below so many standard errors are chance: 1 in 16 000 goes beyond."""
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 
-def overview(runs: Mapping[str, ReportedRun], pages: Mapping[str, str]) -> PageSection:
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Several runs on one posterior, with what is computed once for all sections.
+
+    Attributes
+    ----------
+    runs : mapping of str to ReportedRun
+    grown : mapping of str to Growth
+    costs : pandas.DataFrame
+        ``costs_side_by_side`` of them.
+    agreed : Agreement
+    """
+
+    runs: Mapping[str, ReportedRun]
+    grown: Mapping[str, Growth]
+    costs: pd.DataFrame
+    agreed: Agreement
+
+    @classmethod
+    def of(cls, runs: Mapping[str, ReportedRun]) -> Compared:
+        """Compare runs."""
+        traces = {name: run.trace for name, run in runs.items()}
+        grown = {name: growth(trace) for name, trace in traces.items()}
+        agreed = agreement(traces, {name: run.summary for name, run in runs.items()})
+        return cls(runs, grown, costs_side_by_side(traces, grown), agreed)
+
+    @property
+    def traces(self) -> dict[str, xr.DataTree]:
+        """The traces, by the names of their runs."""
+        return {name: run.trace for name, run in self.runs.items()}
+
+    @property
+    def summaries(self) -> dict[str, pd.DataFrame]:
+        """The summaries, by the names of their runs."""
+        return {name: run.summary for name, run in self.runs.items()}
+
+
+def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
+    """Return whether the samplers agree, whether they converged, and what they cost."""
+    runs, agreed = found.runs, found.agreed
+    answer = {True: "Yes", False: "No", None: "Not known"}[agreed.agrees]
+    failed = [run for run in runs.values() if not run.diagnosis.converged]
+    good = len(runs) - len(failed)
+    converged = "All converged" if not failed else f"{good} of {len(runs)} converged" if good else "None converged"
+    reasons = tuple(f"{run.title}: {run.diagnosis.verdict}" for run in failed)
+    return (
+        Verdict("Do the samplers agree?", answer, agreed.agrees, "Agreement" if agreed.agrees is None else "",
+                said=agreed.sentence),
+        Verdict("Can the runs be trusted?", converged, not failed, because="Not converged", reasons=reasons),
+        _cost(found),
+    )  # fmt: skip
+
+
+def _cost(found: Compared) -> Verdict:
+    """Return the solves to the criterion, the cheapest sampler first."""
+    costs = found.costs.sort_values("criterion_solves")
+    met = [(str(name), float(x)) for name, x in costs["criterion_solves"].items() if not np.isnan(x)]
+    question = "What did they cost?"
+    if not met:
+        return Verdict(question, "No sampler met the criterion", None)
+    answer = ", ".join(f"{name} {about_solves(solves)}" for name, solves in met)
+    per = [
+        f"{name} {over_baseline(float(x))}" for name, x in costs["per_ess_over_baseline"].items()
+        if not np.isnan(x) and name != BASELINE
+    ]  # fmt: skip
+    said = "Model solves to R-hat below 1.01 and ESS of 400, search and warm-up counted."
+    said += f" Per effective draw, over {BASELINE}: {', '.join(per)}." * bool(per)
+    return Verdict(question, answer, None, said=said)
+
+
+def posterior(found: Compared) -> PageSection:
+    """Return the posterior by every sampler, and how its effective draws grew."""
+    runs, traces = found.runs, found.traces
+    seen = "; ".join(f"{row[0]} {', '.join(row[2:])} {row[1]}".rstrip() for row in _means(runs))
+    forest = picture(
+        plot_forest(traces, found.summaries), "forest", f"Means and 90 % intervals of {', '.join(runs)}: {seen}.",
+        "Means with 50 % and 90 % intervals; R-hat, bulk and tail ESS. Look for means apart in units of the bars.",
+    )  # fmt: skip
+    solves = ", ".join(f"{name} {about_solves(float(x))}" for name, x in found.costs["criterion_solves"].items())
+    search = float(found.costs["search_solves"].iloc[0])
+    grown = picture(
+        plot_growth(traces, found.grown, search), "growth", f"Solves to the criterion: {solves}.",
+        "Effective draws of the worst parameter over model solves, as the runs grew. Dot: criterion first met.",
+    )  # fmt: skip
+    parts = Pictures((forest, grown)), _means_table(runs)
+    return PageSection("posterior", "The posterior by every sampler", parts)
+
+
+def costs(found: Compared, pages: Mapping[str, str]) -> PageSection:
     """Return verdict, reliability and cost of each run, its name leading to its page."""
     rows = []
-    for name, run in runs.items():
-        costs = run.costs
+    for name, run in found.runs.items():
+        cost, of = {column: float(found.costs[column][name]) for column in found.costs}, run.costs
         rows.append((
-            Link(run.title, pages[name]), "converged" if run.diagnosis.converged else "not converged",
-            fixed(float(costs["rhat_max"]), 4), fixed(float(costs["ess_bulk_min"]), 0),
-            fixed(float(costs["ess_tail_min"]), 0), whole(costs["n_solves"]), fixed(float(costs["wall_s"]), 1),
-            significant(1000 * float(costs["ess_per_solve"])), significant(float(costs["ess_per_s"])),
+            Link(f"{run.title}{_is_baseline(run)}", pages[name]),
+            "converged" if run.diagnosis.converged else "not converged",
+            about_solves(cost["criterion_solves"]), over_baseline(cost["criterion_over_baseline"]),
+            significant(cost["solves_per_ess"]), over_baseline(cost["per_ess_over_baseline"]),
+            about_solves(cost["total_solves"]), fixed(float(of["rhat_max"]), 4),
+            fixed(float(of["ess_bulk_min"]), 0), fixed(float(of["ess_tail_min"]), 0),
+            fixed(float(of["wall_s"]), 1),
         ))  # fmt: skip
     header = (
-        "sampler", "verdict", "R-hat", "bulk ESS", "tail ESS", "solves", "time, s", "ESS / 1000 solves", "ESS / s"
+        "sampler", "verdict", "to the criterion", f"/ {BASELINE}", "per eff. draw", f"/ {BASELINE}", "whole run",
+        "R-hat", "bulk ESS", "tail ESS", "time, s",
     )  # fmt: skip
+    search = about_solves(float(found.costs["search_solves"].iloc[0]))
     caption = (
-        "R-hat and ESS of the worst parameter; model solves and time with the warm-up. "
-        f"{_gradients(runs)}The ESS of a run that has not converged is not reliable."
+        f"{COUNTED} The search took {search} solves, which all share. Per effective draw: after warm-up. R-hat "
+        f"and ESS at the end of the run, of the worst parameter. {_gradients(found.runs)}"
     )
-    return PageSection("overview", "Samplers side by side", (PageTable(caption, header, tuple(rows), words=(1,)),))
+    converged = {name: run.diagnosis.converged for name, run in found.runs.items()}
+    said = at_both_points(found.costs, converged, found.traces)
+    table = PageTable(caption, header, tuple(rows), words=(1,))
+    return PageSection("costs", "What each sampler cost", (table, *((Text(said),) if said else ())))
+
+
+def _is_baseline(run: ReportedRun) -> str:
+    return ", the baseline" if run.trace.attrs["sampler"] == BASELINE else ""
 
 
 def _gradients(runs: Mapping[str, ReportedRun]) -> str:
-    """Say how many solves an exact gradient counts as in ESS per solve; empty if none was taken."""
-    costs = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
-    listed = ", ".join(
-        f"{significant(cost, 2)} solves ({title})" for title, cost in costs.items() if not np.isnan(cost)
+    """Say how many solves an exact gradient counts as; empty if none was taken."""
+    known = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
+    listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in known.items() if not np.isnan(cost))
+    return f"An exact gradient costs as much as so many solves: {listed}." * bool(listed)
+
+
+def marginals(found: Compared) -> PageSection | Omitted:
+    """Return the densities by every sampler, and the ranks of their draws among all."""
+    title, runs = "Marginals and ranks", found.runs
+    if len(runs) < 2:
+        return Omitted(title, "there is one sampler")
+    axes = plot_ranks_of_samplers(found.traces, found.summaries)
+    far = [
+        max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines if len(line.get_xdata()))
+        for axis in axes
+    ]
+    names = next(iter(runs.values())).names
+    furthest = ", ".join(f"{name} {fixed(x, 2)}" for name, x in zip(names, far, strict=True))
+    ranks = picture(
+        axes, "ranks", f"Rank plots of {names_in_words(list(runs))}. Largest distance from uniform: {furthest}.",
+        "Ranks of each sampler's draws among those of all: difference of their distribution from a uniform one, "
+        "with the p-value of a test. Look for p below 0.01: samplers that do not draw from the same distribution.",
+    )  # fmt: skip
+    means = "; ".join(
+        f"{name} " + ", ".join(significant(run.value(name, "mean"), 4) for run in runs.values()) for name in names
     )
-    if not listed:
-        return ""
-    return f"An exact gradient costs as much as {listed} and is counted so. "
+    densities = picture(
+        plot_overlaid_marginals(found.traces), "densities", f"Densities by {names_in_words(list(runs))}: {means}.",
+        "Posterior densities, one over the other. Look for curves that differ in place or width.",
+    )  # fmt: skip
+    return PageSection("marginals", title, (Pictures((densities, ranks)),))
 
 
-def efficiency(runs: Mapping[str, ReportedRun]) -> PageSection:
-    """Return effective draws per solve."""
-    seen = ", ".join(
-        f"{run.title} {significant(1000 * float(run.costs['ess_per_solve']))}"
-        + ("" if run.diagnosis.converged else " (not converged)")
-        for run in runs.values()
+def paths(found: Compared) -> PageSection:
+    """Return the trace plots of every sampler."""
+    return PageSection(
+        "paths", "Trace plots", (Text(LOOK_AT_PATHS), Pictures(tuple(map(_paths, found.runs.values()))))
     )
-    costs = pd.DataFrame({name: run.costs for name, run in runs.items()}).T.infer_objects()
-    axes = plot_efficiency({name: run.trace for name, run in runs.items()}, costs)
-    alt = f"Effective draws per 1000 model solves: {seen}."
-    caption = (
-        f"Effective draws of the worst parameter per 1000 model solves, warm-up included. {_gradients(runs)}"
-        "Outline only: not converged."
+
+
+def _paths(run: ReportedRun) -> Picture:
+    figure = new_figure(NARROW, height_of_row(len(run.names)) * len(run.names) + 0.9)
+    worst = fixed(float(run.summary["rhat"].max()), 4)
+    axes = plot_traces({run.title: run.trace}, figure=figure)
+    return picture(
+        axes,
+        f"paths-{run.name}",
+        f"Paths of {run.title}, {run.chains_in_words}. R-hat at most {worst}.",
+        f"{run.title}.",
     )
-    return PageSection("efficiency", "Efficiency", (Pictures((picture(axes, "efficiency", alt, caption),)),))
 
 
-def agreement(runs: Mapping[str, ReportedRun]) -> PageSection:
-    """Return the posterior means side by side, and whether converged runs agree."""
-    first = next(iter(runs.values()))
-    rows = []
+def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
+    """Return a row for each parameter: name, unit, and mean with interval by each sampler."""
+    first, rows = next(iter(runs.values())), []
     for name in first.names:
         n = decimals(min(run.value(name, "sd") for run in runs.values()))
         cells = []
@@ -77,39 +226,13 @@ def agreement(runs: Mapping[str, ReportedRun]) -> PageSection:
             mean, low, high = (run.value(name, column) for column in ("mean", "eti90_lb", "eti90_ub"))
             cells.append(f"{fixed(mean, n)} ({interval(low, high, n)})")
         rows.append((name, first.unit(name).name, *cells))
-    titled = {run.title: run for run in runs.values()}
-    table = PageTable(
-        "Posterior means and 90 % intervals", ("parameter", "unit", *titled), tuple(rows), words=(1,)
-    )
-    axes = plot_parameter_updates(
-        {title: run.trace for title, run in titled.items()},
-        summaries={title: run.summary for title, run in titled.items()},
-    )
-    seen = "; ".join(f"{name} {', '.join(cells)} {unit}".rstrip() for name, unit, *cells in rows)
-    alt = f"Posterior means and intervals of {', '.join(titled)}: {seen}."
-    drawing = picture(axes, "means", alt, "Posterior means and 90 % intervals between the bounds.")
-    if len(runs) == 1:
-        return PageSection("agreement", "Posterior means", (table, Pictures((drawing,))))
-    return PageSection("agreement", "Do the samplers agree?", (_judgement(runs), table, Pictures((drawing,))))
+    return rows
 
 
-def _judgement(runs: Mapping[str, ReportedRun]) -> Text | Items:
-    """Say by how many standard errors the means of the converged runs differ."""
-    converged = [run for run in runs.values() if run.diagnosis.converged]
-    if len(converged) < 2:
-        few = "None of the samplers" if not converged else f"Only {converged[0].title}"
-        return Text(f"{few} has converged, so the samplers cannot be compared yet.")
-    said, furthest = [], 0.0
-    for one, other in combinations(converged, 2):
-        difference = (one.summary["mean"] - other.summary["mean"]).abs().to_numpy()
-        ratio = difference / np.hypot(*(run.summary["mcse_mean"].to_numpy() for run in (one, other)))
-        k = int(np.argmax(ratio))
-        furthest = max(furthest, float(ratio[k]))
-        sds = difference[k] / one.summary["sd"].to_numpy()[k]
-        said.append(
-            f"{one.title} and {other.title}: at most {fixed(ratio[k], 1)} standard errors of the difference "
-            f"apart, {significant(sds, 2)} posterior sd, in {one.names[k]}."
-        )
-    if furthest < CLOSE:
-        return Items(("The converged runs agree.", *said))
-    return Items(("Converged runs differ by more than chance: at least one is wrong.", *said))
+def _means_table(runs: Mapping[str, ReportedRun]) -> Details:
+    """Return the posterior means side by side."""
+    titles = (run.title for run in runs.values())
+    words = "Posterior means and 90 % intervals"
+    return Details(
+        f"{words} in numbers", (PageTable(words, ("parameter", "unit", *titles), tuple(_means(runs)), (1,)),)
+    )

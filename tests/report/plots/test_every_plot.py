@@ -27,7 +27,6 @@ Y_LABELS = {
     "plot_running_means": GPA,
     "plot_running_rhat": ("R-hat − 1\n(at least 0.001)",),
     "plot_energy": ("density / nat⁻¹",),
-    "plot_efficiency": ("sampler",),
 }
 X_LABELS = {
     "plot_parameter_updates": "parameter",
@@ -43,16 +42,15 @@ X_LABELS = {
     "plot_running_means": "steps kept",
     "plot_running_rhat": "steps kept",
     "plot_energy": "energy (−log-probability + kinetic), nats",
-    "plot_efficiency": "effective draws per 1000 model solves",
 }
-SEVERAL = ("plot_parameter_updates", "plot_traces", "plot_efficiency")
+SEVERAL = ("plot_parameter_updates", "plot_traces")
 OF_MODES = ("plot_frequency_updates", "plot_left_out", "plot_predictive_check")
-ONE_AXES = (*OF_MODES, "plot_mac", "plot_sensitivity", "plot_running_rhat", "plot_energy", "plot_efficiency")
+ONE_AXES = (*OF_MODES, "plot_mac", "plot_sensitivity", "plot_running_rhat", "plot_energy")
 BY_CHAIN = ("plot_traces", "plot_ranks", "plot_autocorrelation", "plot_running_means")
 BESIDE = {"plot_ranks": "Δ ECDF of the ranks", "plot_autocorrelation": "autocorrelation"}
 NO_SAMPLER = ("plot_energy", "plot_mac", "plot_sensitivity", "plot_running_rhat", *BY_CHAIN)
 SHAPES = ("plot_mac", "plot_mode_shapes")  # a black-box model has none
-NAMELESS = ("plot_energy", "plot_efficiency")
+NAMELESS = ("plot_energy",)
 
 
 def draw(name, trace, **more):
@@ -64,6 +62,7 @@ def test_all_plots_of_traces_are_here():
     # frequencies are no trace; every column of a corner plot has a label, see below; traces of several tests, too
     others = {"plot_frequency_errors", "plot_corner", "plot_marginals", "plot_values", "plot_losses"}
     others |= {"plot_mac_matrix", "plot_sensors"}  # of shapes alone
+    others |= {"plot_forest", "plot_overlaid_marginals", "plot_ranks_of_samplers", "plot_growth"}  # of several
     assert set(Y_LABELS) == set(X_LABELS) == public - others
 
 

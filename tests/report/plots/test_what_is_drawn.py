@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.colors import to_hex
 
 import fmu
 from fmu.analysis.convergence.effective import autocorrelation, running_means, running_rhat
@@ -221,18 +220,6 @@ def test_energies(beam_traces, plain_traces):
     assert areas[1] > 0
     with pytest.raises(ValueError, match="the sampler mh has none"):
         plots.plot_energy(plain_traces["mh"])
-
-
-def test_efficiency_is_filled_where_it_can_be_relied_on(plain_traces):
-    table = fmu.compare(plain_traces)
-    axes = plots.plot_efficiency(plain_traces, table)
-    widths = [bar.get_width() for bar in axes.patches]
-    np.testing.assert_allclose(widths, 1000 * table["ess_per_solve"])
-    good, bad = axes.patches
-    assert to_hex(good.get_facecolor()).upper() == COLOURS["hmc"]
-    assert bad.get_facecolor()[3] == 0.0
-    names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names == ["Hamiltonian Monte Carlo", "Metropolis–Hastings\n(not converged)"]
 
 
 def test_legends_stand_in_as_many_columns_as_fit():

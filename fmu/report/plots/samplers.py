@@ -1,0 +1,231 @@
+"""Several samplers of one posterior: forest, marginals, ranks among all draws, and effective draws over solves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.analysis.convergence.diagnostics import summary
+from fmu.analysis.convergence.growth import Growth, growth, meets_criterion
+from fmu.analysis.convergence.remedies import fewest, required_ess
+from fmu.analysis.trace.reading import array_of, parameter_names
+from fmu.numbers import fixed
+from fmu.report.plots.chains import draw_ranks
+from fmu.report.plots.style import (
+    FONT,
+    GREY,
+    NARROW,
+    PALE,
+    broken,
+    colour,
+    finish,
+    legend_below,
+    literal,
+    new_figure,
+    stacked,
+    unit_of,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_LINE, _COLUMNS, _BINS = 0.19, 2, 32
+_INSIDE = (0.05, 0.25, 0.75, 0.95)
+_NUMBERS = (("rhat", "R-hat", 3, 0.28), ("ess_bulk", "bulk", 0, 0.64), ("ess_tail", "tail", 0, 1.0))
+"""Columns beside a forest plot: of the summary, heading, decimals, and the right edge."""
+_FEWEST_RANKED, _MOST_RANKED = 20, 500
+
+
+def plot_forest(
+    traces: Mapping[str, xr.DataTree],
+    summaries: Mapping[str, pd.DataFrame] | None = None,
+    figure: Figure | None = None,
+) -> NDArray[Any]:
+    """Draw the means with 50 % and 90 % intervals of every parameter by every sampler, R-hat and ESS beside them.
+
+    As ArviZ's ``plot_forest``, which takes runs of one length only. Each parameter has an axis of its own, as
+    units differ.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        Of one posterior, by the names of the rows.
+    summaries : mapping of str to pandas.DataFrame, optional
+        ``fmu.summary(trace)`` of each, if already computed.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (ndim,)
+    """
+    tables = {name: summary(trace) for name, trace in traces.items()} if summaries is None else summaries
+    first = next(iter(traces.values()))
+    names = parameter_names(first)
+    rows = _LINE * len(traces) + 0.55
+    figure = figure or new_figure(NARROW, rows * len(names) + 0.3)
+    axes = figure.subplots(len(names), 2, squeeze=False, width_ratios=(2.2, 1.15))
+    y = np.arange(len(traces), dtype=float)
+    for name, (axis, beside) in zip(names, axes, strict=True):
+        unit = unit_of(first, name)
+        for k, (label, trace) in enumerate(traces.items()):
+            draws = array_of(trace, "posterior", name) / unit.factor
+            low, lower, upper, high = np.quantile(draws, _INSIDE)
+            shade = colour(str(trace.attrs["sampler"]))
+            axis.hlines(y[k], low, high, color=shade, linewidth=1.3)
+            axis.hlines(y[k], lower, upper, color=shade, linewidth=4.0)
+            axis.plot([draws.mean()], [y[k]], marker="o", markersize=5, color=shade, markeredgecolor="white",
+                      markeredgewidth=0.7)  # fmt: skip
+            for column, _, places, x in _NUMBERS:
+                beside.text(x, y[k], fixed(float(tables[label][column][name]), places), ha="right", va="center",
+                            fontsize=FONT - 2)  # fmt: skip
+        axis.set_yticks(y, [literal(label) for label in traces])
+        axis.locator_params(axis="x", nbins=5)
+        axis.set_title(literal(unit.label(name)), loc="left", fontsize=FONT)
+        finish(axis)
+        axis.tick_params(axis="y", length=0)
+        beside.set_axis_off()
+        beside.set_xlim(0.0, 1.0)
+        for both in (axis, beside):
+            both.set_ylim(len(traces) - 0.4, -0.6)
+    for _, heading, _, x in _NUMBERS:
+        axes[0, 1].text(x, -1.0, heading, ha="right", va="center", fontsize=FONT - 2, color=GREY)
+    return np.asarray(axes[:, 0])
+
+
+def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> NDArray[Any]:
+    """Draw the posterior density of every parameter by every sampler, one over the other.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        By the names in the legend.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (ndim,)
+    """
+    first = next(iter(traces.values()))
+    names = parameter_names(first)
+    rows = -(-len(names) // _COLUMNS)
+    figure = figure or new_figure(NARROW, 1.25 * rows + 0.8)
+    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
+    for spare in panels[len(names) :]:
+        spare.remove()
+    for name, axes in zip(names, panels, strict=False):
+        unit = unit_of(first, name)
+        draws = {
+            label: array_of(trace, "posterior", name).ravel() / unit.factor for label, trace in traces.items()
+        }
+        low, high = np.min([x.min() for x in draws.values()]), np.max([x.max() for x in draws.values()])
+        bins = np.linspace(low, high, _BINS + 1) if high > low else _BINS
+        for label, x in draws.items():
+            shade = colour(str(traces[label].attrs["sampler"]))
+            density, edges = np.histogram(x, bins, density=True)
+            axes.plot(0.5 * (edges[1:] + edges[:-1]), density, color=shade, linewidth=1.2, drawstyle="steps-mid",
+                      label=literal(label))  # fmt: skip
+        axes.set_ylim(bottom=0.0)
+        axes.set_yticks([])
+        axes.locator_params(axis="x", nbins=4)
+        finish(axes, broken(unit.label(name), 0.5 * NARROW))
+        axes.tick_params(labelsize=FONT - 2)
+    legend_below(panels[0])
+    return np.asarray(panels[: len(names)])
+
+
+def plot_ranks_of_samplers(
+    traces: Mapping[str, xr.DataTree],
+    summaries: Mapping[str, pd.DataFrame] | None = None,
+    figure: Figure | None = None,
+) -> NDArray[Any]:
+    """Draw ArviZ's rank plots of samplers: those of one distribution stay near zero.
+
+    As `plot_ranks`, each sampler in place of a chain. All are thinned to half of the smallest effective sample
+    size of a parameter: draws so far apart are nearly independent, which the test takes them to be.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        At least two.
+    summaries : mapping of str to pandas.DataFrame, optional
+        ``fmu.summary(trace)`` of each, if already computed.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes, shape (ndim,)
+    """
+    import xarray as xr
+
+    tables = {name: summary(trace) for name, trace in traces.items()} if summaries is None else summaries
+    names = parameter_names(next(iter(traces.values())))
+    independent = 0.5 * float(np.min([fewest(table) for table in tables.values()]))
+    wanted = int(np.clip(np.nan_to_num(independent, nan=_FEWEST_RANKED), _FEWEST_RANKED, _MOST_RANKED))
+    ranked = xr.Dataset(
+        {name: (("chain", "draw"), [_evenly(trace, name, wanted) for trace in traces.values()]) for name in names},
+        coords={"chain": np.arange(len(traces)), "draw": np.arange(wanted)},
+    )
+    axes = stacked(len(names), figure)
+    shades = [colour(str(trace.attrs["sampler"])) for trace in traces.values()]
+    draw_ranks(ranked, axes, shades)
+    axes[-1].set_xlabel("rank among the draws of all samplers / their number", fontsize=FONT)
+    for label, shade in zip(traces, shades, strict=True):
+        axes[0].plot([], [], color=shade, label=literal(label))
+    legend_below(axes[0])
+    return axes
+
+
+def _evenly(trace: xr.DataTree, name: str, wanted: int) -> NDArray[Any]:
+    """Return so many draws of a parameter, evenly spaced over all chains."""
+    draws = array_of(trace, "posterior", name).ravel()
+    return np.asarray(draws[np.linspace(0, len(draws) - 1, wanted).astype(int)])
+
+
+def plot_growth(
+    traces: Mapping[str, xr.DataTree],
+    grown: Mapping[str, Growth] | None = None,
+    search: float = 0.0,
+    figure: Figure | None = None,
+) -> Axes:
+    """Draw effective draws of the worst parameter over solves as the runs grew; a dot where the criterion was met.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        By the names in the legend.
+    grown : mapping of str to Growth, optional
+        ``growth(trace)`` of each, if already computed.
+    search : float
+        Solves that each run shares, of the search for maxima.
+    figure : Figure, optional
+
+    Returns
+    -------
+    Axes
+    """
+    grown = {name: growth(trace) for name, trace in traces.items()} if grown is None else grown
+    figure = figure or new_figure(NARROW, 3.6)
+    axes = figure.subplots()
+    needed = 0
+    for label, trace in traces.items():
+        shade, run, chains = colour(str(trace.attrs["sampler"])), grown[label], trace["posterior"].sizes["chain"]
+        axes.plot(search + run.solves, run.ess, color=shade, linewidth=1.6, label=literal(label))
+        met = [meets_criterion(*both, chains) for both in zip(run.rhat, run.ess, strict=True)]
+        if any(met):
+            k = met.index(True)
+            axes.plot(search + run.solves[[k]], run.ess[[k]], marker="o", markersize=6, color=shade,
+                      markeredgecolor="white", markeredgewidth=0.8)  # fmt: skip
+        needed = max(needed, required_ess(chains))
+    axes.axhline(needed, color=GREY, linestyle="--", linewidth=0.9, label=f"{needed} needed")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.grid(color=PALE, linewidth=0.7)
+    finish(axes, "model solves, everything counted", "smaller of bulk and tail ESS")
+    legend_below(axes)
+    return axes
