@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fmu.analysis.certificate import exact_in_words, surrogate_in_words
+from fmu.analysis.trace.reading import is_imported
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
@@ -162,7 +163,11 @@ def settings(run: ReportedRun) -> PageSection:
     parts: list[Part] = [
         PageTable("Settings of the sampler; those tuned in warm-up are fixed afterwards", header, rows, (1, 2))
     ]
-    about = [(name, str(attrs[name])) for name in ("seed", "chains", "walkers", "draws", "warmup", "init")]
+    known: tuple[str, ...] = ("chains", "walkers", "draws", "warmup")
+    title = "What is known of the run, as JSON"
+    if not is_imported(run.trace):
+        known, title = ("seed", *known, "init"), "Everything that determines the draws, as JSON"
+    about = [(name, str(attrs[name])) for name in known]
     about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
     about.append(("configuration hash (SHA-256)", str(attrs["configuration_hash"])))
     parts.append(PageTable("The run", ("quantity", "value"), tuple(about), (1,)))
@@ -170,7 +175,7 @@ def settings(run: ReportedRun) -> PageSection:
     if long:
         parts.append(Details("Tuned settings in full", (Code(_pretty(long)),)))
     configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
-    parts.append(Details("Everything that determines the draws, as JSON", (configuration,)))
+    parts.append(Details(title, (configuration,)))
     return PageSection("settings", "Settings, seed and versions", tuple(parts))
 
 
