@@ -63,6 +63,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     said += [*structure.notes, *_masses(problem, structure)]
     if model.reduced_sizes:
         said.append(f"Its reduced model has {' + '.join(map(str, model.reduced_sizes))} unknowns.")
+    said += [model.why_full] if model.why_full else []
     said.append(f"Its matrices are factorised by {model.solver}.")
     return said
 

@@ -188,6 +188,8 @@ class UpdatingProblem:
         if tolerance is not None and structure is not None:
             problem.tolerance = tolerance
             reduce_model(problem, structure, tolerance, engine)
+            if structure.reduced is None:  # it would not have been faster
+                problem.tolerance = None
             problem._failed = FailureRecord()  # failures of training are not those of the user's evaluations
         require_digits(problem)  # after training, as the reduced model adds rounding of its own
         return problem

@@ -178,6 +178,9 @@ def reduce_model(
         )
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
+    if structure.reduced is None:
+        store_basis(key, state)
+        return
     error = 0.0 if structure.confirmed else _paired_error(structure, trained[0], trained[1], tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):

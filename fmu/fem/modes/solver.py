@@ -42,6 +42,11 @@ class Factor(Protocol):
 
     negative: int
 
+    @property
+    def n_entries(self) -> int:
+        """Numbers in the factors, of L and its transpose."""
+        ...
+
     def solve(self, loads: FloatArray) -> FloatArray:
         """Return A⁻¹ b for b of shape (n,) or (n, m)."""
         ...
@@ -77,7 +82,7 @@ class DenseFactor:
     """Cholesky factors L Lᵀ, or those of an indefinite matrix, L D Lᵀ (Bunch & Kaufman 1977)."""
 
     def __init__(self, matrix: FloatArray) -> None:
-        self.negative = 0
+        self.negative, self.n_entries = 0, matrix.size
         self.L: FloatArray | None = None
         try:
             self.L = np.linalg.cholesky(matrix)
@@ -106,6 +111,7 @@ class _SuperLU:
         except RuntimeError as error:
             raise np.linalg.LinAlgError(str(error)) from error
         self.negative = int(np.sum(~(self._lu.U.diagonal() > 0.0)))
+        self.n_entries = int(self._lu.nnz)
 
     def solve(self, loads: FloatArray) -> FloatArray:
         return self._lu.solve(loads)
@@ -126,6 +132,10 @@ class _Pardiso:
         self.negative = matrix.shape[0] - int(self._solver.get_iparm(22))
         if self._solver.get_iparm(14):
             raise np.linalg.LinAlgError("the matrix is singular")
+
+    @property
+    def n_entries(self) -> int:
+        return 2 * int(self._solver.get_iparm(18))
 
     def solve(self, loads: FloatArray) -> FloatArray:
         return _call(self._solver, self._upper, _SOLVE, loads)

@@ -251,6 +251,8 @@ class PairedStructure(ModalModel):
         The tolerance outside the part of the box that matters, if training kept that one there alone.
     full_solves : int
         How often the full model had to answer since `train`.
+    why_full : str
+        Why there is no reduced model although one was trained, a sentence; else empty.
     softness : float
         Temperature of the weights of a soft pairing, else 0.
     """
@@ -273,7 +275,7 @@ class PairedStructure(ModalModel):
         self.reduced: BlockModel | None = None
         self.confirmed = True
         self.elsewhere: float | None = None
-        self.full_solves = 0
+        self.full_solves, self.why_full = 0, ""
         # of the box in which the reduced model answers, as rows, like one theta: it spares NumPy's broadcasting
         self._lower = self._upper = self._corner = np.empty((1, model.n_parameters))
         self.pairing: IndexPairing | ShapePairing | RankPairing = rule
@@ -457,15 +459,20 @@ class PairedStructure(ModalModel):
                     self._install(whole)
                 else:
                     training = narrow
-            for _ in range(20 if inaccurate_points is not None else 0):
+            for _ in range(20 if inaccurate_points is not None and not training.prefers_full() else 0):
                 inaccurate = inaccurate_points()  # type: ignore[misc]
-                if inaccurate is None or training.is_cut():
+                if inaccurate is None or not training.is_accurate:
                     break
                 self._install(training.refined(*inaccurate))
+        if training.prefers_full():
+            return self._answer_by_full(sum(of.size for of in training.reduced.values()))
         return training.state()
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Install a reduced model that `train` returned earlier, for the same structure and pairing."""
+        if "full" in state:
+            self._answer_by_full(int(state["full"]))
+            return
         with single_thread():
             self._install(Training.restored(self.full, self.rule, state))
 
@@ -636,6 +643,19 @@ class PairedStructure(ModalModel):
         self._corner = self._lower
         self._bound = FrequencyBound(self.full, trained.model, trained.lower, trained.upper, trained.anchors)
         self._answer_by(trained.model)
+
+    def _answer_by_full(self, size: int) -> dict[str, FloatArray]:
+        """Have the full model answer: a reduced one of `size` vectors was not accurate and would save little."""
+        self.reduced, self.pairing, self.confirmed, self.elsewhere = None, self.rule, True, None
+        self._see_reduced = self._see_full
+        if self.rule.by_shape:
+            self._reduced_candidates = self._full_candidates
+        self.full_solves = 0
+        self.why_full = (
+            f"The full model answers: a reduced one of {size} unknowns is not accurate within these bounds, and "
+            "more unknowns would take as long as the full model."
+        )
+        return {"full": np.array(float(size))}
 
     def _answer_by(self, reduced: BlockModel) -> None:
         self.reduced = reduced

@@ -25,11 +25,12 @@ from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, Far, SingularAnchorError
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.confirming import confirmed_model
+from fmu.fem.reduced.cost import Cost
 from fmu.fem.reduced.learning import SHARE, Learner, apart
 from fmu.fem.reduced.residuals import FrequencyBound, bounded
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import phase, solved
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
 EXACT_LIMIT = 20
@@ -39,6 +40,10 @@ _HIGHEST = 1e-7
 _MOST_VECTORS = 1000
 MEMORY = 2**31
 """Bytes of the trial vectors of a block in training; while they grow they are there twice."""
+BUDGET = 400
+"""Solves of the full model that training may cost, counted by what it looks at (`fmu.fem.reduced.cost`)."""
+CHEAP = 0.01
+"""Cost of a full solve up to which the full model answers where a reduced one is not accurate."""
 # Candidates are first told apart with errors of their frequencies up to this; only those that are needed are then
 # improved.
 LOOSE = 1e-3
@@ -135,6 +140,8 @@ class Training:
         self.share = 1.0
         self.is_narrow = False
         self.far: Far | None = None
+        self.costs: dict[int, Cost] = {}
+        self.spent = 0.0
         self._cuts: dict[int, Space] = {}
         self._seed, self._cut_seed, self._cut_share = 0, _CUTS, _CUT
 
@@ -148,25 +155,29 @@ class Training:
         for b, count in counts.items():
             block = self._block(b)
             self.learners[b] = Learner(block, self.lower, self.upper, count, most_trial_vectors(block.size))
+            cost = Cost.of(block, self.learners[b].anchors.factor(0))
+            if cost is not None:
+                self.costs[b] = cost
+                self.learners[b].largest = min(self.learners[b].largest, 2 * self._affordable(b))
         self.n_trained = dict.fromkeys(counts, 0)
         self._visit(2 * _TOGETHER)
         self.fixed, self.n_trained = self._needed()
         near_zero = points_near_zero(self.lower, self.upper, self.n_sobol)
         for round_ in range(_ROUNDS):
-            for b, learner in self.learners.items():
-                learner.visit(near_zero, self._allowed(b))
+            for b in self.learners:
+                self._look(b, near_zero)
             self.confirmed = self._visit(_ENOUGH)
             fixed, needed = self._needed()
             if fixed != self.fixed or any(n > self.n_trained.get(b, 0) for b, n in needed.items()):
                 self.fixed, self.n_trained = fixed, needed
                 self.confirmed = self._visit(_ENOUGH)
             self._cut()
-            if self.is_cut() or self._verified(round_):
+            if self.is_cut() or self.is_spent or self._verified(round_):
                 break
             self._cut_share *= 0.5
         else:
             self.confirmed = False
-        self.confirmed &= not self.is_cut()
+        self.confirmed &= not (self.is_cut() or self.is_spent)
         self.far = self._far(np.concatenate([self._points(_CHECKS + _ROUNDS), near_zero]))
         return self._trained()
 
@@ -182,8 +193,8 @@ class Training:
             learner.share = np.where(learner.share < 1.0, self.share, learner.share)
             left = theta
             for _ in range(_ROUNDS):
-                left = left[~learner.visit(left, self._allowed(b), self.share)]
-                if not len(left):
+                left = left[~self._look(b, left, self.share)]
+                if not len(left) or self.is_spent:
                     break
         self._cut()
         return self._trained()
@@ -199,9 +210,9 @@ class Training:
         for _ in range(_MOST_ROUNDS):
             yield self._trained()
             theta = region()
-            good = [learner.visit(theta, self._allowed(b), self.share) for b, learner in self.learners.items()]
+            good = [self._look(b, theta, self.share) for b in self.learners]
             self._cut()
-            if self.is_cut():
+            if self.is_cut() or self.is_spent:
                 break
             if np.all(good):
                 yield self._trained()
@@ -261,13 +272,13 @@ class Training:
                 for first in range(0, len(points), _TOGETHER):
                     part = points[first : first + _TOGETHER]
                     under_way.expect(len(part))
-                    was_good = np.all([of.visit(part, self._allowed(b)) for b, of in self.learners.items()])
+                    was_good = np.all([self._look(b, part) for b in self.learners])
                     under_way.advance(len(part))
                     visited += len(part)
                     good = good + len(part) if was_good else 0
                     if good >= enough:
                         return True
-                    if not was_good and self._is_full():
+                    if not was_good and (self._is_full() or self.is_spent):
                         return False
                 if good < len(points) and self._size() == size:  # where no solve succeeds, or rounding is all
                     return False
@@ -321,8 +332,40 @@ class Training:
 
     def is_cut(self) -> bool:
         """Say whether a basis has reached its largest useful size: more points cannot improve it."""
-        sizes = [(len(of.basis), of.size) for of in self.reduced.values()]
-        return any(n_dof > DENSE_LIMIT and size >= affordable(n_dof) for n_dof, size in sizes)
+        return any(
+            len(of.basis) > DENSE_LIMIT and of.size >= self._affordable(b) for b, of in self.reduced.items()
+        )
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether training has cost as much as `BUDGET` solves of the full model."""
+        return self.spent > BUDGET * sum(cost.full for cost in self.costs.values()) > 0.0
+
+    @property
+    def is_accurate(self) -> bool:
+        """Whether nothing ended training before its time."""
+        return not (self.is_cut() or self.is_spent)
+
+    def prefers_full(self) -> bool:
+        """Say whether the full model should answer, as the reduced one is not accurate and saves too little.
+
+        A run of 20 000 full solves then takes minutes.
+        """
+        full = sum(cost.full for cost in self.costs.values())
+        reduced = sum(self.costs[b].reduced(of.size) for b, of in self.reduced.items() if b in self.costs)
+        return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
+
+    def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
+        """Return where a block's errors are small enough, of theta (n, p); its space grows where they are not."""
+        allowed = self._allowed(b)
+        if b in self.costs:
+            self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))
+        return self.learners[b].visit(theta, allowed, share)
+
+    def _affordable(self, b: int) -> int:
+        """Return the largest useful number of basis vectors of a block: a solve costs a third of a full one."""
+        most = affordable(self._block(b).size)
+        return min(most, self.costs[b].most_vectors()) if b in self.costs else most
 
     def _kept(self, b: int, needed: int) -> FloatArray:
         block = self._block(b)
@@ -333,7 +376,7 @@ class Training:
             if not lam[0, -1] * _HIGHEST > lam[0, lam[0] > 0.0].min(initial=np.inf):
                 return shapes[0]
         smallest = self.reduced[b].size if b in self.reduced else 1
-        largest = max(affordable(block.size), needed)
+        largest = max(self._affordable(b), needed)
         learner, left, share = self.learners[b], (1.0 - SHARE) * self.tolerance, self._cut_share
         for _ in range(_ROUNDS):
             cut, order = learner.cut(needed, share * left, smallest, largest)
