@@ -30,6 +30,7 @@ from fmu.config.tables import (
     with_keys,
 )
 from fmu.fem.pairing.matching import Matching
+from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, Place, Sensors
@@ -92,8 +93,8 @@ class MeasurementTable(TomlTable):
     """Standard deviation of the frequencies, Hz: one for all modes, or one per mode."""
     beta: NumberOrNumbers | None = None
     """Weight of a squared frequency error, 1/(2 sd²), 1/Hz²: one for all modes, or one per mode."""
-    covariance: list[list[float]] | None = None
-    """Covariance of the frequencies, Hz²."""
+    covariance: list[list[float]] | FileName | None = None
+    """Covariance of the frequencies, Hz²: rows, or a file of a matrix, CSV, .npz or .mat."""
     numbers: list[Annotated[int, Field(ge=1)]] = []
     """Numbers of the modes in the sorted spectrum, from 1, for pairing by number."""
     counterparts: list[Annotated[int, Field(ge=1)]] = []
@@ -120,8 +121,8 @@ class MeasurementTable(TomlTable):
 
     @field_validator("covariance")
     @classmethod
-    def _is_covariance(cls, value: list[list[float]] | None) -> list[list[float]] | None:
-        if value is not None:
+    def _is_covariance(cls, value: list[list[float]] | str | None) -> list[list[float]] | str | None:
+        if isinstance(value, list):
             try:
                 checked_covariance(value, len(value), "")
             except ValueError as error:  # NumPy's too, of rows that differ in length
@@ -200,7 +201,7 @@ class MeasurementTable(TomlTable):
         if n > most:
             rule = f"must have at most {most} modes, one per degree of freedom of the model (got {n})"
             raise BrokenError([Mistake("measurement", rule)])
-        trust = {"sd_hz": self.sd, "covariance_hz2": self.covariance}
+        trust = {"sd_hz": self.sd, "covariance_hz2": self._covariance(folder)}
         if any(getattr(self, key) is not None for key in _TRUST):
             given |= trust
         elif needs_trust and all(given.get(key) is None for key in trust):
@@ -214,18 +215,30 @@ class MeasurementTable(TomlTable):
             rule = re.sub(r"^(\w+)_hz2?", r"\1", str(error))  # keys of the file have no units in their names
             raise BrokenError([Mistake.of("measurement", rule)]) from None
 
+    def _covariance(self, folder: Path) -> ArrayLike | None:
+        """Return the covariance of the frequencies, read if it is in a file; BrokenError if it cannot be."""
+        if not isinstance(self.covariance, str):
+            return self.covariance
+        try:
+            matrix = read_matrix(folder / self.covariance)
+            if matrix.shape[0] > MOST_MODES:
+                raise ValueError(f"must have at most {MOST_MODES} rows (got {matrix.shape[0]})")
+        except ValueError as error:
+            raise BrokenError([Mistake("measurement.covariance", str(error).removeprefix("variable: "))]) from None
+        return np.asarray(matrix.toarray())
+
     def _turned(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
         """Return sensors and shapes turned into the axes of the model where those of the test are not parallel."""
         if points is None or points.is_parallel:
             return {}
-        if given.get("shapes_sd") is not None:
+        if self.test_shapes is not None and given.get("shapes_sd") is not None:
             rule = "must have axes parallel to the model's, as the scatter of test_shapes is along them"
             raise BrokenError([Mistake("measurement.geometry", rule)])
         try:
             sensors, shapes = points.turned(given.get("sensors", ()), given.get("shapes"))
         except ValueError as error:
             raise BrokenError([Mistake(f"measurement.{self._where}", str(error))]) from None
-        return {"sensors": sensors} | ({} if shapes is None else {"shapes": shapes})
+        return {"sensors": sensors, "shapes_sd": None} | ({} if shapes is None else {"shapes": shapes})
 
     @property
     def _where(self) -> str:

@@ -266,3 +266,19 @@ def test_right_models_are_rarely_contradicted(fit_of, monkeypatch):
         fit = fit_of(100.0 + SLOPES @ truth + SD * rng.standard_normal(3))
         told += fit.verdict == CONTRADICTED
     assert told <= binom.isf(1e-3, RIGHT_MODELS, LEVEL)
+
+
+def test_identified_deviations_far_below_the_misfit(fit_of):
+    """They are told beside the verdict where the model is nearly right, and not where it fits or is far off."""
+    y = FITTED + np.array([0.0, 1.0, 0.0])
+    (note,) = (note for note in fit_of(y).notes if "too small" in note)
+    residuals = np.abs(100.0 + SLOPES @ posterior(y, [0, 1, 2])[0] - y)
+    named = [name for name, r in zip(("W1", "W2", "T1"), residuals, strict=True) if r > 4.0 * SD[0]]
+    assert note.startswith(f"Identified deviations may be too small: mode {named[0]}, 0.1 Hz where the misfit is ")
+    assert [name for name in ("W1", "W2", "T1") if f"mode {name}," in note] == named
+    for off in (0.3, 9.0):
+        assert not any("too small" in note for note in fit_of(FITTED + np.array([0.0, off, 0.0])).notes)
+
+
+def test_inferred_deviations_are_never_told_to_be_too_small(noisy):
+    assert not any("too small" in note for note in noisy(1e-6, 3.0).notes)

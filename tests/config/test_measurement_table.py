@@ -63,6 +63,33 @@ def test_covariance(problem):
     assert_array_equal(found.data.covariance_hz2, covariance)
 
 
+@pytest.mark.parametrize("name", ["covariance.csv", "covariance.npz"])
+def test_covariance_in_a_file(problem, folder, name):
+    covariance = np.array([[0.01, 0.004], [0.004, 0.04]])
+    if name.endswith(".csv"):
+        np.savetxt(folder / name, covariance, delimiter=",")
+    else:
+        np.savez(folder / name, covariance=covariance)
+    found = problem(GIVEN.replace("sd = 0.05", f'covariance = "{name}"'))
+    assert_array_equal(found.data.covariance_hz2, covariance)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "must be a file (no such file: "),
+        ("0.01,0.004\n0.005,0.04", "must be symmetric (row 1, column 2 differs by 0.001)"),
+        ("0.01,0.1\n0.1,0.04", "must be positive definite"),
+        ("0.01", "must have shape (2, 2), modes x modes (got (1, 1))"),
+    ],
+)
+def test_wrong_covariances_in_files(mistakes, folder, content, message):
+    if content is not None:
+        (folder / "covariance.csv").write_text(content)
+    (mistake,) = mistakes(GIVEN.replace("sd = 0.05", 'covariance = "covariance.csv"'))
+    assert mistake.startswith(f"measurement.covariance: {message}")
+
+
 @pytest.mark.parametrize("scatter", ["each", "pooled"])
 def test_repeated_tests(problem, scatter):
     rows = "tests = [[3.1, 9.8], [3.12, nan], [3.09, 9.9]]\n" + SENSORS

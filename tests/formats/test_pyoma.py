@@ -15,6 +15,8 @@ from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.formats.modes.measured_modes import ModesError
 from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes, save_pyoma
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.frequency import FrequencyErrors
+from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.sampling import sample
@@ -67,6 +69,37 @@ def test_conversion(frame, result):
     assert data.sensors == SENSORS
 
 
+def test_deviations_of_shapes(frame, result):
+    """They are of shapes of unit length, and belong to the modes that are taken."""
+    data = ModalData.from_pyoma(result, SENSORS, modes=[3, 1])
+    length = np.linalg.norm(data.shapes, axis=0)
+    assert_allclose(data.shapes_sd * length, result.Phi_std[:, [2, 0]], rtol=1e-14)
+    problem = UpdatingProblem(
+        SeparableModel(
+            [Term(sp.csr_array(frame.stiffness_matrix(frame.STIFFNESS)), (1.0,))],
+            [Term(sp.csr_array(frame.MASS), (0.0,))],
+        ),
+        data,
+        [Parameter("k", 1.0, 0.5, 2.0)],
+        error=[FrequencyErrors(), ShapeErrors()],
+    )
+    assert np.isfinite(problem.log_prob([1.0]))
+
+
+def test_the_component_that_scales_a_shape_takes_the_error_of_no_other(result):
+    """With the largest component 1 without error, ratios to it have the errors of the others."""
+    largest = np.argmax(np.abs(result.Phi), axis=0)
+    deviations = result.Phi_std.copy()
+    deviations[largest, range(3)] = 0.0
+    modes = pyoma_modes(vars(result) | {"Phi_std": deviations}, SENSORS)
+    for k, at in enumerate(largest):
+        sd, u = modes.shapes_sd[:, k], modes.shapes[:, k] / np.linalg.norm(modes.shapes[:, k])
+        of_ratio = np.hypot(sd / u[at], u * sd[at] / u[at] ** 2)
+        rest = np.arange(3) != at
+        assert 0.0 < sd[at] < 1.1e-3 * sd[rest].min()
+        assert_allclose(of_ratio[rest], result.Phi_std[rest, k] / abs(modes.shapes[at, k]), rtol=1e-5)
+
+
 def test_some_modes_and_an_uncertainty_of_ones_own(result):
     data = ModalData.from_pyoma(result, SENSORS, modes=[3, 1], numbers=(3, 1), sd_hz=0.02)
     assert_array_equal(data.frequencies_hz, result.Fn[[2, 0]])
@@ -79,7 +112,10 @@ def test_some_modes_and_an_uncertainty_of_ones_own(result):
 
 def test_scatter_between_setups_is_not_the_uncertainty_of_the_mean(result):
     merged = SimpleNamespace(Fn=result.Fn, Phi=result.Phi, Fn_std=result.Fn_std, setups_used=[[0, 1]] * 3)
-    assert pyoma_modes(merged, SENSORS).sd_hz is None
+    merged.Phi_std = result.Phi_std
+    modes = pyoma_modes(merged, SENSORS)
+    assert modes.sd_hz is None
+    assert modes.shapes_sd is None
 
 
 @pytest.mark.validate
@@ -125,6 +161,9 @@ def test_no_pickle_is_read(tmp_path):
         ({"Fn_std": np.ones(2)}, r"Fn_std: must be 3, one per mode \(got 2\)"),
         ({"Fn": [1.0, np.nan, 2.0]}, r"Fn: mode 2 must be positive and finite \(got nan Hz\)"),
         ({"Fn_std": [0.1, 0.1, 0.0]}, r"Fn_std: mode 3 must be positive and finite \(got 0\.0 Hz\)"),
+        ({"Phi_std": np.ones((3, 2))}, r"Phi_std: must have the shape of Phi, \(3, 3\) \(got \(3, 2\)\)"),
+        ({"Phi_std": np.full((3, 3), np.nan)}, r"Phi_std: must be finite and not negative"),
+        ({"Phi_std": np.zeros((3, 3))}, r"Phi_std: must be positive but at one channel, which scales the shape"),
         ({"Phi": np.ones((3, 3)) * [[1.0], [1j], [0.1]]}, r"shapes: mode 1 must have a phase collinearity .*"),
     ],
 )

@@ -65,6 +65,8 @@ class MeasuredModes:
         Which modes are used in updating, if it is said.
     mpc : ndarray, shape (n_modes,), optional
         Modal phase collinearity of shapes that were complex.
+    shapes_sd : ndarray, shape (n_sensors, n_modes), optional
+        Standard deviations of the shapes, in units of a shape of unit length at the sensors.
     """
 
     frequencies_hz: FloatArray
@@ -75,6 +77,7 @@ class MeasuredModes:
     numbers: tuple[int, ...] = ()
     use: tuple[bool, ...] = ()
     mpc: FloatArray | None = None
+    shapes_sd: FloatArray | None = None
 
 
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:

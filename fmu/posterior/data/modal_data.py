@@ -253,7 +253,7 @@ class ModalData:
         least_mpc: float = LEAST_MPC,
         **options: Any,
     ) -> Self:
-        """Return the modes identified by pyOMA_2: frequencies, shapes and, if computed, standard deviations.
+        """Return the modes identified by pyOMA_2: frequencies, shapes and, if computed, their deviations.
 
         Parameters
         ----------
