@@ -143,8 +143,8 @@ def test_run_writes_pages_to_read(invoke, tmp_path):
     assert result.exit_code == 0, result.output
     assert result.stdout.endswith("Report: here/report/index.html\n")
     pages = sorted(path.name for path in (tmp_path / "here" / "report").glob("*.html"))
-    assert pages == ["index.html", "mh.html"]
-    assert "Not converged" in (tmp_path / "here" / "report" / "mh.html").read_text()
+    assert pages == ["index.html"]
+    assert "Not converged" in (tmp_path / "here" / "report" / "index.html").read_text()
 
 
 def test_run_prints_the_tables_and_nothing_else(ran):

@@ -18,7 +18,7 @@ from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
-from fmu.fem.frame.drawing import changed_elements, drawn, parameter_colours, sketch
+from fmu.fem.frame.drawing import changed_elements, drawn, is_drawable, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.fem.pairing.paired_model import elsewhere
@@ -93,14 +93,10 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     """Return the structure as SVG, and a colour for each parameter; an empty text and None if it is not drawn."""
     structure = problem.model.structure
-    if structure is None or not _is_drawable(structure):
+    if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
         return "", [None] * problem.ndim
     found, others = sketch(structure, problem.data.sensors), [None] * (problem.ndim - structure.n_parameters)
-    return drawn(found), [*parameter_colours(found.changed), *others]
-
-
-def _is_drawable(structure: SeparableModel) -> bool:
-    return structure.geometry is not None and len(structure.geometry.elements) <= _MOST_ELEMENTS
+    return drawn(found), [*parameter_colours(found), *others]
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
@@ -149,7 +145,7 @@ def _changes(structure: SeparableModel, j: int) -> str:
             touched[term.matrix.tocoo().row] = True
     if not kinds:
         return "nothing"
-    if _is_drawable(structure):
+    if structure.geometry is not None and is_drawable(structure, _MOST_ELEMENTS):
         changed = changed_elements(structure)[:, j]
         if np.any(changed):
             return f"{' and '.join(kinds)} of {changed.sum()} of {len(changed)} elements"

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from fmu.fem.frame.drawing import drawn, parameter_colours, sketch
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.frame.drawing import drawn, is_drawable, parameter_colours, sketch
 from fmu.numbers import change, given, rounded, shown, significant
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.protocol import Problem
@@ -21,16 +20,12 @@ def problem_card(problem: Problem) -> str:
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
     structure = problem.model.structure
-    if structure is not None and _is_drawable(structure):
+    if structure is not None and is_drawable(structure, _MOST_DRAWN):
         drawing = sketch(structure, problem.data.sensors)
         parts.append(f"<div>{drawn(drawing)}</div>")
-        colours[: structure.n_parameters] = parameter_colours(drawing.changed)  # errors follow
+        colours[: structure.n_parameters] = parameter_colours(drawing)  # errors follow
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
-
-
-def _is_drawable(structure: SeparableModel) -> bool:
-    return structure.geometry is not None and len(structure.geometry.elements) <= _MOST_DRAWN
 
 
 def _in_words(problem: Problem) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -38,8 +38,14 @@ class Link:
     target: str
 
 
-_LONG = 40
+_LONG = 16
 """Rows of a table that a page shows at once."""
+_NARROW, _BESIDE = 560, 808
+"""Widths in CSS pixels of a figure, and of what is beside it, on a desk."""
+_LETTER, _PADDING = 8.7, 13.0
+"""Widths in CSS pixels of a digit of a table beside a figure, and of the padding of a cell."""
+_HIGH = 1200
+"""Height in CSS pixels of figures that a page shows at once."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +81,18 @@ class PageTable:
         """Whether it is folded on a page."""
         return len(self.rows) > _LONG
 
+    @property
+    def heading(self) -> str:
+        """The first sentence of the caption, without a full stop."""
+        return _first_sentence(self.caption)
+
+    @property
+    def least_width(self) -> float:
+        """Its width beside a figure, CSS pixels, about: that of the words of its header or its longest cells."""
+        columns = zip(self.header, *self.rows, strict=True)
+        letters = sum(max(_longest(head.split()), _longest(map(_words, cells))) for head, *cells in columns)
+        return _LETTER * letters + _PADDING * len(self.header)
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -85,8 +103,8 @@ class Picture:
     svg : Markup
         With a description for those who cannot see it.
     caption : str
-    width : int
-        Its natural width in CSS pixels.
+    width, height : int
+        Its natural size in CSS pixels; zero if the height is not known.
     name : str
         Of the files in which a reader keeps it.
     content : mapping
@@ -99,6 +117,17 @@ class Picture:
     width: int
     name: str = "figure"
     content: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    height: int = 0
+
+    @property
+    def is_high(self) -> bool:
+        """Whether it is folded on a page."""
+        return self.height > _HIGH
+
+    @property
+    def heading(self) -> str:
+        """The first sentence of the caption, without a full stop."""
+        return _first_sentence(self.caption)
 
     @property
     def packed(self) -> str:
@@ -139,14 +168,6 @@ class View:
 
 
 @dataclass(frozen=True)
-class Code:
-    """Preformatted text."""
-
-    kind: ClassVar[str] = "code"
-    words: str
-
-
-@dataclass(frozen=True)
 class Details:
     """Parts that are hidden until they are opened."""
 
@@ -155,7 +176,7 @@ class Details:
     parts: tuple[Part, ...]
 
 
-Part = Text | Items | PageTable | Picture | Pictures | View | Code | Details
+Part = Text | Items | PageTable | Picture | Pictures | View | Details
 
 
 @dataclass(frozen=True)
@@ -165,6 +186,19 @@ class PageSection:
     id: str
     title: str
     parts: tuple[Part, ...]
+
+    @property
+    def has_figure_beside(self) -> bool:
+        """Whether its only narrow figure, the last part, has room beside the other parts on a desk."""
+        *others, last = self.parts
+        if not isinstance(last, Pictures) or len(last.pictures) > 1 or not others:
+            return False
+        if last.pictures[0].width > _NARROW or last.pictures[0].is_high:
+            return False
+        return all(
+            part.least_width <= _BESIDE if isinstance(part, PageTable) else isinstance(part, Text | Items)
+            for part in others
+        )
 
 
 @dataclass(frozen=True)
@@ -247,6 +281,8 @@ class Page:
         What the verdicts rest on, in a box below them; none if empty.
     drawing : Markup or str
         The structure, in the head of the page; empty if there is none to draw.
+    leading : tuple of PageSection
+        Sections directly below the verdicts, before the reasons for them.
     """
 
     title: str
@@ -258,9 +294,27 @@ class Page:
     footer: str
     assumptions: tuple[Part, ...] = ()
     drawing: str = ""
+    leading: tuple[PageSection, ...] = ()
+
+    @property
+    def has_basis(self) -> bool:
+        """Whether there are assumptions or reasons to show."""
+        return bool(self.assumptions) or any(verdict.reasons for verdict in self.verdicts)
 
 
 _CSS_PER_INCH = 96
+
+
+def _first_sentence(text: str) -> str:
+    return text.partition(". ")[0].removesuffix(".")
+
+
+def _longest(words: Iterable[str]) -> int:
+    return max(map(len, words), default=0)
+
+
+def _words(cell: str | Link) -> str:
+    return cell if isinstance(cell, str) else cell.words
 
 
 def breaking_at_commas(text: str) -> str:
@@ -287,4 +341,5 @@ def picture(axes: Any, key: str, alt: str, caption: str, data: Mapping[str, Any]
     figure = np.ravel(axes)[0].figure
     svg = inline_svg(figure, key, alt)
     content = figure_data(figure) if data is None else data
-    return Picture(svg, caption, round(_CSS_PER_INCH * figure.get_figwidth()), key, content)
+    width, height = (round(_CSS_PER_INCH * inches) for inches in figure.get_size_inches())
+    return Picture(svg, caption, width, key, content, height)

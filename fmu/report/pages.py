@@ -1,4 +1,4 @@
-"""Self-contained HTML pages: one for each sampler, and an index that compares them."""
+"""Self-contained HTML pages: one for each sampler, and an index that compares several."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from fmu.analysis.convergence.diagnosis import choose_run
 from fmu.analysis.trace.conversion import load_traces
@@ -23,6 +23,7 @@ from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
 from fmu.report.sections import comparison, of_a_sampler, origin, updating
 from fmu.report.sections.structure import structure_drawing
+from fmu.report.sections.tests import damage_drawing
 from fmu.report.sections.verdicts import verdicts
 
 if TYPE_CHECKING:
@@ -30,11 +31,19 @@ if TYPE_CHECKING:
 
 
 INDEX = "index"
+_LEADING = ("damage", "frequencies")
+"""Sections of a sampler's page that stand below the verdict, before the reasons for it."""
 _SCRIPTS = ("data.js", "structure.js", "figures.js", "pairs.js", "tables.js", "start.js")
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the file name of each run's page, in characters that every file system and URL accepts."""
+    """Return the file name of each run's page, in characters that every file system and URL accepts.
+
+    The page of a single run is the index.
+    """
+    names = tuple(names)
+    if len(names) == 1:
+        return {names[0]: f"{INDEX}.html"}
     taken, files = {INDEX}, {}
     for name in names:
         stem = plain = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-") or "run"
@@ -49,8 +58,10 @@ def file_names(names: Iterable[str]) -> dict[str, str]:
 
 def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, ReportedRun]) -> Page:
     """Return the page of one run."""
-    others = [Link("All samplers", f"{INDEX}.html")]
+    others = [Link("All samplers", f"{INDEX}.html")] if len(runs) > 1 else []
     others += [Link(other.title, files[name]) for name, other in runs.items() if name != run.name]
+    sections = _without_omissions(of_a_sampler(run))
+    leading = tuple(one for one in sections if one.id in _LEADING)
     subtitle = run.title if run.title == run.sampler else f"{run.title}, by {run.sampler}"
     lead = f"{run.chains_in_words[0].upper()}{run.chains_in_words[1:]}.{_dates([run])}"
     return Page(
@@ -58,11 +69,12 @@ def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, 
         subtitle,
         lead,
         verdicts(run),
-        _without_omissions(of_a_sampler(run)),
+        tuple(one for one in sections if one not in leading),
         tuple(others),
         _footer(run),
         origin.assumptions(run),
-        structure_drawing(run.trace),
+        damage_drawing(run.trace) or structure_drawing(run.trace),
+        leading,
     )
 
 
@@ -182,7 +194,7 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
     Returns
     -------
     Path
-        The index page.
+        The index page; of a single run its page.
     """
     directory = Path(directory)
     with phase("report", len(traces) + 2) as under_way:
@@ -195,11 +207,12 @@ def _written(runs: dict[str, ReportedRun], directory: Path, under_way: Phase) ->
     """Write the pages of runs, and return the index."""
     files = file_names(runs)
     directory.mkdir(parents=True, exist_ok=True)
+    index = directory / f"{INDEX}.html"
     for name, run in runs.items():
         (directory / files[name]).write_text(render(sampler_page(run, files, runs)), encoding="utf-8")
         under_way.advance()
-    index = directory / f"{INDEX}.html"
-    index.write_text(render(index_page(runs, files)), encoding="utf-8")
+    if len(runs) > 1:
+        index.write_text(render(index_page(runs, files)), encoding="utf-8")
     under_way.advance()
     return index
 
@@ -215,8 +228,19 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["prose"] = prose
     script, script_hash = _script()
     return environment.get_template("page.html").render(page=page, script=script, script_hash=script_hash)
+
+
+def prose(text: str) -> Markup:
+    """Return a text as HTML, what stands between backticks as code."""
+    parts = str(text).split("`")
+    if len(parts) % 2 == 0:  # a backtick of somebody's name
+        return escape(text)
+    return Markup("").join(
+        Markup("<code>{}</code>").format(x) if k % 2 else escape(x) for k, x in enumerate(parts)
+    )
 
 
 @cache

@@ -26,6 +26,11 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
 _STYLE = re.compile(r' style="[^"]*"')
+_OF_SCHEME = {
+    "#000000": "ink", "#ffffff": "paper", "#6e6e6e": "quiet", "#e8e8e8": "pale", "#0072b2": "blue",
+    "#882255": "wine",
+}  # fmt: skip
+"""Colours that the page's scheme, light or dark, may replace: variables of its style sheet."""
 _SHORT_PATH = 12
 """Lines of a path that are written in full."""
 _STRAIGHT = re.compile(r"[\dMLz eE.+-]*")
@@ -80,10 +85,18 @@ def _clean(tag: str, key: str, used: set[str]) -> str:
     tag = re.sub(r' d="([^"]*)"', _short_path, tag)
     tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _rounded, tag)
     tag = re.sub(r' transform="rotate\(-0 [^"]*"', "", tag)
-    tag = re.sub(r'(?<=style=")[^"]*', lambda style: style[0].replace(": ", ":").replace("; ", ";"), tag)
+    tag = re.sub(r'(?<=style=")[^"]*', _of_scheme, tag)
     tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
     tag = re.sub(r' id="([^"]*)"', lambda match: f' id="{key}-{match[1]}"' if match[1] in used else "", tag)
     return re.sub(r"(url\(#|href=\"#)", rf"\g<1>{key}-", tag)
+
+
+def _of_scheme(style: re.Match[str]) -> str:
+    """Return a style without spaces, its colours as variables with the printed colour as their default."""
+    text = style[0].replace(": ", ":").replace("; ", ";")
+    for colour, name in _OF_SCHEME.items():
+        text = text.replace(colour, f"var(--{name},{colour})")
+    return text
 
 
 def _without_repetition(body: str) -> str:

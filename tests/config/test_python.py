@@ -284,7 +284,7 @@ def test_a_run_with_a_report(folder, tmp_path, monkeypatch):
     arguments = ["run", str(folder / "two.toml"), "--draws", "20", "--warmup", "20", "--chains", "2"]
     result = CliRunner().invoke(cli.main, [*arguments, "--sampler", "hmc"], prog_name="fmu")
     assert result.exit_code == 0, result.output
-    page = Path("runs/two-shape/report/hmc.html").read_text()
+    page = Path("runs/two-shape/report/index.html").read_text()
     assert "two storeys" in page
     assert 'id="identifiability"' in page
     assert 'id="shapes"' not in page

@@ -142,9 +142,11 @@ def test_check_run_and_damage(tmp_path):
     short = ["--draws", "60", "--warmup", "60", "--starts", "4", "--no-report", "--out", str(out)]
     ran = runner.invoke(main, ["run", str(losses), *short])
     assert ran.exit_code == 0, ran.output
+    assert "Losses since " in ran.output
+    assert f"fmu damage {out}\n" in ran.output
     told = runner.invoke(main, ["damage", str(out), "--beyond", "0.05"])
     assert told.exit_code == 0, told.output
-    assert "P(loss > 5 %)" in told.output
+    assert "P > 5 %" in told.output
     assert (out / "damage.png").is_file()
 
     of_both = 'varies = "population"\n'

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
-from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours
+from fmu.fem.frame.drawing import COLOURS, UNCHANGED, changed_elements, drawing, parameter_colours, sketch
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import RigidArm, SeparableModel
 from tests import cantilever
@@ -43,7 +43,7 @@ def test_which_parameter_changes_which_element():
 
 def test_elements_have_the_colour_of_their_first_parameter():
     model = halves()
-    assert parameter_colours(changed_elements(model)) == [COLOURS[0], COLOURS[1], COLOURS[1]]
+    assert parameter_colours(sketch(model)) == [COLOURS[0], COLOURS[1], COLOURS[1]]
     drawn = [colour for colour, _ in lines(drawing(model))]
     assert drawn == [COLOURS[0]] * 25 + [COLOURS[1]] * 25
 
@@ -116,7 +116,7 @@ def test_masses_springs_and_arms_are_drawn():
     assert count(drawn, "rect") == 0  # the tied node moves in all directions, though it owns but three
     (arm, *_) = lines(drawing(model))
     (arrow,) = (
-        e for e in drawn.iter(f"{SVG}line") if e.get("stroke") == "#000" and e.get("stroke-width") == "1.5"
+        e for e in drawn.iter(f"{SVG}line") if e.get("stroke") == "currentColor" and e.get("stroke-width") == "1.5"
     )
     assert [float(arrow.get(k)) for k in ("x1", "y1")] == arm[1][2:]  # the sensor is at the end of its arm
     assert arm[1][2] > arm[1][0]

@@ -124,6 +124,7 @@ def test_every_control_is_reached_by_the_keyboard_and_has_a_name(browser):
 def test_every_image_has_a_name_and_a_size(browser):
     from selenium.webdriver.common.by import By
 
+    browser.execute_script("document.querySelectorAll('details').forEach(e => e.open = true)")
     images = browser.find_elements(By.CSS_SELECTOR, "svg, img")
     assert images
     for image in images:

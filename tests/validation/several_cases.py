@@ -30,6 +30,8 @@ GROUPS = tuple(f"{frame} {storey}" for storey in range(1, STOREYS + 1) for frame
 OF_FRAMES = {"x": 100e6, "west": 35e6, "east": 35e6}
 FLOORS = np.array([3500.0, 2700.0, 2700.0, 1800.0])
 HALF = 2.5
+HEIGHT = 3.0
+"""Of a storey in the pictures, m."""
 MODES, SD_FREQUENCY, SD_SHAPE = 8, 0.005, 0.01
 PATTERNS: dict[str, dict[str, float]] = {
     "reference": {},
@@ -139,7 +141,27 @@ def damage_text() -> str:
     for (name, state), (f, shapes) in zip(TESTS, damaged().values(), strict=True):
         rows = "\n".join(f"    [{_row(shape, 3)}]," for shape in shapes.T)
         tests += TEST.format(name=name, state=state, f=_row(f, 4), rows=rows, sensors=_lines(dofs))
-    return DAMAGE_HEAD.format(dofs=_lines(dofs)) + terms + DAMAGE_MASS + tests + parameters
+    return DAMAGE_HEAD.format(dofs=_lines(dofs)) + terms + DAMAGE_MASS + drawn_text() + tests + parameters
+
+
+def drawn_text() -> str:
+    """Return points and lines of the pictures: floors, corner columns, and a brace for each frame of a storey."""
+    corners = {"sw": (-HALF, -HALF), "se": (HALF, -HALF), "ne": (HALF, HALF), "nw": (-HALF, HALF)}
+    sides = {"": (0.0, 0.0), " west": (-HALF, 0.0), " east": (HALF, 0.0)}
+    points, lines = [], []
+    for floor in range(STOREYS + 1):
+        places = {f"{floor} {corner}": at for corner, at in corners.items()}
+        places |= {f"floor {floor}{side}": at for side, at in sides.items()} if floor else {}
+        points += [f'"{name}" = [{x}, {y}, {floor * HEIGHT}]' for name, (x, y) in places.items()]
+    names = list(corners)
+    for floor in range(1, STOREYS + 1):
+        for k, (a, b, frame) in enumerate(
+            zip(names, names[1:] + names[:1], ("x", "east", "x", "west"), strict=True)
+        ):
+            lines += [LINE.format(f"{floor} {a}", f"{floor} {b}"), LINE.format(f"{floor - 1} {a}", f"{floor} {a}")]
+            a, b = (a, b) if k < 2 else (b, a)  # braces of opposite faces are parallel
+            lines.append(LINE.format(f"{floor - 1} {a}", f"{floor} {b}") + BRACE.format(f"{frame} {floor}"))
+    return "\n[model.points]\n" + "\n".join(points) + "\n" + "".join(lines)
 
 
 def _row(values: FloatArray, places: int) -> str:
@@ -213,7 +235,8 @@ DAMAGE_HEAD = """\
 # In each storey one parameter is a factor on the stiffness of the frames in x, 100 MN/m, and one on each of the
 # frames in y, west and east, 35 MN/m each. Pattern 1: the west frame of storey 1 has lost 18 %. Pattern 2: the
 # frames in x of storey 3 have lost 15 % besides. Errors: 0.5 % of the frequencies, 0.01 in the components of
-# shapes of unit length. Written by tests/validation/several_cases.py.
+# shapes of unit length. Points and lines are for the pictures: a brace stands for a frame of a storey. Written by
+# tests/validation/several_cases.py.
 
 name = "shear-12dof-damage"
 description = "a storey frame before and after damage (simulated): which of twelve groups has lost how much"
@@ -242,6 +265,13 @@ powers = {{ "{group}" = 1 }}
 DAMAGE_MASS = """
 [[model.mass]]
 file = "shear-12dof-damage/mass.mtx"
+"""
+LINE = """
+[[model.lines]]
+points = ["{}", "{}"]
+"""
+BRACE = """\
+parameters = ["{}"]
 """
 TEST = """
 [[tests]]

@@ -124,7 +124,8 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
     alike = mac(seen, reference)
     variables: dict[str, Any] = {"mac": (("state", "reference_mode", "mode"), alike, {"reference": name})}
     if structure.geometry is None:
-        return variables | _components(structure, data, shapes)
+        drawn = {} if structure.picture is None else _sketch_variables(sketch(structure, data.sensors))
+        return variables | drawn | _components(structure, data, shapes)
     sketched = sketch(structure, data.sensors)
     moved = _drawn(structure, shapes)
     size = np.max(np.linalg.norm(moved, axis=3), axis=2)
@@ -201,6 +202,7 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
         variables["symbol"] = ("symbol", list(found.kinds))
         variables["symbol_place"] = (("symbol", "direction"), found.places, {"units": "m"})
         variables["symbol_end"] = (("symbol", "direction"), found.ends)
+        variables["symbol_parameter"] = ("symbol", found.owners)
     return variables
 
 
@@ -213,13 +215,14 @@ def drawn_structure(problem: JointProblem) -> dict[str, xr.Dataset]:
 
     first = next(part for part in problem.model.configurations if 0 in part.tests)
     model = first.model.as_structure()
-    if model is None or model.structure.geometry is None:
+    if model is None or (model.structure.geometry is None and model.structure.picture is None):
         return {}
     found = sketch(model.structure, problem.tests[0].data.sensors)
     names = [parameter.name for parameter in problem.layout.structural]
     changed = np.zeros((len(found.elements), len(names)), dtype=bool)
     changed[:, first.parameters] = found.changed
-    variables = _sketch_variables(replace(found, changed=changed))
+    owners = np.where(found.owners < 0, -1, np.asarray(first.parameters)[found.owners])
+    variables = _sketch_variables(replace(found, changed=changed, owners=owners))
     return {_STRUCTURE: xr.Dataset(variables, coords={"structural": names})}
 
 
@@ -234,4 +237,5 @@ def sketch_of(trace: xr.DataTree) -> Sketch | None:
         modes[name].to_numpy() if kinds else np.empty((0, 3)) for name in ("symbol_place", "symbol_end")
     )
     nodes, elements = modes["coordinates"].to_numpy(), modes["ends"].to_numpy()
-    return Sketch(nodes, elements, modes["changed"].to_numpy().astype(bool), kinds, places, ends)
+    owners = modes["symbol_parameter"].to_numpy() if "symbol_parameter" in modes else np.full(len(kinds), -1)
+    return Sketch(nodes, elements, modes["changed"].to_numpy().astype(bool), kinds, places, ends, owners)

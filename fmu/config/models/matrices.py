@@ -13,8 +13,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.models.lines import LineTable, mistakes_of_lines, picture_of
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, one_length
+from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, Vector, one_length
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.matrices.abaqus import HELD
@@ -77,6 +78,9 @@ class MatricesTable(TomlTable):
     """Nodes and elements for the pictures, in a file of CalculiX, Abaqus, Ansys or Nastran."""
     tied_modes: FileName | None = None
     """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
+    points: dict[Name, Vector] = {}
+    """Coordinates for the pictures, where there is no mesh, m; sensors at places of these names are drawn."""
+    lines: list[LineTable] = []
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
@@ -93,6 +97,7 @@ class MatricesTable(TomlTable):
         for i, table in enumerate(parameters):
             if table.name not in used:
                 found.append(Mistake(f"parameters.{i}.name", got("must be in the powers of a term", table.name)))
+        found += mistakes_of_lines(self.points, self.lines, parameters, self.mesh is not None)
         return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
@@ -131,6 +136,7 @@ class MatricesTable(TomlTable):
                 terms[:n], terms[n:], joined.dofs, Geometry.of_mesh(mesh), motions=joined.motions
             )
             model.notes = (*joined.notes, *mesh.notes)
+            model.picture = picture_of(self.points, self.lines, parameters)
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
             raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.fem.modes.line_picture import LinePicture
 from fmu.fem.modes.separable import Geometry, SeparableModel
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -42,6 +43,8 @@ class Sketch:
     ends : ndarray, shape (n_symbols, 3)
         The other end of an arm or a spring, m; the direction of a sensor. NaN for supports, masses, springs to the
         ground and sensors of rotations.
+    owners : ndarray of int, shape (n_symbols,)
+        The parameter that sets a spring's stiffness; −1 where there is none.
     """
 
     nodes: FloatArray
@@ -50,6 +53,7 @@ class Sketch:
     kinds: tuple[str, ...]
     places: FloatArray
     ends: FloatArray
+    owners: IntArray
 
 
 def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sketch:
@@ -58,14 +62,17 @@ def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sk
     Raises
     ------
     ValueError
-        If the model does not know its geometry.
+        If the model knows neither its geometry nor a picture of lines.
     """
+    if model.geometry is None and model.picture is not None:
+        return _pictured(model.picture, sensors)
     geometry, nowhere = _geometry(model), np.full(3, np.nan)
     nodes = np.asarray(geometry.nodes, dtype=float)
     at = {name: nodes[row] for name, row in geometry.row_of.items()}
     tips = {name: at[arm.node] + arm.offset for name, arm in model.arms.items()}
     place = at | tips  # a sensor may be at a node that the mesh lacks
     symbols = [("arm", at[model.arms[name].node], tip) for name, tip in tips.items()]
+    n_arms = len(symbols)
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
     symbols += [("support", nodes[node], nowhere) for node in _supported(model)]
     symbols += [("mass", nodes[node], nowhere) for node in geometry.masses]
@@ -74,8 +81,30 @@ def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sk
     ]
     kinds = tuple(kind for kind, *_ in symbols)
     places, ends = (np.array([symbol[k] for symbol in symbols]).reshape(-1, 3) for k in (1, 2))
+    owners = np.full(len(symbols), -1)
+    for k, parameter in enumerate(geometry.spring_parameters, n_arms):
+        owners[k] = -1 if parameter is None else parameter
     lines = np.searchsorted(geometry.drawn, geometry.elements)
-    return Sketch(nodes[geometry.drawn], lines, changed_elements(model), kinds, places, ends)
+    return Sketch(nodes[geometry.drawn], lines, changed_elements(model), kinds, places, ends, owners)
+
+
+def is_drawable(model: SeparableModel, most: int) -> bool:
+    """Return whether a model can be drawn with at most so many lines."""
+    lines = model.picture.lines if model.geometry is None and model.picture is not None else None
+    lines = model.geometry.elements if model.geometry is not None else lines
+    return lines is not None and len(lines) <= most
+
+
+def _pictured(picture: LinePicture, sensors: Sequence[tuple[Any, str]]) -> Sketch:
+    """Return what is drawn of a picture of lines: they, and the sensors at points of their names."""
+    place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
+    nowhere = np.full(3, np.nan)
+    seen = [(n, d) for n, d in sensors if n in place]
+    places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
+    ends = np.array([nowhere if d[-2:] in _ROTATIONS else _pointing(d) for _, d in seen]).reshape(-1, 3)
+    kinds = ("sensor",) * len(seen)
+    nodes = np.array(list(place.values()))
+    return Sketch(nodes, np.asarray(picture.lines), picture.changed, kinds, places, ends, np.full(len(seen), -1))
 
 
 def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
@@ -83,8 +112,13 @@ def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> s
     return drawn(sketch(model, sensors))
 
 
-def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "") -> str:
-    """Draw elements in the colour of the first parameter that changes them, and what is at the nodes.
+def drawn(
+    structure: Sketch,
+    colours: Sequence[str] | None = None,
+    said: str = "",
+    spring_colours: Sequence[str] | None = None,
+) -> str:
+    """Draw elements and springs in the colour of the first parameter that changes them, and what is at the nodes.
 
     Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
 
@@ -95,6 +129,8 @@ def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "
         Other colours of the elements.
     said : str
         What they show, for those who cannot see it.
+    spring_colours : sequence of str, length n_parameters, optional
+        Other colours of the springs of each parameter.
 
     Returns
     -------
@@ -108,9 +144,11 @@ def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "
     colours = element_colours(structure.changed) if colours is None else colours
     parts = [_line(a, b, UNCHANGED, 1.5) for a, b in zip(places[kinds == "arm"], fit(tips @ view), strict=True)]
     parts += _lines(place[structure.elements], colours)
-    for kind, a, b, pointing in zip(structure.kinds, places, ends, structure.ends @ view, strict=True):
+    symbols = zip(structure.kinds, places, ends, structure.ends @ view, structure.owners, strict=True)
+    for kind, a, b, pointing, owner in symbols:
         if kind == "spring":
-            parts.append(_spring(a, b))
+            of_parameters = COLOURS if spring_colours is None else spring_colours
+            parts.append(_spring(a, b, of_parameters[owner % len(of_parameters)] if owner >= 0 else ""))
         elif kind == "support":
             parts.append(_support(a))
         elif kind == "mass":
@@ -118,10 +156,10 @@ def drawn(structure: Sketch, colours: Sequence[str] | None = None, said: str = "
         elif kind == "sensor" and not np.isnan([*a, *pointing]).any():
             parts.append(_arrow(a, pointing))
     words = said or f"{n} nodes, {len(structure.elements)} elements, {np.sum(kinds == 'sensor')} sensors"
-    height = np.concatenate([place, fit(tips @ view)])[:, 1].max() + _MARGIN
+    width, height = np.concatenate([place, fit(tips @ view)]).max(axis=0) + _MARGIN
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
-        f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{WIDTH:.0f}px">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
+        f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{width:.0f}px">'
         f"{''.join(parts)}</svg>"
     )
 
@@ -132,10 +170,17 @@ def element_colours(changed: BoolArray) -> list[str]:
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
-def parameter_colours(changed: BoolArray) -> list[str | None]:
-    """Return the colour of the elements that each parameter changes, None where it changes none."""
-    colours = element_colours(changed)
-    return [colours[int(np.argmax(column))] if column.any() else None for column in changed.T]
+def parameter_colours(structure: Sketch) -> list[str | None]:
+    """Return the colour of the elements or springs that each parameter changes, None where it changes none."""
+    colours = element_colours(structure.changed)
+    return [
+        colours[int(np.argmax(column))]
+        if column.any()
+        else COLOURS[k % len(COLOURS)]
+        if k in structure.owners
+        else None
+        for k, column in enumerate(structure.changed.T)
+    ]
 
 
 def changed_elements(model: SeparableModel) -> BoolArray:
@@ -251,27 +296,32 @@ def _line(a: FloatArray, b: FloatArray, colour: str, width: float) -> str:
 
 def _support(at: FloatArray) -> str:
     x, y = at - 7.0
-    return f'<rect x="{x:.1f}" y="{y:.1f}" width="14" height="14" fill="none" stroke="#000" stroke-width="1.5"/>'
+    line = 'fill="none" stroke="currentColor" stroke-width="1.5"'
+    return f'<rect x="{x:.1f}" y="{y:.1f}" width="14" height="14" {line}/>'
 
 
 def _dot(at: FloatArray, radius: float, colour: str) -> str:
     return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:g}" fill="{colour}"/>'
 
 
-def _spring(a: FloatArray, b: FloatArray) -> str:
-    """Draw a zigzag, down to a line where it ends in the ground, b being NaN; a ring if a and b are one place."""
+def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
+    """Draw a zigzag, down to a line where it ends in the ground, b being NaN; a ring if a and b are one place.
+
+    One that a parameter sets is thicker and has its colour.
+    """
+    stroke = f'stroke="{colour or "currentColor"}" stroke-width="{3 if colour else 1.5}"'
     is_grounded = np.isnan(b).any()
     end = a + np.array([0.0, 22.0]) if is_grounded else b
     along = end - a
     length = float(np.linalg.norm(along))
     if length < _FLAT:
-        return f'<circle cx="{a[0]:.1f}" cy="{a[1]:.1f}" r="6" fill="#fff" stroke="#000" stroke-width="1.5"/>'
+        return f'<circle cx="{a[0]:.1f}" cy="{a[1]:.1f}" r="6" style="fill:var(--paper,#fff)" {stroke}/>'
     across = 5.0 * np.array([-along[1], along[0]]) / length
     steps = [(0.0, 0), (0.2, 0), (0.3, 1), (0.5, -1), (0.7, 1), (0.8, 0), (1.0, 0)]
     zigzag = " ".join(f"{x:.1f},{y:.1f}" for x, y in (a + t * along + side * across for t, side in steps))
     half = np.array([8.0, 0.0])
-    ground = _line(end - half, end + half, "#000", 2) if is_grounded else ""
-    return f'<polyline points="{zigzag}" fill="none" stroke="#000" stroke-width="1.5"/>' + ground
+    ground = _line(end - half, end + half, "currentColor", 2) if is_grounded else ""
+    return f'<polyline points="{zigzag}" fill="none" {stroke}/>' + ground
 
 
 def _arrow(at: FloatArray, direction: FloatArray) -> str:
@@ -279,9 +329,9 @@ def _arrow(at: FloatArray, direction: FloatArray) -> str:
     along = direction * (1.0, -1.0)
     length = float(np.linalg.norm(along))
     if length < _FLAT:
-        return _dot(at, 4, "#000")
+        return _dot(at, 4, "currentColor")
     along = along / length
     across = np.array([-along[1], along[0]])
     tip = at + 18.0 * along
     head = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, *(tip - 7.0 * along + s * 4.0 * across for s in (1, -1))))
-    return _line(at, tip, "#000", 1.5) + f'<polygon points="{head}" fill="#000"/>'
+    return _line(at, tip, "currentColor", 1.5) + f'<polygon points="{head}" fill="currentColor"/>'

@@ -107,7 +107,13 @@ class Frame:
             merge_terms(K_terms),
             merge_terms(M_terms),
             numbering.names,
-            Geometry(nodes, elements, [m.node for m in self.masses], [spring.nodes for spring in self.springs]),
+            Geometry(
+                nodes,
+                elements,
+                [mass.node for mass in self.masses],
+                [spring.nodes for spring in self.springs],
+                [owned.of_spring(index) for index in range(len(self.springs))],
+            ),
             self.arms,
             numbering.ties,
         )

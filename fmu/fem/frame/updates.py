@@ -58,6 +58,13 @@ class Ownership:
     owner: Mapping[Quantity, Owner]
     n_parameters: int
 
+    def of_spring(self, number: int) -> int | None:
+        """Return the first parameter that sets a stiffness of a spring, None if there is none."""
+        owners = [
+            one.parameter for q, one in self.owner.items() if (q.property, q.number) == ("stiffness", number)
+        ]
+        return min(owners, default=None)
+
     def coefficient(self, quantities: Iterable[tuple[Quantity, float]]) -> tuple[float, tuple[float, ...]]:
         """Return the product of quantities with their values as a constant and the powers of the parameters."""
         scale, powers = 1.0, [0.0] * self.n_parameters

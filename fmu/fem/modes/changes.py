@@ -75,6 +75,7 @@ def changed_model(
         model.motions,
     )
     other.notes = model.notes
+    other.picture = model.picture and model.picture.of(kept)
     if model.names is not None:
         other.names = tuple(model.names[j] for j in kept)
     return other

@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
+from fmu.fem.modes.line_picture import LinePicture
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.numbers import typed
@@ -169,6 +170,8 @@ class Geometry:
         Rows of nodes with a point mass.
     springs : sequence of (int, int or None)
         Rows of both ends of each spring, the second one None for the ground.
+    spring_parameters : sequence of (int or None)
+        The first parameter that sets each spring's stiffness; none is known if empty.
     ids : ndarray of int, shape (n_nodes,), optional
         Names of the nodes in the degrees of freedom, where they are not the rows.
     mesh : Mesh or ExportedModel, optional
@@ -179,6 +182,7 @@ class Geometry:
     elements: IntArray
     masses: Sequence[int] = ()
     springs: Sequence[tuple[int, int | None]] = ()
+    spring_parameters: Sequence[int | None] = ()
     ids: IntArray | None = None
     mesh: Mesh | ExportedModel | None = None
 
@@ -262,6 +266,8 @@ class SeparableModel:
         The parameters, if they were named; see `from_terms`.
     notes : tuple of str
         What is known of where its matrices come from, a sentence each.
+    picture : LinePicture or None
+        What drawings show where there is no geometry.
 
     Raises
     ------
@@ -292,6 +298,7 @@ class SeparableModel:
         self.motions = dict(motions or {})
         self.names: tuple[str, ...] | None = None
         self.notes: tuple[str, ...] = ()
+        self.picture: LinePicture | None = None
         _check_terms(self)
 
     @classmethod

@@ -13,6 +13,8 @@ from fmu.report.plots.style import (
     FONT,
     GREY,
     NARROW,
+    ON_DARK,
+    ON_PALE,
     PALETTE,
     finish,
     legend_below,
@@ -73,7 +75,7 @@ def plot_mac_matrix(
         # of many modes most are zeros, which are left out
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > FEW else 0.0)).tolist():
             axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
-                      color="white" if values[i, j] > 0.6 else BLACK)  # fmt: skip
+                      color=ON_DARK if values[i, j] > 0.6 else ON_PALE)  # fmt: skip
     axes.set_xticks(np.arange(m) + 0.5, spaced(labels), **turned(labels, side))
     axes.set_yticks(np.arange(n) + 0.5, spaced([literal(label) for label in rows]))
     axes.invert_yaxis()

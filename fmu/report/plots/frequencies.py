@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_OF_A_MODE = 0.28
+"""Inches of a figure for each mode, at least."""
+
+
 @dataclass(frozen=True)
 class Frequencies:
     """A set of frequencies to compare with the measured ones.
@@ -147,8 +151,14 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
             Frequencies("the same for one more test", table["mean"], BLACK, filled=False, interval_hz=ends)
         )
     labels = [literal(name) for name in mode_names(trace)]
-    figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
+    figure = figure or _new_figure(labels)
     return plot_frequency_errors(table["measured"], series, labels, figure)
+
+
+def _new_figure(labels: Sequence[str]) -> Figure:
+    """Return an empty figure of modes, wider where they are many."""
+    width = max(NARROW, _OF_A_MODE * len(labels))
+    return new_figure(width, 5.2 if turned(labels, width) else 4.2)
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
@@ -168,7 +178,7 @@ def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     label = "predicted by the other modes: mean, 90 % interval with measurement noise"
     found = Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends)
     labels = [literal(name) for name in mode_names(trace)]
-    figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
+    figure = figure or _new_figure(labels)
     axes = plot_frequency_errors(table["measured"], [found], labels, figure)
     axes.set_ylabel("(predicted − measured)/measured, %")
     return axes
@@ -208,7 +218,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     if "noisy_sd" not in narrow:
         raise ValueError("trace: must have a predictive distribution of measurements (it has none)")
     base, labels = colour(str(trace.attrs["sampler"])), [literal(name) for name in mode_names(trace)]
-    figure = figure or new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
+    figure = figure or _new_figure(labels)
     axes = figure.subplots()
     x = np.arange(len(narrow), dtype=float)
 

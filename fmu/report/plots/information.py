@@ -15,6 +15,8 @@ from fmu.report.plots.style import (
     FONT,
     GREY,
     NARROW,
+    ON_DARK,
+    ON_PALE,
     PALE,
     VERMILLION,
     broken,
@@ -144,7 +146,7 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
         for i, j in np.ndindex(*S.shape):
             if abs(S[i, j]) >= 0.03 * largest:
                 axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=FONT - 1,
-                          color="white" if abs(S[i, j]) > 0.6 * largest else BLACK)  # fmt: skip
+                          color=ON_DARK if abs(S[i, j]) > 0.6 * largest else ON_PALE)  # fmt: skip
     axes.set_xticks(np.arange(n), spaced(names), **turned(names, side))
     axes.set_yticks(np.arange(len(rows)), spaced(labels))
     axes.invert_yaxis()

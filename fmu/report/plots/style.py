@@ -24,6 +24,8 @@ COLOURS = {name: sampler_class(name).colour for name in SAMPLERS}
 TITLES = {name: sampler_class(name).title for name in SAMPLERS}
 PALETTE = drawing.COLOURS
 BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
+ON_PALE, ON_DARK = "#111111", "#FAFAFA"
+"""Words on a cell, whatever the page's scheme: `BLACK` and white follow it."""
 VERMILLION = "#D55E00"
 FONT = 10
 DPI = 130

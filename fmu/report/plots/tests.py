@@ -106,14 +106,11 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     for axis, state in zip(axes, states, strict=True):
         draws = np.stack([losses[name].sel(state=state).to_numpy().ravel() for name in names], axis=1)
         _state(axis, 100.0 * draws, table.loc[state].drop(ANY).iloc[:, -1].to_numpy(), beyond)
-        axis.set_title(literal(state), fontsize=FONT, loc="left")
+        axis.set_title(literal(state), fontsize=FONT, loc="left", pad=18)  # above the probabilities
         finish(axis, y="loss / %")
-    top = max(axis.get_ylim()[1] for axis in axes)
-    for axis in axes:
-        axis.set_ylim(top=top + 0.12 * (top - axis.get_ylim()[0]))
     turned = len("".join(names)) > 10 * figure.get_figwidth()
     axes[-1].set_xticks(np.arange(len(names)), [literal(name) for name in names], rotation=45 if turned else 0)
-    axes[0].set_title(f"above: P(loss > {share(beyond)})", fontsize=FONT - 1, color=GREY, loc="right")
+    axes[0].set_title(f"below: P(loss > {share(beyond)})", fontsize=FONT - 1, color=GREY, loc="right", pad=18)
     return axes
 
 
@@ -129,8 +126,9 @@ def _state(axis: Axes, draws: NDArray[Any], exceeded: NDArray[Any], beyond: floa
         axis.plot(k, quantiles[2, k], marker="o", markersize=5, color="white", markeredgecolor=shade)
         axis.annotate(
             probably(float(p)),
-            (k, quantiles[4, k]),
-            xytext=(0, 4),
+            (k, 1.0),
+            xycoords=axis.get_xaxis_transform(),  # above the axes, where no line crosses it
+            xytext=(0, 3),
             textcoords="offset points",
             ha="center",
             fontsize=FONT - 2,

@@ -11,11 +11,11 @@ from fmu.report.document import Omitted, PageSection
 from fmu.report.run import ReportedRun
 
 OF_A_SAMPLER = (
+    "tests.losses",
     "updating.parameters",
     "updating.frequencies",
     "updating.maxima",
     "updating.evidence",
-    "tests.losses",
     "tests.population",
     "information.marginals",
     "structure.identifiability",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fmu.analysis.certificate import exact_in_words, surrogate_in_words
@@ -13,12 +12,11 @@ from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
 from fmu.posterior.train_reduced import Tolerance
-from fmu.report.document import Code, Details, Items, Omitted, PageSection, PageTable, Part, Text
+from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Text
 from fmu.report.run import ReportedRun
 
 _LONG = 60
-_INNERMOST = re.compile(r"\[\n([^\[\]{}\"]*)\]")
-"""A list of numbers in JSON, which is written on one line."""
+"""Letters of a setting in a table."""
 
 
 def cost(run: ReportedRun) -> PageSection:
@@ -157,46 +155,60 @@ def settings(run: ReportedRun) -> PageSection:
     """Return settings, seed, versions and the hash of the configuration."""
     attrs = run.trace.attrs
     given, learnt = (json.loads(str(attrs[name])) for name in ("settings", "learnt"))
-    names = dict.fromkeys((*given, *learnt))
-    rows = tuple((name, _short(given.get(name)), _short(learnt.get(name))) for name in names)
+    before, after = dict(_flat(given)), dict(_flat(learnt))
+    rows = tuple((name, before.get(name, MISSING), after.get(name, MISSING)) for name in {**before, **after})
     header = ("setting", "given", "after warm-up")
-    parts: list[Part] = [
-        PageTable("Settings of the sampler; those tuned in warm-up are fixed afterwards", header, rows, (1, 2))
-    ]
     known: tuple[str, ...] = ("chains", "walkers", "draws", "warmup")
-    title = "What is known of the run, as JSON"
+    title = "What is known of the run"
     if not is_imported(run.trace):
-        known, title = ("seed", *known, "init"), "Everything that determines the draws, as JSON"
+        known, title = ("seed", *known, "init"), "Everything that determines the draws"
     about = [(name, str(attrs[name])) for name in known]
     about += [(f"version of {name}", version) for name, version in json.loads(str(attrs["versions"])).items()]
     about.append(("configuration hash (SHA-256)", str(attrs["configuration_hash"])))
-    parts.append(PageTable("The run", ("quantity", "value"), tuple(about), (1,)))
-    long = {name: value for name, value in learnt.items() if len(_text(value)) > _LONG}
-    if long:
-        parts.append(Details("Tuned settings in full", (Code(_pretty(long)),)))
-    configuration = Code(_pretty(json.loads(str(attrs["configuration"]))))
-    parts.append(Details(title, (configuration,)))
-    return PageSection("settings", "Settings, seed and versions", tuple(parts))
+    configuration = tuple(_flat(json.loads(str(attrs["configuration"]))))
+    caption = f"{title}. The trace has it in full, with all matrices: attributes configuration, settings, learnt"
+    everything = PageTable(caption, ("key", "value"), configuration, (1,))
+    parts: tuple[Part, ...] = (
+        PageTable("Settings of the sampler; those tuned in warm-up are fixed afterwards", header, rows, (1, 2)),
+        PageTable("The run", ("quantity", "value"), tuple(about), (1,)),
+        everything if everything.is_long else Details(title, (everything,)),
+    )
+    return PageSection("settings", "Settings, seed and versions", parts)
 
 
-def _short(value: Any) -> str:
-    """Return a setting in a table's cell."""
-    if value is None:
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the entries of nested settings as names and words; long lists are told by their size and range."""
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from _flat(inner, f"{name}, {_plain(key)}" if name else _plain(key))
+    elif isinstance(value, list) and any(isinstance(one, dict) for one in value):
+        for k, one in enumerate(value, 1):
+            yield from _flat(one, f"{name} {k}")
+    else:
+        yield name, _in_words(value)
+
+
+def _plain(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def _in_words(value: Any) -> str:
+    """Return a setting as text for a cell of a table."""
+    if value is None or value in ({}, []):
         return MISSING
-    text = _text(value)
-    if len(text) > _LONG:
-        return f"{len(value)} × {len(value)} matrix" if _is_square(value) else f"{text[: _LONG - 1]}…"
-    return given(value) if isinstance(value, float) else text
-
-
-def _is_square(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(row, list) and len(row) == len(value) for row in value)
-
-
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-
-
-def _pretty(value: Any) -> str:
-    text = json.dumps(value, indent=1, ensure_ascii=False)
-    return _INNERMOST.sub(lambda found: f"[{' '.join(found[1].split())}]", text)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return significant(value)
+    if not isinstance(value, list):
+        return str(value)
+    if all(isinstance(row, list) for row in value):
+        shape = f"{len(value)} × {len(value[0])} matrix"
+        return shape if len({len(row) for row in value}) == 1 else f"{len(value)} lists"
+    text = ", ".join(map(_in_words, value))
+    if len(text) <= _LONG:
+        return text
+    numbers = [x for x in value if isinstance(x, int | float)]
+    if len(numbers) < len(value) or isinstance(value[0], bool):
+        return f"{len(value)} values: {text[: _LONG - 1]}…"
+    return f"{len(value)} values, {significant(min(numbers))} to {significant(max(numbers))}"

@@ -42,7 +42,7 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
         return Markup("")
     # no text in it is the user's; inside HTML an SVG has no need of an address
     svg = Markup(drawn(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
-    return svg + legend_of_parameters(parameter_names(trace), parameter_colours(found.changed), svg)
+    return svg + legend_of_parameters(parameter_names(trace), parameter_colours(found), svg)
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:

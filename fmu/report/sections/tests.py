@@ -8,12 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
+from fmu.analysis.trace.damage import (
+    ANY,
+    GROUP,
+    before_and_after,
+    before_in_words,
+    damage,
+    probably,
+    state_in_words,
+)
 from fmu.analysis.trace.modal_states import sketch_of
 from fmu.analysis.trace.reading import has
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, drawn
-from fmu.numbers import decimals, fixed, interval, share, shown, with_sd
-from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
+from fmu.numbers import MISSING, decimals, fixed, interval, share, shown, with_sd
+from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, Verdict, picture
 from fmu.report.model_view import damage_view
 from fmu.report.plots.tests import plot_losses, plot_values
 from fmu.report.run import ReportedRun
@@ -21,9 +29,12 @@ from fmu.report.sections.structure import MOST_DRAWN, legend
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 ONE_TEST = "there is one test"
 _BEYOND = (0.05, 0.1)
+_CERTAIN, _FEW = 0.9, 3
+"""Probability of a loss that the first screen states as such; parameters that a line names."""
 _STEPS = (0.1, 0.5, 0.9)
 _SCALE = (
     ("#C8C8C8", "below 10 %"),
@@ -117,52 +128,139 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     title = "Damage"
     if not has(run.trace, GROUP):
         return Omitted(title, "no parameter varies between groups of tests")
-    reference = str(run.trace[GROUP].attrs["reference"])
-    table = damage(run.trace, _BEYOND)
+    table, values = damage(run.trace, _BEYOND), before_and_after(run.trace)
     rows = []
     for (state, name), (mean, sd, low, high, *exceeded) in zip(
         table.index.tolist(), table.to_numpy().tolist(), strict=True
     ):
-        what, places = "the largest of all" if name == ANY else name, decimals(100.0 * sd)
-        ends = interval(100.0 * low, 100.0 * high, places)
-        rows.append((state, what, f"{fixed(100.0 * mean, places)} %", f"{ends} %", *map(probably, exceeded)))
-    columns = ("state", "parameter", "loss", "90 %", *(f"P(loss > {share(x)})" for x in _BEYOND))
+        places, ends = decimals(100.0 * sd), [MISSING, MISSING]
+        if name != ANY:
+            unit = shown(run.trace["tests"][name].attrs.get("units", ""))
+            both = (values.loc[(state, name)] / unit.factor).tolist()
+            ends = [f"{fixed(x, decimals(abs(both[0]) * sd))} {unit.name}".rstrip() for x in both]
+        what = "the largest of all" if name == ANY else name
+        within = interval(100.0 * low, 100.0 * high, places)
+        lost = (f"{fixed(100.0 * mean, places)} %", f"{within} %", *map(probably, exceeded))
+        rows.append((state, what, *ends, *lost))
+    columns = (
+        "state",
+        "parameter",
+        "before",
+        "after",
+        "loss",
+        "90 %",
+        *(f"P(loss > {share(x)})" for x in _BEYOND),
+    )
     words = Text(
-        f"The share of each parameter that was lost since the reference, {reference!r}, from all tests together. "
+        f"The share of each parameter that was lost since {before_in_words(run.trace)}, from all tests together. "
         "Two losses can be separated only if they change the modes differently."
     )
     worst = table.drop(index=ANY, level=1).iloc[:, 4]
     named = [f"{name} in {state}" for state, name in worst.index[worst > 0.5]]
     said = f"probably beyond {share(_BEYOND[0])}: {', '.join(named)}" if named else "none is probably beyond 5 %"
     caption = f"Median, 50 % and 90 % of each loss; red where it is probably beyond {share(_BEYOND[0])}."
-    drawn = picture(
+    picture_of = picture(
         plot_losses(run.trace, _BEYOND[0]), f"{run.name}-loss", f"Losses of stiffness: {said}.", caption
     )
-    found = PageTable("Losses", columns, tuple(rows), (1,))
-    return PageSection("damage", title, (words, Pictures((drawn,)), *_where(run, table), found))
+    found = PageTable("Losses and posterior means before and after", columns, tuple(rows), (1,))
+    return PageSection("damage", title, (words, Pictures((picture_of,)), *_where(run, table), found))
+
+
+def lost(run: ReportedRun) -> tuple[Verdict, ...]:
+    """Return what each later state lost, a line each; nothing if no parameter varies between groups of tests."""
+    if not has(run.trace, GROUP):
+        return ()
+    doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""
+    table = damage(run.trace, _BEYOND[:1]).drop(index=ANY, level=1)
+    return tuple(_lost_in(run, state, table.loc[state], doubts) for state in table.index.unique("state"))
+
+
+def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
+    """Return what one state lost: `table` has a row for each parameter."""
+    question = f"What was lost? After: {state_in_words(run.trace, state)}"
+    p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
+    by_size = table["mean"].sort_values(ascending=False).index
+    certain = [name for name in by_size if p[name] >= _CERTAIN]
+    possible = [name for name in by_size if _CERTAIN > p[name] > 0.5]
+
+    def in_words(name: str) -> str:
+        mean, sd, low, high = table.loc[name].to_numpy(dtype=float)[:4].tolist()
+        n = decimals(100.0 * sd)
+        size = "" if name in certain[:_FEW] else f" {fixed(100.0 * mean, n)} %"
+        return (
+            f"{name}{size}: 90 % interval {interval(100.0 * low, 100.0 * high, n)} %, {beyond} {_equals(p[name])}."
+        )
+
+    few = certain[:_FEW] or possible[:_FEW] or [p.idxmax()]
+    said = [in_words(name) for name in few]
+    if certain and possible:
+        said.append(f"Possible: {' '.join(in_words(name) for name in possible[:_FEW])}")
+    if not certain and not possible:
+        answer = f"No loss above {share(_BEYOND[0])} is probable"
+        return Verdict(question, answer, None, said=f"Most probable: {said[0]}{doubts}")
+    if not certain:
+        return Verdict(question, "Possibly something", None, said=" ".join(said) + doubts)
+    answer = ", ".join(f"{name} {fixed(100.0 * table.loc[name, 'mean'], 0)} %" for name in few)
+    answer += f" and {len(certain) - _FEW} more" if len(certain) > _FEW else ""
+    return Verdict(question, answer, False, said=" ".join(said) + doubts)
+
+
+def _equals(p: float) -> str:
+    """Return a probability after its sign: ``"= 32 %"``, ``"> 99 %"``."""
+    text = probably(float(p))
+    return text if text[0] in "<>" else f"= {text}"
+
+
+def damage_drawing(trace: xr.DataTree) -> Markup:
+    """Return the structure in each state in the colours of its losses; nothing without losses or geometry."""
+    if not has(trace, GROUP):
+        return Markup("")
+    drawings = _drawings(trace, damage(trace, _BEYOND[:1]))
+    each = [Markup("<div>{}<p>{}</p></div>").format(svg, state) for state, (svg, _) in drawings.items()]
+    if not each:
+        return Markup("")
+    entries = dict.fromkeys(entry for _, entries in drawings.values() for entry in entries)
+    title = Markup("<p>P(loss &gt; {})</p>").format(share(_BEYOND[0]))
+    return Markup('<div class="states">{}</div>').format(Markup("").join(each)) + title + legend(entries)
+
+
+def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup, list[tuple[str, str]]]]:
+    """Return drawing and legend by state; elements and springs have the colours of their losses."""
+    sketch = sketch_of(trace)
+    if sketch is None or len(sketch.elements) > MOST_DRAWN:
+        return {}
+    names = trace["structure"]["structural"].to_numpy().tolist()
+    found = {}
+    for state in trace[GROUP]["state"].to_numpy().tolist():
+        lost = table.loc[state].iloc[:, 4].drop(ANY)
+        of_parameters = np.array([lost.get(name, -1.0) for name in names])
+        colours = [_shade(p) for p in np.where(sketch.changed, of_parameters, -1.0).max(axis=1)]
+        without = [(UNCHANGED, "no parameter with a loss")] if UNCHANGED in colours else []
+        said = ", ".join(f"{name} {probably(float(p))}" for name, p in lost.items())
+        words = f"P(loss > {share(_BEYOND[0])}) in {state}: {said}"
+        svg = drawn(sketch, colours, words, [_shade(p) for p in of_parameters]).replace(_ADDRESS, "", 1)
+        found[str(state)] = Markup(svg), [*_SCALE, *without]
+    return found
+
+
+def _shade(p: float) -> str:
+    """Return the colour of a probability, that of what has no loss where it is negative."""
+    return UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 
 def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Part, ...]:
     """Return the structure in each state, its elements in the colours of the probabilities of their losses."""
-    sketch = sketch_of(run.trace)
-    if sketch is None or len(sketch.elements) > MOST_DRAWN:
+    sketch, drawings = sketch_of(run.trace), _drawings(run.trace, table)
+    if sketch is None or not drawings:
         return ()
-    names = run.trace["structure"]["structural"].to_numpy().tolist()
-    drawings = []
-    for state in run.trace[GROUP]["state"].to_numpy().tolist():
-        probability = np.full((len(sketch.elements), len(names)), -1.0)
-        lost = table.loc[state].iloc[:, 4].drop(ANY)
-        for name, p in lost.items():
-            probability[sketch.changed[:, names.index(name)], names.index(name)] = p
-        worst = probability.max(axis=1)
-        colours = [UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0] for p in worst]
-        without = [(UNCHANGED, "no parameter with a loss")] if UNCHANGED in colours else []
-        said = ", ".join(f"{name} {probably(float(p))}" for name, p in lost.items())
-        svg = drawn(sketch, colours, f"P(loss > {share(_BEYOND[0])}) in {state}: {said}").replace(_ADDRESS, "", 1)
+    pictures = []
+    for state, (svg, entries) in drawings.items():
         caption = (
             f"{state}: probability that more than {share(_BEYOND[0])} of an element's stiffness is lost, the "
             "largest of the parameters that change it."
         )
-        drawings.append(Picture(Markup(svg) + legend([*_SCALE, *without]), caption, round(WIDTH)))
+        svg = Markup(svg.replace("The structure:", "The damaged structure:", 1))  # the head of the page has it too
+        pictures.append(Picture(svg + legend(entries), caption, round(WIDTH)))
+    names = run.trace["structure"]["structural"].to_numpy().tolist()
     view = damage_view(sketch, names, table.iloc[:, :5].drop(index=ANY, level=1), share(_BEYOND[0]))
-    return view, Pictures(tuple(drawings))
+    return view, Pictures(tuple(pictures))

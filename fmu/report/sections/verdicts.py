@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fmu.analysis.certificate import exact_in_words
@@ -9,12 +11,14 @@ from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import at_bounds
+from fmu.analysis.trace.damage import is_loss
 from fmu.analysis.trace.reading import constant, mode_names
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
 from fmu.report.document import Verdict
 from fmu.report.plots.frequencies import frequencies_before
 from fmu.report.run import ReportedRun
 from fmu.report.sections.fit import model_fit
+from fmu.report.sections.tests import lost
 
 SOUND = "The chains agree, and every parameter has enough effective draws."
 COVERED = "All maxima found that hold at least 1 % of the probability were visited."
@@ -23,15 +27,20 @@ _FEW = 3
 
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the five lines of the first screen, in the order in which an engineer asks."""
-    names = _most_changed(run)
-    return changed(run, names), certainty(run, names), updated(run), model_fit(run), convergence(run)
+    """Return the lines of the first screen, in the order in which an engineer asks; losses first."""
+    names, losses = _most_changed(run), lost(run)
+    what = changed(run, names), certainty(run, names)
+    if losses:
+        reference = replace(what[0], question="How was the reference state corrected?")
+        return *losses, model_fit(run), reference, what[1], updated(run), convergence(run)
+    return *what, updated(run), model_fit(run), convergence(run)
 
 
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
-    """Return the names of the parameters that the data informed, the largest relative change first."""
+    """Return the names of the parameters that the data informed, the largest relative change first; no losses."""
     found = information(run.trace)
-    names = [name for name in run.names if found is None or name not in found.not_informed]
+    left = () if found is None else found.not_informed
+    names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
     return tuple(sorted(names, key=lambda name: -abs(_change(run, name))))
 
 

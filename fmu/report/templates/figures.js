@@ -199,14 +199,14 @@ class Figure {
       if (panel.x.range === this.full[k]) return;
       const inside = draw_in(this.layer, "svg", { x: panel.left, y: panel.top, width: panel.width, height: panel.height,
         viewBox: `${panel.left} ${panel.top} ${panel.width} ${panel.height}` });
-      draw_in(inside, "rect", { x: panel.left, y: panel.top, width: panel.width, height: panel.height, fill: "#ffffff" });
+      draw_in(inside, "rect", { x: panel.left, y: panel.top, width: panel.width, height: panel.height, style: "fill:var(--paper,#ffffff)" });
       panel.series.forEach((one, s) => {
         const points = [...one.x.keys()].map(i => panel.place(s, i)).filter(([x, y]) => Number.isFinite(y) && x > panel.left - panel.width && x < panel.left + 2 * panel.width);
         if (one.kind === "path") draw_in(inside, "polyline", { points: points.map(p => p.map(x => x.toFixed(1)).join()).join(" "), fill: "none", stroke: one.colour, "stroke-width": 1 });
       });
       const below = this.panels.some(other => other !== panel && other.left < panel.left + panel.width && other.left + other.width > panel.left && other.top > panel.top);
       if (below) return;
-      draw_in(this.layer, "rect", { x: panel.left - 12, y: lowest + 1, width: panel.width + 24, height: 15, fill: "#ffffff" });
+      draw_in(this.layer, "rect", { x: panel.left - 12, y: lowest + 1, width: panel.width + 24, height: 15, style: "fill:var(--paper,#ffffff)" });
       for (const t of [0, 0.5, 1])
         draw_in(this.layer, "text", { x: panel.left + t * panel.width, y: lowest + 13, "font-size": 9, "text-anchor": ["start", "middle", "end"][2 * t] },
           digits(panel.x.value(panel.left + t * panel.width)));
@@ -228,7 +228,7 @@ function svg_of(figure) {
   const svg = figure.querySelector("svg"), copy = svg.cloneNode(true), { width, height } = svg.viewBox.baseVal;
   for (const [name, value] of Object.entries({ xmlns: SVG, width: `${width}pt`, height: `${height}pt`, "font-family": "sans-serif" }))
     copy.setAttribute(name, value);
-  return new XMLSerializer().serializeToString(copy);
+  return new XMLSerializer().serializeToString(copy).replace(/var\(--\w+,\s*(#\w+)\)/g, "$1");  // outside the page no scheme is known
 }
 
 // Every figure can be kept; its data are read when they are first asked for.

@@ -1,0 +1,57 @@
+"""``[model.points]`` and ``[[model.lines]]``: what the pictures show of a structure given by its matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from fmu.config.mistakes import Mistake, got
+from fmu.config.parameters import ParameterTable
+from fmu.config.tables import Name, TomlTable
+from fmu.fem.modes.line_picture import LinePicture
+from fmu.formats.shown import names_shown
+
+
+class LineTable(TomlTable):
+    """A line of the pictures between two points, in the colours of the parameters of what it stands for."""
+
+    points: Annotated[list[Name], Field(min_length=2, max_length=2)]
+    parameters: list[Name] = []
+
+
+def mistakes_of_lines(
+    points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
+) -> list[Mistake]:
+    """Return the mistakes between lines, their points and parameters."""
+    names = [parameter.name for parameter in parameters]
+    found = []
+    for i, line in enumerate(lines):
+        at = f"model.lines.{i}"
+        for key, given, known in (("points", line.points, list(points)), ("parameters", line.parameters, names)):
+            found += [
+                Mistake(f"{at}.{key}", got(f"must name one of {names_shown(known)}", name))
+                for name in given
+                if name not in known
+            ]
+    if (points or lines) and has_mesh:
+        found.append(
+            Mistake("model.lines" if lines else "model.points", "must be left out: mesh gives the pictures")
+        )
+    elif points and not lines:
+        found.append(Mistake("model.points", "must be joined by [[model.lines]]"))
+    return found
+
+
+def picture_of(
+    points: Mapping[str, Sequence[float]], lines: Sequence[LineTable], parameters: Sequence[ParameterTable]
+) -> LinePicture | None:
+    """Return what the pictures show; None without lines."""
+    if not lines:
+        return None
+    names = list(points)
+    ends = np.array([[names.index(name) for name in line.points] for line in lines])
+    changed = np.array([[table.name in line.parameters for table in parameters] for line in lines], dtype=bool)
+    return LinePicture(names, np.array([points[name] for name in names], dtype=float), ends, changed)

@@ -1,0 +1,45 @@
+"""Lines that stand for a structure in drawings, where it is known by its matrices alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class LinePicture:
+    """Lines between named points. No mechanics follows from them.
+
+    Attributes
+    ----------
+    names : sequence of str
+        Names of the points; sensors at places of these names are drawn there.
+    points : ndarray, shape (n_points, 3), m
+    lines : ndarray of int, shape (n_lines, 2)
+    changed : ndarray of bool, shape (n_lines, n_parameters)
+        Which parameter changes what a line stands for.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit together.
+    """
+
+    names: Sequence[str]
+    points: FloatArray
+    lines: IntArray
+    changed: BoolArray
+
+    def __post_init__(self) -> None:
+        if np.shape(self.points) != (len(self.names), 3):
+            raise ValueError(f"points: must have x, y, z for each name (got shape {np.shape(self.points)})")
+        if np.shape(self.lines) != (len(self.changed), 2) or not len(self.lines):
+            raise ValueError(f"lines: must be two points for each row of changed (got {np.shape(self.lines)})")
+
+    def of(self, parameters: Sequence[int]) -> LinePicture:
+        """Return the picture for some of the parameters."""
+        return replace(self, changed=self.changed[:, list(parameters)])
