@@ -120,3 +120,16 @@ def test_masses_springs_and_arms_are_drawn():
     )
     assert [float(arrow.get(k)) for k in ("x1", "y1")] == arm[1][2:]  # the sensor is at the end of its arm
     assert arm[1][2] > arm[1][0]
+
+
+def test_springs_have_the_colour_of_their_parameter():
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], float)
+    groups = [ElementGroup("g", [(0, 1), (1, 2)], SECTION, STEEL)]
+    springs = [JointSpring("left", (0, None), {"ry": 1e6}), JointSpring("right", (2, None), {"ry": 1e6})]
+    held = {0: ("x", "y", "z", "rx", "rz"), 2: ("y", "z", "rx", "rz")}
+    updates = {"E": [("E", "g")], "k": [("stiffness", "right")]}
+    model = Frame(nodes, groups, held, springs=springs).separable(updates)
+    found = sketch(model)
+    springs_drawn = [e.get("stroke") for e in ET.fromstring(drawing(model)).iter(f"{SVG}polyline")]
+    assert springs_drawn == ["currentColor", COLOURS[1]]
+    assert parameter_colours(found) == [COLOURS[0], COLOURS[1]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -162,6 +162,14 @@ def drawn(
         f'aria-label="The structure: {html.escape(words)}" style="width:100%;max-width:{width:.0f}px">'
         f"{''.join(parts)}</svg>"
     )
+
+
+def without_sensors(structure: Sketch) -> Sketch:
+    """Return what is drawn, sensors left out."""
+    others = np.array([kind != "sensor" for kind in structure.kinds], dtype=bool)
+    kinds = tuple(kind for kind in structure.kinds if kind != "sensor")
+    places, ends, owners = structure.places[others], structure.ends[others], structure.owners[others]
+    return replace(structure, kinds=kinds, places=places, ends=ends, owners=owners)
 
 
 def element_colours(changed: BoolArray) -> list[str]:

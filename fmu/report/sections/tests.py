@@ -19,9 +19,20 @@ from fmu.analysis.trace.damage import (
 )
 from fmu.analysis.trace.modal_states import sketch_of
 from fmu.analysis.trace.reading import has
-from fmu.fem.frame.drawing import UNCHANGED, WIDTH, drawn
+from fmu.fem.frame.drawing import UNCHANGED, WIDTH, drawn, without_sensors
 from fmu.numbers import MISSING, decimals, fixed, interval, share, shown, with_sd
-from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, Verdict, picture
+from fmu.report.document import (
+    Omitted,
+    PageSection,
+    PageTable,
+    Part,
+    Picture,
+    Pictures,
+    Text,
+    Verdict,
+    View,
+    picture,
+)
 from fmu.report.model_view import damage_view
 from fmu.report.plots.tests import plot_losses, plot_values
 from fmu.report.run import ReportedRun
@@ -163,7 +174,8 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
         plot_losses(run.trace, _BEYOND[0]), f"{run.name}-loss", f"Losses of stiffness: {said}.", caption
     )
     found = PageTable("Losses and posterior means before and after", columns, tuple(rows), (1,))
-    return PageSection("damage", title, (words, Pictures((picture_of,)), *_where(run, table), found))
+    drawings, view = _where(run, table)
+    return PageSection("damage", title, (words, *drawings, Pictures((picture_of,)), found, *view))
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
@@ -229,6 +241,7 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
     sketch = sketch_of(trace)
     if sketch is None or len(sketch.elements) > MOST_DRAWN:
         return {}
+    sketch = without_sensors(sketch)
     names = trace["structure"]["structural"].to_numpy().tolist()
     found = {}
     for state in trace[GROUP]["state"].to_numpy().tolist():
@@ -248,11 +261,11 @@ def _shade(p: float) -> str:
     return UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 
-def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Part, ...]:
-    """Return the structure in each state, its elements in the colours of the probabilities of their losses."""
+def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...], tuple[View, ...]]:
+    """Return the structure in each state in the colours of its losses, and one to be turned."""
     sketch, drawings = sketch_of(run.trace), _drawings(run.trace, table)
     if sketch is None or not drawings:
-        return ()
+        return (), ()
     pictures = []
     for state, (svg, entries) in drawings.items():
         caption = (
@@ -263,4 +276,4 @@ def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[Part, ...]:
         pictures.append(Picture(svg + legend(entries), caption, round(WIDTH)))
     names = run.trace["structure"]["structural"].to_numpy().tolist()
     view = damage_view(sketch, names, table.iloc[:, :5].drop(index=ANY, level=1), share(_BEYOND[0]))
-    return view, Pictures(tuple(pictures))
+    return (Pictures(tuple(pictures)),), (view,)
