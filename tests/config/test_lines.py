@@ -65,7 +65,7 @@ def test_lines_sensors_and_colours_are_drawn(tmp_path):
 
 def test_pictures_change_no_draw(tmp_path):
     drawn, bare = load(written(tmp_path)), load(written(tmp_path, ""))
-    assert drawn.configuration == bare.configuration
+    assert drawn.configuration() == bare.configuration()
     theta = np.linspace(0.6, 1.9, 5)[:, None]
     np.testing.assert_array_equal(drawn.log_prob(theta), bare.log_prob(theta))
 
