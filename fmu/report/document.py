@@ -299,7 +299,7 @@ class Page:
     @property
     def has_basis(self) -> bool:
         """Whether there are assumptions or reasons to show."""
-        return bool(self.assumptions) or any(verdict.reasons for verdict in self.verdicts)
+        return bool(self.assumptions) or any(verdict.lists for verdict in self.verdicts)
 
 
 _CSS_PER_INCH = 96
