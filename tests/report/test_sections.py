@@ -229,9 +229,9 @@ def test_certificate_is_held_against_a_looser_promise(hmc):
 def test_settings_show_what_was_learnt_and_where_it_comes_from(hmc):
     section = origin.settings(hmc)
     rows = {row["setting"]: row for row in table(section)}
-    assert rows["step_size"]["given"] == "–"
-    assert number(rows["step_size"]["after warm-up"]) > 0
-    assert rows["inverse_mass"]["after warm-up"] == "5 × 5 matrix"
+    assert rows["step size"]["given"] == "–"
+    assert number(rows["step size"]["after warm-up"]) > 0
+    assert rows["inverse mass"]["after warm-up"] == "5 × 5 matrix"
     about = {row["quantity"]: row["value"] for row in table(section, "The run")}
     assert about["seed"] == "1"
     assert about["configuration hash (SHA-256)"] == hmc.trace.attrs["configuration_hash"]
