@@ -24,7 +24,7 @@ from fmu.report.run import ReportedRun, runs_of
 from fmu.report.sections import comparison, of_a_sampler, origin, updating
 from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import damage_drawing
-from fmu.report.sections.verdicts import verdicts
+from fmu.report.sections.verdicts import of_the_model, verdicts
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -130,9 +130,8 @@ def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
     """Return the verdicts on the samplers, and what one of them says of the model: its page has the reasons."""
     told = _told(compared.runs)
-    changed, sure, _, fit, _ = verdicts(told)
     by = f"From the draws of {told.title}."
-    others = (replace(one, reasons=(), said=f"{one.said} {by}".strip()) for one in (changed, sure, fit))
+    others = (replace(one, reasons=(), said=f"{one.said} {by}".strip()) for one in of_the_model(told))
     return *comparison.verdicts_on_samplers(compared), *others
 
 

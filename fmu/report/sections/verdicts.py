@@ -11,8 +11,9 @@ from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import at_bounds
+from fmu.analysis.trace.damage import GROUP as LOSSES
 from fmu.analysis.trace.damage import is_loss
-from fmu.analysis.trace.reading import constant, mode_names
+from fmu.analysis.trace.reading import constant, has, mode_names
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
 from fmu.report.document import Verdict
 from fmu.report.plots.frequencies import frequencies_before
@@ -28,12 +29,20 @@ _FEW = 3
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
     """Return the lines of the first screen, in the order in which an engineer asks; losses first."""
+    *what, fit = of_the_model(run)
+    if not has(run.trace, LOSSES):
+        return *what, updated(run), fit, convergence(run)
+    *losses, reference, sure = what
+    return *losses, fit, reference, sure, updated(run), convergence(run)
+
+
+def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
+    """Return what was lost, if anything can be, what else changed, how sure that is, and whether the model fits."""
     names, losses = _most_changed(run), lost(run)
-    what = changed(run, names), certainty(run, names)
+    what = changed(run, names)
     if losses:
-        reference = replace(what[0], question="How was the reference state corrected?")
-        return *losses, model_fit(run), reference, what[1], updated(run), convergence(run)
-    return *what, updated(run), model_fit(run), convergence(run)
+        what = replace(what, question="How was the reference state corrected?")
+    return *losses, what, certainty(run, names), model_fit(run)
 
 
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
