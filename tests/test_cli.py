@@ -154,11 +154,10 @@ def test_run_prints_the_tables_and_nothing_else(ran):
     assert lines[0] == "Posterior maxima"
     assert lines[1].split() == ["maximum", "unit", "before", "1", "measured"]
     at = lines.index("mh")
-    assert all(
-        column in lines[at + 1] for column in ("mean", "sd", "eti90_lb", "rhat", "ess_tail", "unit", "from")
-    )
+    assert all(column in lines[at + 1] for column in ("mean", "sd", " 5 %", "R-hat", "tail ESS", "unit", "from"))
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
-    assert any(line.startswith("n_solves") for line in lines)
+    assert any(line.startswith("solves ") for line in lines)
+    assert not any(re.search(r"[a-z]_[a-z]", line) for line in lines)
     assert any(re.match(r"mh  not converged: E\d: R-hat is ", line) for line in lines)
     assert any(line.startswith("The model, from the draws of mh (not converged)") for line in lines)
     assert lines[-1] == "Written to here"
@@ -257,6 +256,8 @@ def test_sampling_on_until_there_is_enough(converged):
     out, result = converged
     assert "Stopped" not in result.stdout
     assert "hmc  converged" in result.stdout.splitlines()
+    assert any(re.match(r"Next: fmu export \S+ writes the updated values and model\.", line) for line in
+               result.stdout.splitlines())  # fmt: skip
     trace = fmu.load_trace(out / "hmc.nc")
     assert 50 < trace["posterior"].sizes["draw"] <= 1600
     assert trace["warmup_posterior"].sizes["draw"] == 200
@@ -301,10 +302,11 @@ def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(converged,
 
 def test_numbers_that_do_not_apply_are_dashes(invoke):
     result = invoke("run", "cantilever-young", *SHORT, "--chains", 1)
-    rows = {line.split()[0]: line.split()[-1] for line in result.stdout.splitlines() if line}
+    lines = [line.split() for line in result.stdout.splitlines() if line]
+    rows = {" ".join(line[:-1]): line[-1] for line in lines}
     assert rows["divergences"] == "–"
-    assert rows["rhat_max"] == "–"
-    assert rows["n_gradients"] == "0"
+    assert rows["largest R-hat"] == "–"
+    assert rows["gradients"] == "0"
 
 
 @pytest.mark.parametrize(
@@ -481,6 +483,12 @@ def test_paper_hands_over_the_directory(invoke, monkeypatch, tmp_path):
     assert result.exit_code == 0
     assert calls == [(tmp_path / "tables", None)]
     assert result.stdout == f"Written to {tmp_path / 'tables'}\n"
+
+
+def test_commands_are_listed_in_the_order_of_their_use(invoke):
+    listed = re.findall(r"^  (\w+)  ", invoke("--help").stdout.split("Commands:")[1], flags=re.MULTILINE)
+    assert listed[:5] == ["cases", "init", "schema", "check", "run"]
+    assert listed.index("run") < listed.index("compare") < listed.index("export") < listed.index("paper")
 
 
 def test_command_alone_prints_the_help(invoke):

@@ -23,6 +23,10 @@ _SLOW_S = 0.005
 _OVERHEAD_S = 1e-4  # of a step beside a solve
 _PROBES, _PROBE_S = 5, 0.04
 _CERTIFIED = 64  # as long as so many full solves
+_WORTH_S = 60.0
+_NEAR = (
+    0.1  # part of the way from the start to a prior draw, where the reduced model answers as it does in the run
+)
 _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 
@@ -38,7 +42,8 @@ class Estimate(NamedTuple):
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
     """Return the estimated cost of the parts of a run: each sampler, and every other part of more than a second.
 
-    Empty if the whole run takes less than a second.
+    Empty if the whole run takes less than a minute: then progress bars say all, and a machine that is busy makes
+    the estimate wrong.
 
     Parameters
     ----------
@@ -85,17 +90,20 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         full_s = _timed(lambda: problem.model.full_frequencies(problem.start[None, : problem.n_structural]))
         of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
         found += [of_each] * len(orders["samplers"])
-    if sum(part.seconds for part in found) < 1.0:
+    if sum(part.seconds for part in found) < _WORTH_S:
         return []
     samplers = set(orders["samplers"])
     return [part for part in found if part.name in samplers or part.seconds >= 1.0]
 
 
 def estimates_in_words(parts: list[Estimate]) -> str:
-    """Return the estimates in one line: ``hmc: about 36 000 solves, 12 s (at most 2 000 000, 11 min)``."""
+    """Return the estimates in one line: ``hmc: about 36 000 solves, 12 min (at most 2 000 000 solves)``.
+
+    How long the most solves would take is not said: it is no estimate of the run.
+    """
     found = []
     for name, solves, seconds, most in parts:
-        longest = "" if most is None else f" (at most {whole(most)}, {time_in_words(seconds * most / solves)})"
+        longest = "" if most is None else f" (at most {whole(most)} solves)"
         found.append(f"{name}: about {_rounded(solves)} solves, {time_in_words(seconds)}{longest}")
     return "; ".join(found)
 
@@ -157,9 +165,9 @@ def _seconds_in_a_sampler(
     rng = np.random.default_rng(0)
     chains = orders["chains"] // n_groups(orders["groups"], orders["chains"], settings)
     shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
-    theta = problem.sample_prior(rng, chains * settings.walkers).reshape(shape)
+    near = problem.start + _NEAR * (problem.sample_prior(rng, chains * settings.walkers) - problem.start)
     phase, steps = (WARMUP, warmup) if warmup else (DRAWS, draws)
-    group = GroupState.at(context.scaled.to_scaled(theta), rng)
+    group = GroupState.at(context.scaled.to_scaled(near.reshape(shape)), rng)
     each_s = []
     for _ in range(_PROBES):
         began = time.perf_counter()

@@ -21,6 +21,10 @@ STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 class Commands(click.Group):
     """A group of commands that end with an exit code, and with one line where there is an error."""
 
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order in which they are used."""
+        return list(self.commands)
+
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run a command and exit with its code."""
         try:

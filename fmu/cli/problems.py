@@ -135,6 +135,9 @@ def check(case: str, pairing: str | None, draws: int, seed: int, out: Path | Non
     found = check(problem, draws, seed)
     click.echo(found)
     click.echo(f"\nWritten to {write_check(found, directory)}")
+    first = "Look into the warnings first. " if found.doubts else ""
+    option = "" if pairing is None else f" --pairing {pairing}"
+    click.echo(f"Next: {first}fmu run {case}{option} samples the posterior.")
 
 
 COMMANDS = (cases, init, schema, check)

@@ -9,6 +9,7 @@ import click
 from fmu.cli import damage
 from fmu.progress import progress_bars
 
+_UPDATED = "updated.toml"
 _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
 
 
@@ -44,6 +45,10 @@ def export(directory: Path, sampler: str | None, at: str, out: Path | None, mode
     for remark in written.remarks:
         click.echo(f"Warning: {remark}", err=True)
     click.echo(f"Written to {written.directory}: {', '.join(written.files)}")
+    if _UPDATED in written.files:
+        click.echo(
+            f"Next: fmu check {written.directory / _UPDATED} compares the updated model with the measurement."
+        )
 
 
 @click.command()

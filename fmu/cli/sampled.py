@@ -241,6 +241,8 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     for name, trace in traces.items() if orders.get("exact") else ():
         click.echo("\n" + " ".join([f"{name}:", *exact_in_words(trace.attrs)]))
     click.echo(f"\nWritten to {directory}")
+    if verdicts[told].converged:
+        click.echo(f"Next: fmu export {directory} writes the updated values and model.")
     if orders["draws"] is not None:
         return 0
     least = orders["until_ess"] or 0.0

@@ -22,6 +22,14 @@ _DECIMALS = {
     "rhat": 4, "rhat_max": 4, "ess_bulk": 0, "ess_tail": 0, "ess_bulk_min": 0, "ess_tail_min": 0, "wall_s": 1,
 }  # fmt: skip
 _WORDS = ("", "unit", "from")
+_IN_WORDS = {
+    "eti90_lb": "5 %", "eti90_ub": "95 %", "rhat": "R-hat", "ess_bulk": "bulk ESS", "ess_tail": "tail ESS",
+    "mcse_mean": "MCSE", "rhat_max": "largest R-hat", "ess_bulk_min": "smallest bulk ESS",
+    "ess_tail_min": "smallest tail ESS", "mcse_over_sd_max": "largest MCSE / sd", "accept_rate": "acceptance rate",
+    "n_solves": "solves", "n_gradients": "gradients", "gradient_cost": "solves that a gradient costs",
+    "wall_s": "time, s", "ess_per_solve": "ESS per solve", "ess_per_s": "ESS per second",
+}  # fmt: skip
+"""Columns of `fmu.summary` and `fmu.compare` as they are printed; others are printed as they are called."""
 _MOST_ROWS = 40
 """Of the table of maxima."""
 
@@ -59,7 +67,8 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     if found is not None:
         columns["from"] = [found.basis[found.names.index(name)] for name in table.index]
     rows = list(zip(*columns.values(), strict=True))
-    text = text_table(list(columns), rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
+    header = [_IN_WORDS.get(column, column) for column in columns]
+    text = text_table(header, rows, words=[i for i, column in enumerate(columns) if column in _WORDS])
     width = max(map(len, table.index))
     lines = [click.style(line, dim=True) if line[:width].strip() in dim else line for line in text.splitlines()]
     if n_scores:
@@ -93,7 +102,9 @@ def echo_comparison(
 
     _, verdicts, table = judged(traces, summaries=summaries)
     columns = table.drop(columns="verdict")
-    rows = [[str(name), *(_cell(str(name), value) for value in columns[name])] for name in columns]
+    rows = [
+        [_IN_WORDS.get(name, name), *(_cell(name, value) for value in columns[name])] for name in map(str, columns)
+    ]
     click.echo(text_table(["", *map(str, table.index)], rows))
     if with_verdicts:
         click.echo()

@@ -44,7 +44,7 @@ def test_a_function_is_timed_and_its_workers_share(problem, monkeypatch):
 def test_a_reduced_model_is_timed_in_the_sampler(monkeypatch):
     monkeypatch.setattr("fmu.analysis.estimate.time.perf_counter", time.process_time)  # the machine may be busy
     two = fmu.cases.load("shear-2dof")
-    long = ORDERS | {"samplers": ["mh"], "draws": 1_000_000}
+    long = ORDERS | {"samplers": ["mh"], "draws": 10_000_000}
     only, *_ = estimates(two, long, 16, 1)
     assert only.name == "mh"
     assert 1e-6 < only.seconds / only.solves < 0.01
@@ -52,10 +52,23 @@ def test_a_reduced_model_is_timed_in_the_sampler(monkeypatch):
 
 
 def test_in_words():
-    parts = [Estimate("hmc", 36123.0, 12.3), Estimate("certificate", 64.0, 0.2), Estimate("mh", 7.0, 11_880.0)]
+    hmc, mh = Estimate("hmc", 36123.0, 12.3, 2_000_000), Estimate("mh", 7.0, 11_880.0)
+    parts = [hmc, Estimate("certificate", 64.0, 0.2), mh]
     assert estimates_in_words(parts) == (
-        "hmc: about 36 000 solves, 12 s; certificate: about 64 solves, under 1 s; mh: about 7 solves, 3.3 h"
+        "hmc: about 36 000 solves, 12 s (at most 2 000 000 solves); certificate: about 64 solves, under 1 s; "
+        "mh: about 7 solves, 3.3 h"
     )
+
+
+@pytest.mark.parametrize(("each_s", "said"), [(0.0003, []), (0.03, ["mixture"])])
+def test_a_run_of_seconds_is_not_announced(each_s, said, monkeypatch):
+    """Nor is it said how long the most solves would take: hours, before seconds of sampling."""
+    monkeypatch.setattr("fmu.analysis.estimate._seconds_in_a_sampler", lambda *_: each_s)
+    young = fmu.cases.load("cantilever-young")
+    orders = ORDERS | {"samplers": ["mixture"], "draws": None, "warmup": None, "max_solves": 2_000_000}
+    parts = estimates(young, orders, 256, 1)
+    assert [part.name for part in parts if part.name != "certificate"] == said
+    assert " h" not in estimates_in_words(parts)
 
 
 def test_a_gradient_is_timed_against_a_log_probability_on_a_busy_machine(monkeypatch):

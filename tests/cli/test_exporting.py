@@ -34,6 +34,7 @@ def test_a_run_keeps_what_its_export_needs(invoke, folder):
     result = invoke("export", "out")
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("Written to out/export: K.mtx, ")
+    assert result.stdout.splitlines()[-1].startswith("Next: fmu check out/export/updated.toml ")
     assert fmu.load(folder / "out" / "export" / "updated.toml").start[0] == pytest.approx(0.89, abs=0.03)
 
 

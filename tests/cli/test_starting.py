@@ -45,10 +45,11 @@ def test_the_path_of_a_user_with_a_structure(invoke, tmp_path):
     assert result.exit_code == 0, result.output
     assert "moves no sensor" in result.stdout
     assert "The gradient agrees with central differences" in result.stdout
-    assert result.stdout.splitlines()[-3:] == [
+    assert result.stdout.splitlines()[-4:] == [
         "No warnings.",
         "",
         "Written to check/beam/index.html",
+        "Next: fmu run beam.toml samples the posterior.",
     ]
     page = (tmp_path / "check" / "beam" / "index.html").read_text(encoding="utf-8")
     assert "k feet" in page
