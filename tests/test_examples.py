@@ -6,13 +6,17 @@ import runpy
 import shlex
 import subprocess
 import sys
+import tomllib
 import types
 from pathlib import Path
+from typing import Annotated
 
 import click
 import pytest
+from pydantic import TypeAdapter
 
 from fmu.cli import main
+from fmu.config.problem import ProblemFile
 from fmu.config.template import template
 
 ROOT = Path(__file__).parent.parent
@@ -45,10 +49,18 @@ def names(pages):
 
 def test_every_block_is_of_a_kind_that_is_tested():
     kinds = {kind for page in PAGES for kind in re.findall(r"^```(\S+)\n", page.read_text("utf-8"), re.MULTILINE)}
-    assert {kind for kind in kinds if kind[0] != "{"} <= {"python", "sh", "text"}
+    assert {kind for kind in kinds if kind[0] != "{"} <= {"python", "sh", "text", "toml"}
     assert {"README.md", "own-structure.md", "own-error-model.md", "own-sampler.md"} < set(
         names(with_blocks("python"))
     )
+
+
+@pytest.mark.parametrize("page", with_blocks("toml"), ids=lambda page: page.name)
+def test_tables_of_problem_files_are_valid(page):
+    for block in blocks(page, "toml"):
+        for key, table in tomllib.loads(block).items():
+            field = ProblemFile.model_fields[key]
+            TypeAdapter(Annotated[field.annotation, field]).validate_python(table)
 
 
 IN_ONE_PROCESS = [p for p in with_blocks("python") if p.name not in ("CONTRIBUTING.md", "cluster.md")]

@@ -87,7 +87,7 @@ def paired_model(
             model,
             pairing=pairing,
             numbers=data.numbers,
-            counts_rigid=data.counts_rigid is not False,
+            elastic_from_hz=None if data.counts_rigid else float(np.min(data.frequencies_hz)),
             sensors=data.sensors,
             reference=start,
             shapes=shapes,

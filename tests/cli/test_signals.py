@@ -13,7 +13,7 @@ def test_a_signal_stops_with_what_was_drawn(folder, whole, at_keep):
     stopped = run(*of("mh"))
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert stopped.exit_code == 130, stopped.output
-    assert stopped.stdout == ""
+    assert "converged" not in stopped.stdout  # the maxima were told, and no verdict
     *_, last = stopped.stderr.splitlines()
     assert last == "Stopped: mh after 6 of 15 draws. To resume: fmu run --resume out"
     assert_usable(folder / "out", 6)  # a step after it was kept

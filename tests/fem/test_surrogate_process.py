@@ -33,14 +33,16 @@ def test_it_predicts_a_smooth_function_within_what_it_expects(process):
     assert np.mean(error**2 / variance) < 4.0
 
 
-def test_derivatives_are_those_of_values_and_variances(process):
+def test_derivatives_are_those_of_values_and_variances(points):
+    process = Process(points[:12], values(points[:12]))  # with many more, variances are of the size of rounding
+    process.most = np.inf
     x, h = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 3)), 1e-3
     _, _, slopes, by_variance = process.predict_with_slopes(x)
+    scale = np.max(np.abs(by_variance))
     for j in range(3):
         ahead, behind = (process.predict(x + sign * h * np.eye(3)[j]) for sign in (1.0, -1.0))
         np.testing.assert_allclose(slopes[:, :, j], (ahead[0] - behind[0]) / (2 * h), atol=1e-5)
-        scale = np.max(np.abs(by_variance)) + 1e-12
-        np.testing.assert_allclose(by_variance[:, :, j], (ahead[1] - behind[1]) / (2 * h), atol=0.02 * scale)
+        np.testing.assert_allclose(by_variance[:, :, j], (ahead[1] - behind[1]) / (2 * h), atol=1e-3 * scale)
 
 
 def test_a_row_of_a_batch_has_the_bits_of_a_single_point(process):

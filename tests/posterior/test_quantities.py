@@ -19,7 +19,7 @@ def chain(*errors, free=False):
         mass=[(np.eye(2), "mu")],
         dofs=[(0, "x"), (1, "x")],
     )
-    data = fmu.ModalData([4.2, 10.8], sd_hz=[0.01, 0.02])
+    data = fmu.ModalData([4.2, 10.8], sd_hz=[0.01, 0.02], numbers=(1, 2))
     parameters = [
         fmu.Parameter("k1", 5.7e7, 1e7, 1e8),
         fmu.Parameter("k2", 1.7e7, 5e6, 5e7),

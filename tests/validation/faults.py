@@ -597,7 +597,7 @@ IN_THE_VERDICT = (
     Fault(
         "verdict: one chain is enough",
         "fmu/analysis/convergence/diagnostics.py",
-        "if chains < needed:",
+        "if chains < needed and not few_ensembles(trace):",
         "if chains < 1:",
         DIAGNOSTICS,
     ),
@@ -632,8 +632,8 @@ IN_THE_VERDICT = (
     Fault(
         "E-BFMI: upside down",
         "fmu/analysis/convergence/effective.py",
-        'return np.asarray(_arviz("bfmi", energy))',
-        'return 1.0 / np.asarray(_arviz("bfmi", energy))',
+        "return np.mean(np.diff(energy, axis=1) ** 2, axis=1) / np.var(energy, axis=1, ddof=1)",
+        "return np.var(energy, axis=1, ddof=1) / np.mean(np.diff(energy, axis=1) ** 2, axis=1)",
         ("tests/analysis/test_movement.py", *DIAGNOSTICS),
     ),
 )
@@ -777,8 +777,8 @@ IN_SURROGATES = (
     Fault(
         "surrogate: lower instead of upper limit of its error",
         "fmu/surrogates/error_limits.py",
-        "chi2.ppf(1.0 - LEVEL, freedom)",
-        "chi2.ppf(LEVEL, freedom)",
+        "gammaincinv(0.5 * freedom, 1.0 - LEVEL)",
+        "gammaincinv(0.5 * freedom, LEVEL)",
         ("tests/surrogates/test_error_limits.py",),
     ),
     Fault(

@@ -218,7 +218,7 @@ def about_solves(solves: float) -> str:
     """Return a number of solves in three digits."""
     if np.isnan(solves):
         return "not met"
-    return whole(float(f"{solves:.3g}")) if solves >= 100 else significant(solves)
+    return whole(round(solves, 2 - int(np.log10(solves)))) if solves >= 100 else significant(solves)
 
 
 def _search(traces: Mapping[str, xr.DataTree]) -> float:

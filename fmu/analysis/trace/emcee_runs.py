@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.numbers import share
 from fmu.types import BoolArray, FloatArray
 
 _THINNED = 1.02
@@ -76,10 +77,11 @@ class StoredEnsemble:
         if thin_by > 1:
             return None
         if changed.sum() > _THINNED * self.accepted.sum() + self.chain.shape[1]:
-            share = self.accepted.sum() / (changed.size + changed.shape[1])
+            accepted = self.accepted.sum() / (changed.size + changed.shape[1])
             warnings.warn(
                 f"thin_by: must be that of run_mcmc, or too few evaluations are counted: walkers moved in "
-                f"{changed.mean():.0%} of the stored steps, but emcee accepted {share:.0%} of them (got 1)",
+                f"{share(float(changed.mean()))} of the stored steps, but emcee accepted {share(float(accepted))} of them "
+                "(got 1)",
                 stacklevel=4,
             )
             return None

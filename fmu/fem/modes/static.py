@@ -10,6 +10,7 @@ import numpy as np
 from fmu.fem.modes.modal import CoefficientMap, single_thread
 from fmu.fem.modes.separable import SeparableModel, coefficients, weighted_sum
 from fmu.fem.modes.solver import factorised
+from fmu.numbers import significant
 from fmu.types import FloatArray
 
 TRANSLATIONS = ("x", "y", "z")
@@ -136,7 +137,7 @@ class StaticDisplacement:
                 if self.n_solves + n > _MOST:
                     raise ValueError(
                         f"static: the displacement by a reduced stiffness must agree with the full one to "
-                        f"{_CONVERGED:.0e} (got {self.error:.1e} after {self.n_solves} solves); narrow the bounds"
+                        f"{significant(_CONVERGED)} (got {significant(self.error)} after {self.n_solves} solves); narrow the bounds"
                     )
                 n *= 2
 

@@ -293,7 +293,7 @@ class PairedStructure(ModalModel):
         *,
         pairing: str,
         numbers: tuple[int, ...],
-        counts_rigid: bool = True,
+        elastic_from_hz: float | None = None,
         sensors: tuple[tuple[Any, str], ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
@@ -312,8 +312,9 @@ class PairedStructure(ModalModel):
             gives all modes that might have answered.
         numbers : tuple of int
             Number (from 1) of each measured mode.
-        counts_rigid : bool
-            Whether they count the rigid-body modes of a free structure; if not, 1 is the first elastic mode.
+        elastic_from_hz : float, optional
+            The lowest measured frequency, where 1 is the number of the first elastic mode: modes at a vanishing
+            share of it are the rigid-body modes of a free structure. If not given, the numbers count these too.
         sensors : tuple of (node, direction)
             What was measured; all translations if empty.
         reference : ndarray, shape (n_parameters,)
@@ -343,7 +344,9 @@ class PairedStructure(ModalModel):
         rule: IndexPairing | ShapePairing
         if pairing == "index":
             with single_thread():
-                n_rigid = 0 if counts_rigid else count_rigid(full, reference, n_modes)
+                n_rigid = 0
+                if elastic_from_hz is not None:
+                    n_rigid = count_rigid(full, reference, n_modes, elastic_from_hz)
             numbers = tuple(number + n_rigid for number in numbers)
             rule = IndexPairing(numbers, n_rigid)
             if max(numbers) > full.n_modes:

@@ -21,6 +21,8 @@ SPARE = 3
 """How many modes beyond the highest reference of a block may be candidates."""
 SOFTNESS = 0.02
 """Temperature τ of the weights exp(MAC/τ): a shape that is nothing like the measured one costs 1/τ = 50 nats."""
+_FAR_BELOW = 1e-3
+"""Share of the lowest measured frequency below which a mode is a rigid-body mode."""
 AT_ONCE = 16
 """Points whose shapes are compared at once: it bounds the memory."""
 
@@ -335,11 +337,16 @@ def reference_modes(
         count = min(2 * count, n_total)
 
 
-def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int) -> int:
-    """Return how many rigid-body modes lie below the elastic ones at theta (n_parameters,)."""
+def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
+    """Return how many rigid-body modes lie below the elastic ones at theta (n_parameters,).
+
+    Beside a very stiff spring every other mode is of a vanishing share of the highest frequency. A rigid-body mode
+    is one of a measured frequency too, `elastic_hz`, if that is given.
+    """
     count = min(n_modes + 7, model.n_modes)  # six at most, and one that is elastic
     lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
-    return int(np.sum(is_rigid(lam)))
+    is_far_below = lam <= (_FAR_BELOW * 2.0 * np.pi * elastic_hz) ** 2
+    return int(np.sum(is_rigid(lam) & is_far_below))
 
 
 def assign(mac: FloatArray) -> IntArray:
