@@ -80,8 +80,8 @@ class StoredEnsemble:
             accepted = self.accepted.sum() / (changed.size + changed.shape[1])
             warnings.warn(
                 f"thin_by: must be that of run_mcmc, or too few evaluations are counted: walkers moved in "
-                f"{share(float(changed.mean()))} of the stored steps, but emcee accepted {share(float(accepted))} of them "
-                "(got 1)",
+                f"{share(float(changed.mean()))} of the stored steps, but emcee accepted {share(float(accepted))} "
+                "of them (got 1)",
                 stacklevel=4,
             )
             return None

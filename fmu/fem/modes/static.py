@@ -137,7 +137,8 @@ class StaticDisplacement:
                 if self.n_solves + n > _MOST:
                     raise ValueError(
                         f"static: the displacement by a reduced stiffness must agree with the full one to "
-                        f"{significant(_CONVERGED)} (got {significant(self.error)} after {self.n_solves} solves); narrow the bounds"
+                        f"{significant(_CONVERGED)} (got {significant(self.error)} after {self.n_solves} solves); "
+                        "narrow the bounds"
                     )
                 n *= 2
 
