@@ -87,7 +87,7 @@ def paired_model(
             model,
             pairing=pairing,
             numbers=data.numbers,
-            elastic_from_hz=None if data.counts_rigid else float(np.min(data.frequencies_hz)),
+            elastic_from_hz=None if data.counts_rigid else float(np.asarray(data.frequencies_hz).min()),
             sensors=data.sensors,
             reference=start,
             shapes=shapes,
