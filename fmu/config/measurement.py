@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -33,7 +33,7 @@ from fmu.fem.pairing.matching import Matching
 from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
-from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, Place, Sensors
+from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, ModesFormat, Place, Sensors
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
@@ -62,14 +62,14 @@ _FILES = ("file", "deck")
 """Arguments of readers that name files."""
 
 
-def _of_reader(key: str, read: Callable[..., Any]) -> Any:
-    table = declared(key, read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
+def _of_reader(key: str, form: ModesFormat) -> Any:
+    table = declared(key, form.read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
     return table | None, Field(None, description=table.__doc__)
 
 
-@with_keys({key: _of_reader(key, read) for key, read in READERS.items()})
+@with_keys({key: _of_reader(key, form) for key, form in READERS.items()})
 class MeasurementTable(TomlTable):
-    """The modes measured: ``frequencies``, ``tests``, ``tests_file``, ``file``, ``uff``, ``oma`` or ``f06``.
+    """The modes measured: ``frequencies``, ``tests``, ``tests_file``, ``file``, or a table of a format.
 
     The frequency errors are given by ``sd`` in Hz, ``beta`` = 1/(2 sd²) or ``covariance`` in Hz², which replace
     those of a file. ``tests`` are repeated tests, one row per test, nan where it missed a mode; their scatter
@@ -150,7 +150,7 @@ class MeasurementTable(TomlTable):
             raise ValueError("sensors must not be given together with shapes_file, which defines them")
         if self._reads_shapes and shapes:
             raise ValueError(f"shapes must not be given together with {given[0]}, which defines them")
-        if self._reads_shapes and not self.sensors and "sensors" in required(READERS[given[0]]):
+        if self._reads_shapes and not self.sensors and "sensors" in required(READERS[given[0]].read):
             raise ValueError(f"sensors must be given with {given[0]}, one per channel")
         self._check_lengths()
         return self
@@ -172,7 +172,7 @@ class MeasurementTable(TomlTable):
     @property
     def _reads_shapes(self) -> bool:
         """Whether the source has shapes too, at sensors that its reader may be given."""
-        return self._source in READERS and "sensors" in arguments(READERS[self._source])
+        return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[Mistake]:
         """Return a mistake if the size of the frequency errors is given neither here nor by an error model."""

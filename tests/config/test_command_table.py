@@ -74,7 +74,11 @@ def folder_of(path, text=TOML):
         ('inputs = ["solver.py"]', "timeout = 0", "model.timeout: must be greater than 0 (got 0)"),
         ('inputs = ["solver.py"]', "retries = -1", "model.retries: must be greater than or equal to 0 (got -1)"),
         ('inputs = ["solver.py"]', 'reader = "calculix"', "model.frequencies: must be given, or a reader instead"),
-        ('inputs = ["solver.py"]', 'reader = "ansys"', "model.reader: must be 'calculix' (got 'ansys')"),
+        (
+            'inputs = ["solver.py"]',
+            'reader = "ansys"',
+            "model.reader: must be 'uff', 'oma', 'f06' or 'calculix' (got 'ansys')",
+        ),
         ('inputs = ["solver.py"]', "shell = true", "model.shell: is not a known key"),
         ('name = "k2"', 'name = "k3"', "model.template: line 2: {k2:.17g} must name one of k1, k3"),
         ('name = "k2"', 'name = "k2"\nproperty = "E"', "parameters.1.property: is allowed for frames only"),

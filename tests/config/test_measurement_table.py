@@ -215,7 +215,7 @@ def test_result_of_pyoma(problem, folder):
 
 
 BROKEN = {
-    "": "measurement: must have one of frequencies, tests, tests_file, file, uff, oma, f06 (got [])",
+    "": "measurement: must have one of frequencies, tests, tests_file, file, uff, oma, f06, calculix (got [])",
     'frequencies = [3.1]\nsd = 0.1\nfile = "modes.csv"': "measurement: must have one of frequencies, tests,",
     "frequencies = [3.1, 9.8]": "measurement: must have either sd or beta or covariance (got [])",
     "frequencies = [3.1, 9.8]\nsd = 0.1\nbeta = 1.0": "measurement: must have either sd or beta or covariance",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from fmu.formats.modes.calculix import read_calculix
+from fmu.formats.modes.calculix import computed_calculix
 
 TABLE = """
      E I G E N V A L U E   O U T P U T
@@ -59,17 +59,17 @@ def write(tmp_path):
 
 
 def test_frequencies_and_shapes_at_the_sensors(write):
-    frequencies, shapes = read_calculix(write(TABLE + SHAPES), SENSORS)
+    frequencies, shapes = computed_calculix(write(TABLE + SHAPES), SENSORS)
     assert_array_equal(frequencies, [10.87610, 54.25733])
     assert_array_equal(shapes, [[0.44, -0.6674717], [-0.4471053, -0.6674717], [-4.517074e-114, 1.300175e-14]])
 
 
 def test_without_sensors_there_are_no_shapes(write):
-    assert read_calculix(write(TABLE))[1] is None
+    assert computed_calculix(write(TABLE))[1] is None
 
 
 def test_the_last_step_counts(write):
-    assert read_calculix(write(TABLE.replace("0.1087610E+02", "0.1E+01") + SHAPES + TABLE))[0][0] == 10.87610
+    assert computed_calculix(write(TABLE.replace("0.1087610E+02", "0.1E+01") + SHAPES + TABLE))[0][0] == 10.87610
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_the_last_step_counts(write):
 )
 def test_what_is_missing_is_told(write, text, said):
     with pytest.raises(ValueError, match=said):
-        read_calculix(write(text), SENSORS)
+        computed_calculix(write(text), SENSORS)
 
 
 def test_no_file(tmp_path):
     with pytest.raises(ValueError, match=r"no such file"):
-        read_calculix(tmp_path / "job.dat")
+        computed_calculix(tmp_path / "job.dat")
 
 
 def test_numbers_are_finite_or_told_by_the_model(write):
-    assert np.isnan(read_calculix(write(TABLE.replace("0.1087610E+02", "NaN")))[0][0])
+    assert np.isnan(computed_calculix(write(TABLE.replace("0.1087610E+02", "NaN")))[0][0])

@@ -82,3 +82,52 @@ def test_broken_files_are_refused(tmp_path, change, options, message):
     (tmp_path / "a.f06").write_text(MSC.replace(*change))
     with pytest.raises(ModesError, match=message):
         read_f06(tmp_path / "a.f06", **{"sensors": [(7, "x")], **options})
+
+
+MYSTRAN = """\
+ MYSTRAN Version 18.0.0   APR 20 2026 MYSTRAN developed by Dr Bill Case
+
+                                            R E A L   E I G E N V A L U E S
+    MODE  EXTRACTION      EIGENVALUE           RADIANS              CYCLES            GENERALIZED   GENERALIZED
+   NUMBER   ORDER                                                                        MASS        STIFFNESS
+        1       1      0.000000E+00        0.000000E+00        0.000000E+00        1.000000E+00        0.000000E+00
+        2       2      5.526178E+04        2.350782E+02        3.741386E+01        1.000000E+00        5.526178E+04
+
+ OUTPUT FOR EIGENVECTOR        1
+
+                                                         E I G E N V E C T O R
+                                              (in global coordinate system at each grid)
+           GRID     COORD      T1            T2            T3            R1            R2            R3
+                     SYS
+              2        0  1.0           0.0           1.469285E-01  1.488433E-01 -9.498478E-01  0.0
+
+                         ------------- ------------- ------------- ------------- ------------- -------------
+                MAX* :    1.497977E-20  3.329834E-20  5.151302E-01  1.488433E-01  0.0           1.131326E-19
+
+ OUTPUT FOR EIGENVECTOR        1
+
+                                     S I N G L E   P O I N T   C O N S T R A I N T   F O R C E S
+              2        0  9.0           9.0           9.0           9.0           9.0           9.0
+ OUTPUT FOR EIGENVECTOR        2
+                                                         E I G E N V E C T O R
+              2        0  9.713463E-20  0.0          -2.715434E-01  1.609491E+00  6.414785E-01  0.0
+"""
+
+
+def test_a_table_as_mystran_prints_it(tmp_path):
+    """Forces of a mode have the same title, and are not its shape."""
+    (tmp_path / "a.F06").write_text(MYSTRAN)
+    modes = read_f06(tmp_path / "a.F06", [(2, "z"), (2, "-rx")], modes=[2])
+    assert modes.frequencies_hz.tolist() == [37.41386]
+    assert modes.shapes.ravel().tolist() == [-0.2715434, -1.609491]
+    with pytest.raises(ModesError, match=r"must have frequencies above 0 Hz .mode 1 has none"):
+        read_f06(tmp_path / "a.F06", [(2, "z")])
+
+
+def test_what_a_program_said_when_it_failed(tmp_path):
+    line = " *ERROR  1822: GRID        0 ON CONM2          4 IS UNDEFINED"
+    (tmp_path / "a.f06").write_text(f"{line}\n *ERROR  1: another\n")
+    with pytest.raises(
+        ModesError, match=r"got none; DISP = ALL, .*; it says: '\*ERROR 1822: GRID 0 ON CONM2 4 IS UN"
+    ):
+        read_f06(tmp_path / "a.f06", [(2, "z")])

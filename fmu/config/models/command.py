@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -12,6 +12,12 @@ from fmu.config.mistakes import BrokenError, Mistake
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Of, Positive, TomlTable
 from fmu.fem.programs.command import STEP, CommandError, CommandModel, FoundFrequencies
+from fmu.formats.modes import READERS
+
+if TYPE_CHECKING:
+    ReaderName = str
+else:
+    ReaderName = Literal[tuple(READERS)]
 
 
 class CommandTable(TomlTable):
@@ -25,8 +31,11 @@ class CommandTable(TomlTable):
     """The program and its arguments; {job} and {deck} are the deck's name without and with its suffix."""
     frequencies: Annotated[FoundFrequencies, Of("frequencies", FoundFrequencies)] | None = None
     """How to find the frequencies in what the program writes."""
-    reader: Literal["calculix"] | None = None
-    """Instead of frequencies: reads the files of a program, shapes at the sensors too."""
+    reader: ReaderName | None = None
+    """Instead of frequencies: reads a file of the program, shapes at the sensors too; "f06" for Nastran's."""
+    result: FileName | None = None
+    """The file for the reader, with {job} and {deck}; by default {job}.dat of CalculiX, {job}.f06, {job}.uff and
+    {job}.npz."""
     inputs: list[FileName] = []
     """Other files that the program needs, from the folder of this file."""
     timeout: Positive = 600.0

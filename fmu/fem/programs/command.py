@@ -22,15 +22,12 @@ from fmu.durable_files import digest
 from fmu.engines.program import TOO_LONG, last_lines, run_program
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, checked
 from fmu.fem.programs.store import Solve, SolveStore
-from fmu.formats.calculix_dat import DIRECTIONS
 from fmu.formats.decks import filled, filled_name, placeholders, read_deck, write_deck
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.modes.calculix import read_calculix
+from fmu.formats.modes import READERS
 from fmu.formats.shown import in_words, one_line, shown
 from fmu.types import FloatArray
 
-READERS = {"calculix": ("{job}.dat", read_calculix)}
-"""The file of a program's results, and a function of it and the sensors that returns frequencies and shapes."""
 STEP = 1e-3
 """Of central differences: decks and results often have seven figures."""
 OUTPUT = "output.txt"
@@ -116,8 +113,11 @@ class CommandModel(BlackBoxModel):
         suffix. No shell reads them.
     frequencies : FoundFrequencies, optional
         How to read them.
-    reader : {"calculix"}, optional
-        Reads frequencies, and shapes at the sensors, from the files of a program, instead of `frequencies`.
+    reader : str, optional
+        One of `fmu.formats.modes.READERS`, instead of `frequencies`: reads them, and shapes at the sensors, from a
+        file of the program.
+    result : str, optional
+        The file for the reader, with ``{job}`` and ``{deck}``; by default the program's, such as ``{job}.f06``.
     inputs : sequence of str
         Other files that the program needs, from `folder`. Copies are beside the deck.
     timeout : float
@@ -156,6 +156,7 @@ class CommandModel(BlackBoxModel):
         *,
         frequencies: FoundFrequencies | None = None,
         reader: str | None = None,
+        result: str | None = None,
         inputs: Sequence[str] = (),
         timeout: float = 600.0,
         retries: int = 0,
@@ -166,7 +167,7 @@ class CommandModel(BlackBoxModel):
     ) -> None:
         self.folder = Path(folder).resolve()
         self.names, self.command, self.inputs = tuple(names), tuple(command), tuple(inputs)
-        self.found, self.reader = frequencies, reader
+        self.found, self.reader, self.result = frequencies, reader, result
         self.timeout, self.retries, self.keep = timeout, retries, keep
         template = self.folder / template
         self.deck = Path(filled_name(template.name) if template.suffix == ".in" else template.name)
@@ -201,6 +202,7 @@ class CommandModel(BlackBoxModel):
             "frequencies": None if frequencies is None else asdict(frequencies),
             "reader": reader,
             "inputs": contents,
+            **({} if result is None else {"result": result}),
         }
         self._store = self.folder / store
         super().__init__(self._modes, len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
@@ -213,7 +215,11 @@ class CommandModel(BlackBoxModel):
 
     def sees(self, sensor: tuple[Any, str]) -> bool:
         """Return whether the reader can give the shape at a sensor."""
-        return self.reader is None or (isinstance(sensor[0], int) and sensor[1].removeprefix("-") in DIRECTIONS)
+        if self.reader is None:
+            return True
+        form = READERS[self.reader]
+        has_place = isinstance(sensor[0], int) or not form.has_numbers
+        return has_place and sensor[1].removeprefix("-") in form.directions
 
     def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> CommandModel:
         """Return the model with shapes at these sensors, if its reader gives shapes."""
@@ -242,6 +248,11 @@ class CommandModel(BlackBoxModel):
             wrong.append("frequencies: must be given, or a reader instead")
         if self.reader is not None and self.reader not in READERS:
             wrong.append(f"reader: must be one of {', '.join(READERS)} (got {shown(self.reader)})")
+        if self.result is not None and self.reader is None:
+            wrong.append("result: must not be given without a reader")
+        for word in _WORD.findall(self.result or ""):
+            if word not in ("job", "deck"):
+                wrong.append(f"result: may have {{job}} and {{deck}} in braces (got {{{word}}})")
         if not 0.0 < self.timeout <= 1e7:
             wrong.append(f"timeout: must be positive, in seconds (got {self.timeout})")
         if not 0 <= self.retries <= 100:
@@ -332,8 +343,9 @@ class CommandModel(BlackBoxModel):
         if self.found is not None:
             frequencies = self.found.read(folder / self._named(self.found.file))
         else:
-            file, read = READERS[str(self.reader)]
-            frequencies, shapes = read(folder / self._named(file), self.sensors)
+            form = READERS[str(self.reader)]
+            path = _in_any_case(folder / self._named(self.result or form.result))
+            frequencies, shapes = form.computed(path, self.sensors, folder / self.deck)
         for what, values in (("frequencies", frequencies), ("shapes", shapes)):
             if values is not None and not np.all(np.isfinite(values)):
                 raise ValueError(f"{what}: must be finite (got {shown(values.ravel().tolist())})")
@@ -362,6 +374,14 @@ def _given(solve: Solve) -> dict[str, Any]:
     if solve.reason:
         raise AnswerError(solve.reason)
     return {"frequencies": solve.frequencies, "shapes": solve.shapes}
+
+
+def _in_any_case(path: Path) -> Path:
+    """Return the file of a name: MYSTRAN writes ``job.F06`` where others write ``job.f06``."""
+    if not path.exists():
+        names = [other for other in path.parent.glob("*") if other.name.lower() == path.name.lower()]
+        return names[0] if len(names) == 1 else path
+    return path
 
 
 def _beside(name: str) -> Path:

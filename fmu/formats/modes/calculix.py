@@ -8,10 +8,50 @@ from pathlib import Path
 import numpy as np
 
 from fmu.formats.calculix_dat import DIRECTIONS, read_displacements, read_frequencies
-from fmu.types import FloatArray
+from fmu.formats.modes.measured_modes import (
+    Computed,
+    MeasuredModes,
+    ModeNumber,
+    ModesError,
+    ModesFormat,
+    Sensors,
+    checked_file,
+    modes_chosen,
+)
+from fmu.formats.shown import shown
 
 
-def read_calculix(path: Path, sensors: Sequence[tuple[int, str]] = ()) -> tuple[FloatArray, FloatArray | None]:
+def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
+    """Return modes that CalculiX has printed at sensors, of another model or of a simulated test.
+
+    Parameters
+    ----------
+    file : Path
+        ``job.dat``; the deck needs ``*NODE PRINT`` with U.
+    sensors : sequence of (place, direction)
+        Nodes, and x, y or z, which may have a minus sign.
+    modes : sequence of int, optional
+        Numbers of the modes to take; by default all.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        If it has no eigenvalues, no such modes or sensors.
+    """
+    path = checked_file(file)
+    wrong = [place for place, d in sensors if not isinstance(place, int) or d.removeprefix("-") not in DIRECTIONS]
+    if wrong:
+        raise ModesError(path.name, [f"sensors: must be nodes, and x, y or z (got {shown(wrong[0])})"])
+    try:
+        computed = computed_calculix(path, sensors)
+    except ValueError as error:
+        raise ModesError(path.name, [str(error)]) from None
+    return modes_chosen(path.name, computed, sensors, modes, range(1, len(computed[0]) + 1))
+
+
+def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = None) -> Computed:
     """Return the frequencies in Hz (n,), and the shapes at sensors (n_sensors, n).
 
     Parameters
@@ -35,3 +75,6 @@ def read_calculix(path: Path, sensors: Sequence[tuple[int, str]] = ()) -> tuple[
         sign, axis = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
         shapes.append(sign * nodes[node][:, DIRECTIONS.index(axis)])
     return frequencies, np.array(shapes)
+
+
+FORMAT = ModesFormat(read_calculix, "{job}.dat", computed_calculix, DIRECTIONS)

@@ -1,4 +1,4 @@
-"""Real eigenvectors in the printed output of Nastran, ``.f06``: modes of another model, or of a simulated test.
+"""Real eigenvectors that Nastran and MYSTRAN print, ``.f06``: modes of another model, or of a simulated test.
 
 OP2 files are not read. Components that Nastran prints are along the axes of each node's output coordinate system,
 which the bulk data give.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,22 +17,30 @@ from fmu.formats.matrices.limits import text_lines
 from fmu.formats.models.read import read_mesh
 from fmu.formats.modes.measured_modes import (
     MOST_MODES,
+    Computed,
     MeasuredModes,
     ModeNumber,
     ModesError,
+    ModesFormat,
     Sensors,
     checked_file,
+    modes_chosen,
 )
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import shown
 from fmu.types import DIRECTIONS, FloatArray
 
 MOST_NODES = 2**20
+BULK_DATA = (".bdf", ".dat", ".nas")
 _REAL = r"[+-]?\d*\.\d*(?:[EeDd]?[+-]\d+)?"
 _CYCLES = re.compile(rf"\s*CYCLES\s*=\s*({_REAL})")
 _TITLE = re.compile(r"R E A L   E I G E N V E C T O R   N O \.\s+(\d{1,9})\s*$")
 _TABLE = "R E A L   E I G E N V A L U E S"
 _VALUE = re.compile(rf"\s*(\d{{1,9}})\s+\d{{1,9}}\s+({_REAL})\s+({_REAL})\s+({_REAL})\s+({_REAL})\s+({_REAL})\s*$")
-_ROW = re.compile(rf"[01 ]\s*(\d{{1,10}})\s+([GS])\s+({_REAL}(?:\s+{_REAL}){{0,5}})\s*$")
+_ROW = re.compile(rf"[01 ]\s*(\d{{1,10}})\s+([GS]|\d{{1,9}})\s+({_REAL}(?:\s+{_REAL}){{0,5}})\s*$")
+_MYSTRAN_TITLE = re.compile(r"\s*OUTPUT FOR EIGENVECTOR\s+(\d{1,9})\s*$")
+_MYSTRAN_VECTOR = "E I G E N V E C T O R"
+"""Of the table of a node's displacements; others, such as of forces, have the same title."""
+_FATAL = re.compile(r"FATAL MESSAGE|\*ERROR")
 
 
 def read_f06(
@@ -64,65 +73,85 @@ def read_f06(
     ModesError
         If it has no eigenvectors, no such modes or nodes, or the deck cannot be read.
     """
+    printed = _printed(file, sensors, deck)
+    return modes_chosen(file.name, printed[:2], sensors, modes, printed[2])
+
+
+def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
+    """Return all modes of an F06 file, see `fmu.formats.modes.measured_modes.ModesFormat`.
+
+    The axes of nodes are those of the deck that the program had, if that is bulk data.
+    """
+    return _printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
+
+
+def _printed(file: Path, sensors: Sensors, deck: Path | None) -> tuple[FloatArray, FloatArray | None, list[int]]:
+    """Return frequencies, shapes at sensors, if there are any, and numbers of modes; see `read_f06`."""
     path = checked_file(file)
     try:
         with open(path, "rb") as content:
-            frequencies, shapes = _found(text_lines(content))
+            found = _found(text_lines(content))
     except ValueError as error:
         raise ModesError(file.name, [str(error)]) from None
-    if not shapes:
-        raise ModesError(
-            file.name, ["must have real eigenvectors (got none; the case control's DISP = ALL prints them)"]
+    numbers = list(found.shapes if len(sensors) else found.frequencies)
+    if not numbers:
+        said = f"; it says: {found.fatal}" if found.fatal else ""
+        what = (
+            "real eigenvectors (got none; DISP = ALL, or VECTOR = ALL, in the case control prints them"
+            if len(sensors)
+            else "real eigenvalues (got none"
         )
-    chosen = list(shapes) if modes is None else [int(number) for number in modes]
-    missing = [number for number in chosen if number not in shapes]
-    if missing or not chosen:
-        raise ModesError(file.name, [f"modes: must be some of {names_shown(list(shapes))} (got {shown(chosen)})"])
-    wrong = [number for number in chosen if not 0.0 < frequencies.get(number, 0.0) < np.inf]
-    if wrong:
-        raise ModesError(file.name, [f"modes: must have frequencies above 0 Hz (mode {wrong[0]} has none)"])
+        raise ModesError(file.name, [f"must have {what}{said})"])
+    frequencies = np.array([found.frequencies.get(number, 0.0) for number in numbers])
+    if not len(sensors):
+        return frequencies, None, numbers
     try:
         axes = {} if deck is None else read_mesh(deck).axes
     except ValueError as error:
         raise ModesError(file.name, [f"deck: {error}"]) from None
-    table = np.array([[_at(shapes[number], sensor, axes, file.name) for number in chosen] for sensor in sensors])
-    if not np.all(np.isfinite(table)):
+    shapes = [[_at(found.shapes[number], sensor, axes, file.name) for number in numbers] for sensor in sensors]
+    if not np.all(np.isfinite(shapes)):
         raise ModesError(file.name, ["shapes: must be finite at the sensors"])
-    return MeasuredModes(
-        np.array([frequencies[number] for number in chosen]),
-        tuple(map(str, chosen)),
-        sensors=tuple((place, str(direction)) for place, direction in sensors),
-        shapes=table,
-    )
+    return frequencies, np.array(shapes), numbers
 
 
-def _found(lines: Iterator[str]) -> tuple[dict[int, float], dict[int, dict[int, FloatArray]]]:
-    """Return the frequency of each mode, Hz, and the components (6,) of each node by mode."""
-    frequencies: dict[int, float] = {}
-    shapes: dict[int, dict[int, FloatArray]] = {}
-    cycles, is_table, reading = 0.0, False, 0
+@dataclass
+class _Found:
+    """Frequency of each mode, Hz, and components (6,) of each node by mode; the first fatal message."""
+
+    frequencies: dict[int, float] = field(default_factory=dict)
+    shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
+    fatal: str = ""
+
+
+def _found(lines: Iterator[str]) -> _Found:
+    found = _Found()
+    cycles, is_table, reading, next_mode = 0.0, False, 0, 0
     for line in lines:
-        if found := _CYCLES.match(line):
-            cycles = _number(found[1])
-        if found := _TITLE.search(line):
-            reading, is_table = int(found[1]), False
-            shapes.setdefault(reading, {})
+        if match := _CYCLES.match(line):
+            cycles = _number(match[1])
+        if match := _TITLE.search(line):
+            reading, is_table = int(match[1]), False
             if cycles:
-                frequencies[reading] = cycles
-            if len(shapes) > MOST_MODES:
-                raise ValueError(f"must have at most {MOST_MODES} modes")
+                found.frequencies[reading] = cycles
+        elif match := _MYSTRAN_TITLE.match(line):
+            next_mode, reading = int(match[1]), 0
+        elif next_mode and line.strip() == _MYSTRAN_VECTOR:
+            reading, next_mode, is_table = next_mode, 0, False
         elif _TABLE in line:
             reading, is_table = 0, True
-        elif is_table and (found := _VALUE.match(line)):
-            frequencies.setdefault(int(found[1]), _number(found[4]))
-        elif reading and (found := _ROW.match(line)):
-            values = [_number(word) for word in found[3].split()]
-            shapes[reading][int(found[1])] = np.array(values + [0.0] * (6 - len(values)))
-            if len(shapes[reading]) > MOST_NODES:
-                raise ValueError(f"must have at most {MOST_NODES} nodes")
+        elif is_table and (match := _VALUE.match(line)):
+            found.frequencies.setdefault(int(match[1]), _number(match[4]))
+        elif reading and (match := _ROW.match(line)):
+            values = [_number(word) for word in match[3].split()]
+            found.shapes.setdefault(reading, {})[int(match[1])] = np.array(values + [0.0] * (6 - len(values)))
         elif line.startswith("1") or "PAGE" in line:
             reading, cycles = 0, 0.0
-    return frequencies, shapes
+        elif not found.fatal and _FATAL.search(line):
+            found.fatal = shown(" ".join(line.split()))
+        if len(found.shapes) > MOST_MODES or len(found.shapes.get(reading, ())) > MOST_NODES:
+            raise ValueError(f"must have at most {MOST_MODES} modes of {MOST_NODES} nodes")
+    return found
 
 
 def _number(word: str) -> float:
@@ -148,3 +177,6 @@ def _at(
     if node in axes:
         values = np.concatenate([values[:3] @ axes[node], values[3:] @ axes[node]])
     return float(sign * values[k])
+
+
+FORMAT = ModesFormat(read_f06, "{job}.f06", computed_f06)

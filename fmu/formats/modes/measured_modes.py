@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,9 +12,9 @@ from annotated_types import Ge, Interval
 from numpy.typing import ArrayLike
 
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import told
+from fmu.formats.shown import names_shown, shown, told
 from fmu.numbers import apart, given
-from fmu.types import FloatArray
+from fmu.types import DIRECTIONS, FloatArray
 
 LARGEST_FILE = 2**26
 """Bytes of a file with modes; more is refused before it is read."""
@@ -78,6 +78,59 @@ class MeasuredModes:
     use: tuple[bool, ...] = ()
     mpc: FloatArray | None = None
     shapes_sd: FloatArray | None = None
+
+
+Computed = tuple[FloatArray, FloatArray | None]
+"""Frequencies in Hz (n,), also those at 0 Hz, and shapes (n_sensors, n) if there are sensors."""
+
+
+@dataclass(frozen=True)
+class ModesFormat:
+    """A format of files with modes.
+
+    Attributes
+    ----------
+    read : callable
+        Returns `MeasuredModes`; its arguments are the keys of its table in ``[measurement]``.
+    result : str
+        The file that a program with this output writes: ``{job}.f06``, with ``{job}`` for the name of its deck.
+    computed : callable
+        ``computed(path, sensors, deck)`` returns all modes that a program has written, see `Computed`; `deck` is
+        the input that it had.
+    directions : tuple of str
+        Directions of sensors that such a file may have.
+    has_numbers : bool
+        Whether places of sensors must be numbers of nodes.
+    """
+
+    read: Callable[..., MeasuredModes]
+    result: str
+    computed: Callable[[Path, Sensors, Path], Computed]
+    directions: tuple[str, ...] = DIRECTIONS
+    has_numbers: bool = True
+
+
+def modes_chosen(
+    name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
+) -> MeasuredModes:
+    """Return some of the modes that a program has computed, by their numbers; by default all.
+
+    Raises
+    ------
+    ModesError
+        If there is no such mode, or one has no frequency above 0 Hz.
+    """
+    frequencies, shapes = computed
+    chosen = list(numbers) if modes is None else [int(number) for number in modes]
+    if not chosen or not set(chosen) <= set(numbers):
+        raise ModesError(name, [f"modes: must be some of {names_shown(list(numbers))} (got {shown(chosen)})"])
+    at = [numbers.index(number) for number in chosen]
+    for k, number in zip(at, chosen, strict=True):
+        if not 0.0 < frequencies[k] < np.inf:
+            raise ModesError(name, [f"modes: must have frequencies above 0 Hz (mode {number} has none)"])
+    places = tuple((place, str(direction)) for place, direction in sensors)
+    labels = tuple(map(str, chosen))
+    return MeasuredModes(frequencies[at], labels, None, places, None if shapes is None else shapes[:, at])
 
 
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:

@@ -23,9 +23,11 @@ from fmu.formats.modes.measured_modes import (
     LEAST_MPC,
     MOST_MODES,
     Collinearity,
+    Computed,
     MeasuredModes,
     ModeNumber,
     ModesError,
+    ModesFormat,
     Sensors,
     checked_file,
     real_shapes,
@@ -214,3 +216,12 @@ def load_pyoma(path: Path) -> dict[str, Any]:
 
 def _attribute(result: Any, name: str) -> Any:
     return result.get(name) if isinstance(result, Mapping) else getattr(result, name, None)
+
+
+def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
+    """Return all modes of a file, see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    modes = read_pyoma(path, sensors=sensors)
+    return modes.frequencies_hz, modes.shapes if len(sensors) else None
+
+
+FORMAT = ModesFormat(read_pyoma, "{job}.npz", computed_pyoma, has_numbers=False)

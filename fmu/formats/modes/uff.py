@@ -24,9 +24,11 @@ from numpy.typing import ArrayLike
 from fmu.formats.modes.measured_modes import (
     LEAST_MPC,
     Collinearity,
+    Computed,
     MeasuredModes,
     ModeNumber,
     ModesError,
+    ModesFormat,
     Place,
     Sensors,
     checked_file,
@@ -363,3 +365,12 @@ def _wrong(one: Mapping[str, Any]) -> list[str]:
 
 def _is_whole(number: Any) -> bool:
     return isinstance(number, int | np.integer) or (isinstance(number, float) and number.is_integer())
+
+
+def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
+    """Return all modes of a file, see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    modes = read_uff(path, sensors=tuple(sensors) or None)
+    return modes.frequencies_hz, modes.shapes if len(sensors) else None
+
+
+FORMAT = ModesFormat(read_uff, "{job}.uff", computed_uff)

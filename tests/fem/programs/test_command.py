@@ -14,8 +14,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
+from fmu.config.measurement import MeasurementTable
+from fmu.config.models.command import CommandTable
 from fmu.engines.program import run_program
 from fmu.fem.programs.command import CommandError
+from fmu.formats.modes import READERS
 
 SOLVER = Path(__file__).with_name("solver.py")
 DECK = "k1 {k1}\nk2 {k2:.16e}\n"
@@ -248,7 +251,10 @@ def test_no_shell_sees_a_value_or_a_name(tmp_path):
         ),
         ({"frequencies": None}, r"frequencies: must be given, or a reader instead"),
         ({"reader": "calculix"}, r"frequencies: must be given, or a reader instead"),
-        ({"frequencies": None, "reader": "nastran"}, r"reader: must be one of calculix \(got 'nastran'\)"),
+        (
+            {"frequencies": None, "reader": "nastran"},
+            r"reader: must be one of uff, oma, f06, calculix \(got",
+        ),
         ({"inputs": ["mesh.inp"]}, r"inputs\.0: no such file"),
         ({"inputs": ["springs.txt"]}, r"inputs\.0: must not have the name of the deck"),
         ({"timeout": 0.0}, r"timeout: must be positive, in seconds \(got 0\.0\)"),
@@ -361,3 +367,54 @@ def test_a_file_that_cannot_be_started(tmp_path):
     why = run_program([str(tmp_path / "program")], tmp_path, tmp_path / "out", 5.0)
     assert why == "ended with exit code 1"
     assert "cannot be started: Exec format error" in (tmp_path / "out").read_text()
+
+
+F06 = """\
+import sys
+deck = dict(line.split() for line in open("springs.txt"))
+for mode, key in ((1, "k1"), (2, "k2")):
+    print(f"    CYCLES = {float(deck[key]):.6E}    R E A L   E I G E N V E C T O R   N O .    {mode}")
+    print("             7      G      1.000000E+00   0.0           -2.500000E-01   0.0   0.0   5.000000E-01")
+"""
+
+
+@pytest.mark.parametrize("result", [None, "{job}.f06", "output.txt"])
+def test_any_reader_of_modes_serves_a_command(tmp_path, result):
+    """Frequencies and shapes of an F06, whose name may be in capitals; rotations too."""
+    to = "springs.F06" if result is None else "springs.f06" if result == "{job}.f06" else ""
+    program = F06 if not to else F06.replace("import sys\n", f"import sys\nsys.stdout = open('{to}', 'w')\n")
+    model = command_model(tmp_path, frequencies=None, reader="f06", result=result)
+    (tmp_path / "solver.py").write_text(program)
+    assert model.sees((7, "-rz"))
+    assert not model.sees(("seven", "x"))
+    answer = model.at_sensors([(7, "-z"), (7, "rz")]).at(THETA)
+    assert_array_equal(answer.frequencies, THETA)
+    assert_array_equal(answer.shapes, [[0.25, 0.25], [0.5, 0.5]])
+
+
+def test_shapes_are_turned_from_the_axes_of_the_deck(tmp_path):
+    """Nodes of the deck have output coordinate systems, as in `tests.formats.test_f06`."""
+    files = Path(__file__).parents[2] / "formats" / "models" / "nastran"
+    (tmp_path / "turned.bdf.in").write_text("$ {k1} {k2}\n" + (files / "turned.bdf").read_text())
+    copy = "import shutil; shutil.copy('turned.f06', 'deck.f06')"
+    (tmp_path / "turned.f06").write_bytes((files / "turned.f06").read_bytes())
+    model = fmu.CommandModel(
+        ["k1", "k2"],
+        "turned.bdf.in",
+        [sys.executable, "-c", copy],
+        reader="f06",
+        result="deck.f06",
+        inputs=["turned.f06"],
+        folder=tmp_path,
+    )
+    sensors = [(205, "x"), (303, "-z"), (410, "rx")]
+    answer = model.at_sensors(sensors).at(THETA)
+    expected = READERS["f06"].read(files / "turned.f06", sensors, files / "turned.bdf")
+    assert_array_equal(answer.frequencies, expected.frequencies_hz)
+    assert_array_equal(answer.shapes, expected.shapes)
+
+
+def test_the_registry_of_readers_is_one():
+    schema = CommandTable.model_json_schema()["properties"]["reader"]["anyOf"][0]
+    assert tuple(schema["enum"]) == tuple(READERS)
+    assert set(READERS) < set(MeasurementTable.model_fields)

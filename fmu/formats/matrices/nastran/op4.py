@@ -5,6 +5,8 @@ MSC Nastran, *DMAP programmer's guide*, OUTPUT4. They have no names of rows: see
 
     ASSIGN OUTPUT4='model.op4',UNIT=31,FORM=BIG64
     OUTPUT4 KGG,MGG,,,//0/31///16
+
+MYSTRAN writes them to ``job.OU1`` to ``job.OU7``, by ``OUTPUT4 KLL,MLL,,,//-1/21`` in the executive control.
 """
 
 from __future__ import annotations
@@ -246,4 +248,4 @@ def _check(header: _Header) -> None:
         )
 
 
-FORMAT = MatrixFormat((".op4",), _read, has_names=True)
+FORMAT = MatrixFormat((".op4", *(f".ou{unit}" for unit in range(1, 8))), _read, has_names=True)
