@@ -273,7 +273,7 @@ def test_sampling_ends_at_the_limit_and_says_so(invoke, monkeypatch):
     assert result.stderr == ""
     lines = result.stdout.splitlines()
     at = lines.index("--max-solves 300 reached before --until-ess 1e+06: mh")
-    assert lines[at + 1] == "To go on: fmu run --resume here --max-solves 3000"
+    assert lines[at + 1] == "To continue: fmu run --resume here --max-solves 3000"
     assert lines[-2:] == ["", "Written to here"]
     assert "- the run ended at its limit of 300 solves" in result.stdout
     trace = fmu.load_trace("here/mh.nc")

@@ -38,7 +38,7 @@ CONTRACTED = 0.3
 """A parameter, or a direction, is not informed by the data if its contraction is below this."""
 CRITERION = (
     "Contraction: 1 − posterior variance / prior variance, from the draws; 1 where the data determine a "
-    "parameter, 0 where they say nothing of it. Below 0.3, where 84 % or more of the prior standard deviation "
+    "parameter, 0 where they do not narrow it. Below 0.3, where 84 % or more of the prior standard deviation "
     "remains, the data have not informed it, and what is shown for it is its prior."
 )
 _LEAST_BY_ENTROPY = 0.7

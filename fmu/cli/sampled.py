@@ -144,7 +144,7 @@ def _tell_draws(
             most = int(trace.attrs["warmup_n_solves"]) + int(trace.attrs["n_solves"])
         aim = f"--until-ess {typed(until)}" if until else "convergence"
         click.echo(f"\n--max-solves {most} reached before {aim}: {name}")
-        click.echo(f"To go on: fmu run --resume {running.path} --max-solves {10 * most}")
+        click.echo(f"To continue: fmu run --resume {running.path} --max-solves {10 * most}")
     click.echo()
 
 

@@ -246,7 +246,9 @@ def test_a_mode_on_which_the_others_say_nothing(fit_of, wider, says):
 
     fit = fit_of(FITTED, table=barely)
     assert [check.could_fail for check in fit.checks] == [says, True, says, True]
-    assert ("No check of modes W1 and T1: the other modes say nothing on it." in fit.reasons) != says
+    assert (
+        "No check of modes W1 and T1: the other modes do not predict it any better than the prior." in fit.reasons
+    ) != says
 
 
 def test_nothing_to_compare(make_trace):

@@ -38,7 +38,7 @@ def assert_in_order(output, *texts):
 @pytest.mark.usefixtures("folder", "_announced")
 def test_the_verdict_comes_before_what_takes_further_solves():
     output = invoke("run", "two.toml", *of("hmc"), "--out", "out", "--progress", "none").output
-    assert_in_order(output, *DRAWN, "(certificate)", "(modes left out)", "n_solves", "(pages)")
+    assert_in_order(output, *DRAWN, "(certificate)", "(modes left out)", "largest MCSE", "(pages)")
     assert output.count("not converged: ") == 1
 
 
@@ -46,9 +46,9 @@ def test_the_verdict_comes_before_what_takes_further_solves():
 def test_with_several_samplers_each_has_its_verdict_before_the_next_begins():
     output = invoke("run", "two.toml", *of("hmc", "mh"), "--out", "out", "--progress", "none").output
     assert_in_order(
-        output, *DRAWN, "(certificate)", "(modes left out)", "\nmh\n", "\nmh  not converged", "n_solves"
+        output, *DRAWN, "(certificate)", "(modes left out)", "\nmh\n", "\nmh  not converged", "largest MCSE"
     )
-    assert output.rfind("hmc  not converged: ") > output.find("n_solves")  # compared with the others, too
+    assert output.rfind("hmc  not converged: ") > output.find("largest MCSE")  # compared with the others, too
 
 
 @pytest.mark.usefixtures("folder")
@@ -74,7 +74,9 @@ def test_how_to_go_on_is_part_of_the_first_verdict(monkeypatch):
     output = invoke(
         "run", "two.toml", "--sampler", "mh", *length, "--out", "out", "--no-report", "--progress", "none"
     )
-    assert_in_order(output.output, "--max-solves 30 reached before convergence: mh", "To go on:", "(certificate)")
+    assert_in_order(
+        output.output, "--max-solves 30 reached before convergence: mh", "To continue:", "(certificate)"
+    )
 
 
 def test_bars_end_where_text_is_printed(monkeypatch):

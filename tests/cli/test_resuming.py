@@ -96,7 +96,7 @@ def test_a_run_that_ended_at_its_limit_goes_on_with_a_larger_one(folder, converg
     assert fmu.load_trace("out/mixture.nc").attrs["limit"] == "500 solves"
     again = resume()
     assert again.exit_code == 1
-    assert "To go on: fmu run --resume out --max-solves 5000" in again.stdout
+    assert "To continue: fmu run --resume out --max-solves 5000" in again.stdout
     assert resume("--max-solves", 100000).exit_code == 0
     assert_same("mixture", folder / "out", converged)
     assert not (folder / "out" / "checkpoints").exists()

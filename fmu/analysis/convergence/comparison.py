@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 COUNTED = (
-    "Cost in model solves, everything counted: search for maxima, warm-up, draws; an exact gradient at the solves "
-    f"that it takes the time of. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least {ESS_LIMIT} of "
+    "Cost in model solves, everything counted: search for maxima, warm-up, draws; an exact gradient counts as the "
+    f"solves that take as long. Criterion: R-hat below {RHAT_LIMIT}, bulk and tail ESS at least {ESS_LIMIT} of "
     f"every parameter. {BASELINE} is the baseline."
 )
 _ROWS = {

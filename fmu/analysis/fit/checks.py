@@ -170,7 +170,9 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
         failed,
         f"{share(least)} of its frequency",
         sentence,
-        "" if says else f"the {'other' if row['used'] else 'used'} modes say nothing on it",
+        ""
+        if says
+        else f"the {'other' if row['used'] else 'used'} modes do not predict it any better than the prior",
         float(least),
     )
 

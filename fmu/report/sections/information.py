@@ -14,8 +14,9 @@ from fmu.report.run import ReportedRun
 
 _WEAK = 0.1
 LOOK_AT_MARGINALS = (
-    "Look for a posterior as wide as its prior (the data say nothing), one against a bound (they ask for values "
-    "beyond it), and several peaks. Star: the maximum, which may lie far from the mass of a skewed posterior."
+    "Look for a posterior as wide as its prior (the data do not inform it), one against a bound (they favour "
+    "values beyond it), and several peaks. Star: the maximum, which may lie far from the mass of a skewed "
+    "posterior."
 )
 LOOK_AT_SENSITIVITY = (
     "Look for pale columns (parameters that affect no mode) and for two columns that differ by less than about 1 "
