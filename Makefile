@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
+.PHONY: help paper environments test test-kernels test-kernels-all test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -37,13 +37,23 @@ test: $(READY)  ## Run the whole test suite, a worker a core
 NUMERICAL := tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_structure.py tests/fem/test_frame.py \
   tests/fem/test_frame_stability.py tests/fem/test_frame_verification.py tests/fem/test_reduction.py \
   tests/fem/test_reduced_basis.py tests/fem/test_observed.py tests/fem/test_pairing.py tests/posterior/test_rounding.py \
-  tests/analysis/test_check.py tests/cases/test_garteur.py
+  tests/fem/test_surrogate_process.py tests/posterior/test_unbounded_priors.py tests/analysis/test_check.py \
+  tests/cases/test_garteur.py tests/cases/test_several_tests_cases.py
 
 test-kernels: $(READY)  ## Run the numerical tests as other processors would compute
 	@set -e; for kernel in $$(.venv/bin/python -m tests.kernels); do \
 	  echo "Kernels of $$kernel"; \
 	  OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto \
 	    --dist=loadscope --quiet $(NUMERICAL); \
+	done
+
+# A suite for each kernel: before a release, not before every commit.
+test-kernels-all: export PYTHONDONTWRITEBYTECODE =
+test-kernels-all: $(READY)  ## Run the whole test suite as each of the other processors would compute
+	@set -e; for kernel in $$(.venv/bin/python -m tests.kernels); do \
+	  echo "Kernels of $$kernel"; \
+	  OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto \
+	    --no-loadscope-reorder --quiet $(RUN_PROGRAMS:%=--ignore=%); \
 	done
 
 # PARDISO has an environment of its own, on top of the other: `make test` is to pass without it.

@@ -285,10 +285,12 @@ class Training:
         return good >= enough
 
     def _fresh(self) -> FloatArray:
-        """Return points that a cut has not seen."""
+        """Return points that a cut has not seen, as many near zero as elsewhere where a bound is zero."""
         self._cut_seed += 1
         points = self._points(self._cut_seed)
-        return points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]
+        points = points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]
+        near_zero = points_near_zero(self.lower, self.upper, self.n_sobol, self._cut_seed)
+        return np.concatenate([points, near_zero[:_FRESH]])
 
     def _points(self, seed: int) -> FloatArray:
         return box_points(self.lower, self.upper, self.n_sobol, seed)
@@ -459,13 +461,13 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
     return lower + (upper - lower) * np.concatenate([inside, faces, corners])
 
 
-def points_near_zero(lower: FloatArray, upper: FloatArray, n: int) -> FloatArray:
+def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
     """Return points (m, n_parameters), m ≤ n, of a box, near zero in parameters whose lower bound is zero.
 
     A stiffness that nearly vanishes has modes that neither the face shows, where
     it is gone, nor points that cover the box evenly.
     """
-    rng = np.random.default_rng(n)
+    rng = np.random.default_rng(n + seed)
     points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))
     near = (rng.integers(0, 2, size=points.shape) == 1) & (lower == 0.0)
     points = np.where(near, upper * 10.0 ** rng.uniform(-8.0, -1.0, size=points.shape), points)
