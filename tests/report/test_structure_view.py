@@ -163,7 +163,7 @@ def test_the_element_under_the_pointer_says_what_changed(browser, beam_report):
             ).perform()
             said.add(
                 browser.execute_script(
-                    "const t = document.querySelector('.tip'); return t.hidden ? '' : t.textContent"
+                    "const t = document.querySelector('.view .tip'); return t.hidden ? '' : t.textContent"
                 )
             )
     said.discard("")
