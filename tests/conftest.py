@@ -2,6 +2,7 @@
 
 import gc
 import importlib
+import math
 import os
 import pkgutil
 
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 import fmu
 from fmu.analysis import certificate
 from fmu.analysis.held_out import modes
+from fmu.progress import lines
 from fmu.report import sections
 from fmu.report.document import Picture
 
@@ -72,6 +74,14 @@ def _no_time_for_refits():
     """Leave no mode out after a run: that takes longer than most runs, and the tests of it ask for `refits`."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(modes, "_FREE_S", 0.0)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_lines_of_a_log():
+    """Write no lines of progress on standard error: how many there are depends on the clock."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lines, "FIRST_S", math.inf)
         yield
 
 

@@ -16,6 +16,7 @@ from fmu.cli.messages import warnings_as_notes
 from fmu.cli.output import make_writable
 from fmu.config.kept import KeptProblem
 from fmu.config.template import KINDS, files, template, write_template
+from fmu.progress.lines import progress_lines
 
 if TYPE_CHECKING:
     from fmu.engines.base import Engine
@@ -124,17 +125,19 @@ def check(case: str, pairing: str | None, draws: int, seed: int, out: Path | Non
     data can identify and whether the prior covers the data. Writes a page with a drawing of the structure
     (index.html).
     """
-    asked = problem_of(case, pairing)
-    from fmu.analysis.check import check
-    from fmu.report.check_page import write_check
+    with progress_lines(f"checking {case}"):
+        asked = problem_of(case, pairing)
+        from fmu.analysis.check import check
+        from fmu.report.check_page import write_check
 
-    directory = out or Path("check") / asked.file.stem
-    with warnings_as_notes():
-        problem = built(asked)
-    make_writable(directory)
-    found = check(problem, draws, seed)
+        directory = out or Path("check") / asked.file.stem
+        with warnings_as_notes():
+            problem = built(asked)
+        make_writable(directory)
+        found = check(problem, draws, seed)
+        page = write_check(found, directory)
     click.echo(found)
-    click.echo(f"\nWritten to {write_check(found, directory)}")
+    click.echo(f"\nWritten to {page}")
     first = "Look into the warnings first. " if found.doubts else ""
     option = "" if pairing is None else f" --pairing {pairing}"
     click.echo(f"Next: {first}fmu run {case}{option} samples the posterior.")

@@ -21,6 +21,7 @@ from fmu.cli.surrogate import MAX_SOLVES, NO_SURROGATE, of_its_surrogate, wants_
 from fmu.config.kept import ORIGIN, KeptProblem, kept
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
+from fmu.progress.lines import progress_lines
 from fmu.progress.phases import told_to
 from fmu.runs import Checkpoint
 from fmu.samplers.registry import COMPARED
@@ -270,5 +271,6 @@ def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
             report = stack.enter_context(json_lines(sys.stderr))
         elif progress == "bars":
             report = stack.enter_context(progress_bars())
+            report = report or stack.enter_context(progress_lines("preparing"))
         stack.enter_context(told_to(report, running.note))
         yield report

@@ -22,6 +22,7 @@ from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, moved, variations
 from fmu.engines.base import Engine
+from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.formats.decks import EXPORTED, filled, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
@@ -30,6 +31,7 @@ from fmu.posterior.joint.joint_problem import JointProblem, TestsError
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.train_reduced import LOOSEST_FREQUENCY
+from fmu.progress.phases import phase, tell_fact
 
 NamedError = Annotated[Literal["frequency", "modal-residual"], Tag("<text>")]
 ErrorModels = Annotated[list[ErrorTable], Field(min_length=1), Tag("<list>")]
@@ -144,7 +146,10 @@ class ProblemFile(TomlTable):
         if found:
             raise ConfigurationError(source, found)
         try:
-            structure = self.model.build(folder, self.parameters)
+            with phase("reading the model"):
+                structure = self.model.build(folder, self.parameters)
+            if isinstance(structure.model, SeparableModel):
+                tell_fact(f"{structure.model.n_dof} degrees of freedom, {len(self.parameters)} parameters")
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             data = self._data(folder, structure, beta, errors)

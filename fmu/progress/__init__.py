@@ -1,6 +1,6 @@
-"""Progress: bars for people at a terminal or in a notebook, JSON lines for programs, otherwise nothing.
+"""Progress: bars at a terminal or in a notebook, JSON lines for programs, otherwise lines of a log.
 
-Reading order: this file, `phases` (where reports come from), `displays`; then `pace` and `words`.
+Reading order: this file, `phases` (where reports come from), `displays`, `lines`; then `pace` and `words`.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Phase:
     total : int
         Number of steps, as far as it is known.
     report : Report or None
-    note : Note or None
+    notes : tuple of Note
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class Phase:
         Further numbers that a report tells.
     """
 
-    def __init__(self, name: str, total: int, report: Report | None, note: Note | None) -> None:
+    def __init__(self, name: str, total: int, report: Report | None, notes: tuple[Note, ...] = ()) -> None:
         self.name, self.total = name, total
         self.done = self.solves = 0
         self.said: dict[str, float] = {}
-        self._report, self._note = report, note
+        self._report, self._notes = report, notes
         self._began = time.monotonic()
         self._is_told = False
         self.tell()
@@ -75,8 +75,8 @@ class Phase:
 
     def tell(self) -> None:
         """Report the state of the phase, if it has taken long enough."""
-        if self._note is not None:
-            self._note(self.name, self.done, self.total)
+        for note in self._notes:
+            note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
             self._is_told = True
             self._report(self.name, self.done, self.total, {"solves": self.solves, **self.said})
@@ -89,29 +89,44 @@ class Phase:
 
 
 _phase: ContextVar[Phase | None] = ContextVar("phase", default=None)
-_listeners: ContextVar[tuple[Report | None, Note | None]] = ContextVar("listeners", default=(None, None))
+_listeners: ContextVar[tuple[Report | None, tuple[Note, ...]]] = ContextVar("listeners", default=(None, ()))
+_teller: ContextVar[Callable[[str], None] | None] = ContextVar("teller", default=None)
 
 
 @contextmanager
-def told_to(report: Report | None, note: Note | None = None) -> Iterator[None]:
-    """Have the phases of a block reported; an argument that is None leaves the one that is set."""
-    outer_report, outer_note = _listeners.get()
-    token = _listeners.set((report or outer_report, note or outer_note))
+def told_to(
+    report: Report | None, note: Note | None = None, tell: Callable[[str], None] | None = None
+) -> Iterator[None]:
+    """Have the phases of a block reported to callbacks too; one that is None leaves those that are set.
+
+    Every `note` that is set is called, and the last `report` and `tell`.
+    """
+    outer_report, notes = _listeners.get()
+    token = _listeners.set((report or outer_report, (*notes, note) if note else notes))
+    of_facts = _teller.set(tell or _teller.get())
     try:
         yield
     finally:
         _listeners.reset(token)
+        _teller.reset(of_facts)
+
+
+def tell_fact(fact: str) -> None:
+    """Tell a log what is known by now, such as how large a model is; nothing happens where there is none."""
+    tell = _teller.get()
+    if tell is not None:
+        tell(fact)
 
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
     """Open a phase. One inside another is reported separately; its solves count for both."""
-    outer, (report, note) = _phase.get(), _listeners.get()
+    outer, (report, notes) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
 
         report = NotebookBars().report
-    opened = Phase(name, total, report, note)
+    opened = Phase(name, total, report, notes)
     token = _phase.set(opened)
     try:
         yield opened
@@ -120,7 +135,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
         _phase.reset(token)
         if outer is not None:
             outer.solves += opened.solves
-        if note is not None:
+        for note in notes:
             note("" if outer is None else outer.name, 0 if outer is None else outer.done, 0)
 
 

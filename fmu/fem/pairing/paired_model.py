@@ -34,6 +34,7 @@ from fmu.fem.pairing.rules import (
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import LOOSE, Trained, Training
+from fmu.formats.shown import in_words
 from fmu.progress.phases import solved
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -201,12 +202,34 @@ class GivenModel(ModalModel):
         return getattr(self.given, "reasons", ())
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return the user's frequencies."""
-        return self.given.frequencies(theta)
+        """Return the user's frequencies; ValueError if the method raises or returns something else."""
+        return self._real("frequencies", self._called("frequencies", theta), (len(theta), self.n_modes))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the user's frequencies and gradients."""
-        return self.given.frequencies_and_gradient(theta)
+        """Return the user's frequencies and gradients; ValueError as `frequencies` raises."""
+        method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
+        given = self._called(method, theta)
+        if not (isinstance(given, tuple) and len(given) == 2):
+            raise ValueError(f"model: {self.name}.{method} must return two arrays (got {type(given).__name__})")
+        return self._real(method, given[0], shape), self._real(method, given[1], (*shape, self.n_parameters))
+
+    def _called(self, method: str, theta: FloatArray) -> Any:
+        try:
+            return getattr(self.given, method)(theta)
+        except Exception as error:
+            raise ValueError(
+                f"model: {self.name}.{method} must return NaN where a solve fails, and not raise "
+                f"(got {in_words(error)}, at {theta[:1].tolist()})"
+            ) from error
+
+    def _real(self, method: str, given: Any, shape: tuple[int, ...]) -> FloatArray:
+        array = np.asarray(given)
+        if array.shape != shape or array.dtype.kind not in "fiu":
+            raise ValueError(
+                f"model: {self.name}.{method} must return real numbers of shape {shape} "
+                f"(got {array.dtype} of shape {array.shape})"
+            )
+        return array.astype(float, copy=False)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return the user's prediction at the sensors."""

@@ -273,6 +273,7 @@ class Training:
                     part = points[first : first + _TOGETHER]
                     under_way.expect(len(part))
                     was_good = np.all([self._look(b, part) for b in self.learners])
+                    under_way.said["basis"] = self._size()
                     under_way.advance(len(part))
                     visited += len(part)
                     good = good + len(part) if was_good else 0

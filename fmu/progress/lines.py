@@ -1,0 +1,124 @@
+"""Progress as lines of a log, where there is no terminal: one for every stage, and one every 30 s."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Self, TextIO
+
+from fmu.progress.pace import Pace
+from fmu.progress.phases import told_to
+from fmu.progress.words import Info, Report, bar_name, duration, in_words
+
+FIRST_S = 0.5
+"""A stage has its first line after so long: most stages take no time."""
+EVERY_S = 30.0
+_LOOK_S = 0.1
+
+
+class ProgressLines:
+    """Writes what is being done, how large it is, how long it has taken and how long it will take.
+
+    A line is ``training: 120 of 400, 0:12 so far, 0:28 to go``. A thread writes it, so that a stage that reports
+    nothing is not silent. If the stream breaks, nothing more is written, and the work goes on.
+
+    Parameters
+    ----------
+    stream : text stream
+    stage : str
+        What is done until a phase begins.
+    """
+
+    def __init__(self, stream: TextIO, stage: str) -> None:
+        self._stream: TextIO | None = stream
+        self._outer = stage
+        self._began = self._last = time.monotonic()
+        self._told: set[str] = set()
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._paces: dict[str, Pace] = defaultdict(Pace)
+        self._words = ""
+        self._waiting: list[str] = []
+        self._enter(stage)
+
+    def __enter__(self) -> Self:
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def report(self, phase: str, done: int, total: int, info: Info) -> None:
+        """Take a report of steps done of a phase, see `fmu.progress.words.Report`."""
+        with self._lock:
+            self._step(bar_name(phase, info), done, total)
+            self._words = in_words(info)
+
+    def note(self, phase: str, done: int, total: int) -> None:
+        """Take a note of the phase under way, from its first step; an empty name after it."""
+        with self._lock:
+            self._step(phase or self._outer, done, total)
+
+    def tell(self, fact: str) -> None:
+        """Have a fact written before the next line, such as how large the model is."""
+        with self._lock:
+            self._waiting.append(fact)
+
+    def _enter(self, stage: str) -> None:
+        self._stage, self._since = stage, self._began if stage == self._outer else time.monotonic()
+        self._done = self._total = 0
+        self._words = ""
+
+    def _step(self, stage: str, done: int, total: int) -> None:
+        if stage != self._stage:
+            self._enter(stage)
+        self._done, self._total = done, total
+        self._paces[stage].add(time.monotonic(), done, total)
+
+    def _watch(self) -> None:
+        while not self._over.wait(_LOOK_S):
+            now = time.monotonic()
+            with self._lock:
+                is_first = self._stage not in self._told
+                is_due = now - self._since >= FIRST_S if is_first else now - self._last >= EVERY_S
+                lines = [*self._waiting, self._line(now)] if is_due else []
+                if is_due:
+                    self._waiting, self._last = [], now
+                    self._told.add(self._stage)
+            for line in lines:
+                self._write(line)
+
+    def _line(self, now: float) -> str:
+        parts = [f"{self._done} of {self._total}"] if self._total else []
+        parts += [f"{duration(now - self._since)} so far"]
+        left = self._paces[self._stage].remaining(now) if self._total else None
+        parts += [f"{duration(left)} to go"] if left is not None else []
+        parts += [self._words] if self._words else []
+        return f"{self._stage}: {', '.join(parts)}"
+
+    def _write(self, line: str) -> None:
+        if self._stream is None:
+            return
+        try:
+            self._stream.write(line + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):  # broken, or closed
+            self._stream = None
+
+
+@contextmanager
+def progress_lines(stage: str) -> Iterator[Report | None]:
+    """Write lines on standard error about what a block does; none where that is a terminal."""
+    if sys.stderr.isatty():
+        yield None
+        return
+    with ProgressLines(sys.stderr, stage) as lines, told_to(lines.report, lines.note, lines.tell):
+        yield lines.report
