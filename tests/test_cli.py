@@ -108,7 +108,7 @@ def test_cases_are_listed(invoke):
 
 
 def test_run_writes_traces_and_tables_and_compare_repeats_the_comparison(invoke, tmp_path):
-    result = invoke("run", "cantilever-young", *SHORT, "--sampler", "slice", "--seed", 4)
+    result = invoke("run", "cantilever-young", "--sampler", "slice", *SHORT, "--seed", 4)
     assert result.exit_code == 0, result.output
     out = tmp_path / "runs" / "cantilever-young-shape"
     assert {p.name for p in out.iterdir()} == {

@@ -184,8 +184,8 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
-    if ALL in orders["samplers"]:
-        orders["samplers"] = tuple(dict.fromkeys([*COMPARED, *(n for n in orders["samplers"] if n != ALL)]))
+    wanted = {*orders["samplers"], *(COMPARED if ALL in orders["samplers"] else ())}
+    orders["samplers"] = tuple(name for name in SAMPLERS if name in wanted)  # as `load_traces` orders them
     if orders["draws"] is not None:
         for name in ("until_ess", "max_solves"):
             if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
