@@ -131,7 +131,7 @@ def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
     """Return the verdicts on the samplers, and what one of them says of the model: its page has the reasons."""
     told = _told(compared.runs)
     by = f"From the draws of {told.title}."
-    others = (replace(one, reasons=(), said=f"{one.said} {by}".strip()) for one in of_the_model(told))
+    others = (replace(one, reasons=(), notes=(), said=f"{one.said} {by}".strip()) for one in of_the_model(told))
     return *comparison.verdicts_on_samplers(compared), *others
 
 
