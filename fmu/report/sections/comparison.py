@@ -121,7 +121,7 @@ def posterior(found: Compared) -> PageSection:
         "Means with 50 % and 90 % intervals; R-hat, bulk and tail ESS. Look for means apart in units of the bars.",
     )  # fmt: skip
     solves = "; ".join(
-        f"{name} {about_solves(float(x))}, {fixed(float(found.grown[name].ess[-1]), 0)} effective draws at its end"
+        f"{name} {about_solves(float(x))}, {fixed(float(found.grown[str(name)].ess[-1]), 0)} effective draws at its end"
         for name, x in found.costs["criterion_solves"].items()
     )
     search = float(found.costs["search_solves"].iloc[0])
