@@ -5,7 +5,10 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+
+from fmu.numbers import whole
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
@@ -73,6 +76,25 @@ def intervals(cells):
 def _agree(one, other):
     width = one[:, 2:] - one[:, 1:2]
     return one.shape == other.shape and bool(np.all(np.abs(one - other) < 0.1 * width + 0.0005))
+
+
+def test_costs_of_samplers_are_those_of_the_page_beside_them(readme):
+    table = pd.read_csv(RESULTS / "compare" / "comparison.csv", index_col="sampler")
+    table = table.sort_values("criterion_solves")
+    header = ("sampler", "solves to the criterion", "over emcee's", "solves per effective draw", "over emcee's")
+    rows = rows_under(readme, *header)
+    assert [row[0].split("`")[1] for row in rows] == list(table.index)
+    columns = ["criterion_solves", "criterion_over_baseline", "solves_per_ess", "per_ess_over_baseline"]
+    for (_, *cells), expected in zip(rows, table[columns].to_numpy(), strict=True):
+        assert [number(cell) for cell in cells] == pytest.approx(list(expected), rel=0.005, abs=0.005)
+    text = plain(readme)
+    assert f"includes the search ({whole(round(table['search_solves'].iloc[0], -2))})" in text
+    assert f"as the {table.loc['hmc', 'gradient_cost']:.1f} solves that it takes" in text
+    assert f"was met after {whole(round(table.loc['emcee', 'total_solves'], -3))}" in text
+    assert (RESULTS / "compare" / "compare.png").is_file()
+    page = (RESULTS / "compare" / "report" / "index.html").read_text(encoding="utf-8")
+    for solves in table["criterion_solves"]:
+        assert whole(float(f"{solves:.3g}")) in page
 
 
 def test_what_it_says_of_workers_and_kills(readme):

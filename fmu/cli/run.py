@@ -66,7 +66,7 @@ def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
               "there, with exit code 1; with --resume and a larger number it goes on. With a surrogate, how many "
               "solves it may take.")  # fmt: skip
 @click.option("--warmup", type=_FROM_0, help="Warm-up steps per chain, before the draws.  [default: 1000; "
-              "without --draws 400 for mixture, 500 for hmc]")  # fmt: skip
+              "without --draws 400 for mixture, 500 for hmc, 100 for emcee]")  # fmt: skip
 @_option("--chains", _FROM_1, "Number of chains (emcee: ensembles).")
 @_option("--groups", _FROM_1, "Number of independent groups of chains, each with its own adaptation, for several "
          "workers. The draws depend on this number.  [default: 1; emcee: one per ensemble]")  # fmt: skip

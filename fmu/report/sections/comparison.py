@@ -120,9 +120,10 @@ def posterior(found: Compared) -> PageSection:
         plot_forest(traces, found.summaries), "forest", f"Means and 90 % intervals of {', '.join(runs)}: {seen}.",
         "Means with 50 % and 90 % intervals; R-hat, bulk and tail ESS. Look for means apart in units of the bars.",
     )  # fmt: skip
+    met = found.costs["criterion_solves"]
     solves = "; ".join(
-        f"{name} {about_solves(float(x))}, {fixed(float(found.grown[str(name)].ess[-1]), 0)} effective draws at its end"
-        for name, x in found.costs["criterion_solves"].items()
+        f"{name} {about_solves(float(met[name]))}, {fixed(float(one.ess[-1]), 0)} effective draws at its end"
+        for name, one in found.grown.items()
     )
     search = float(found.costs["search_solves"].iloc[0])
     grown = picture(
